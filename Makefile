@@ -30,7 +30,7 @@ libraries: install
 	@$(BIN)/python -m simulate.render.libraries
 
 demo: libraries
-	$(BIN)/objconnect simulate --config configs/demo.yaml --out $(DEMO)/scene
+	$(BIN)/objconnect simulate --config demo --out $(DEMO)/scene
 	test -d $(DEMO)/scene/map || $(BIN)/objconnect map $(DEMO)/scene
 	$(BIN)/objconnect validate $(DEMO)/scene
 	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --method pixloc --method objconnect \
@@ -39,10 +39,10 @@ demo: libraries
 	$(BIN)/objconnect view $(DEMO)/scene --results $(DEMO)/results --out $(DEMO)/view.html
 	@echo "Look at: $(DEMO)/leaderboard/leaderboard.html, $(DEMO)/view.html, $(DEMO)/scene/pictures"
 
-# The page of all tracks, from the results in leaderboard/; seconds, and no pictures are rendered.
+# The page of all tracks, from the results in benchmark/tracks/; seconds, and no pictures are rendered.
 .PHONY: leaderboard
 leaderboard: install
-	$(BIN)/objconnect leaderboard --board leaderboard --out runs/leaderboard >/dev/null
+	$(BIN)/objconnect leaderboard --board benchmark/tracks --out runs/leaderboard >/dev/null
 	@echo "Look at: runs/leaderboard/leaderboard.html"
 
 # What the tests of the leaderboard's page click in.
@@ -62,7 +62,7 @@ peers: install
 # What CI runs besides: the site, kills, clusters, wheels, damaged files.
 test-rest: libraries browser peers docs
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m thorough
-	$(BIN)/python -m tests.fuzz --inputs 2000
+	$(BIN)/python -m tests.robustness.fuzz --inputs 2000
 
 # Ten random moments of every kill, every camera, every mutant; tens of minutes more.
 test-all: test test-rest
@@ -93,14 +93,14 @@ bench: libraries
 	mkdir -p $(BENCH)
 	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds \
 	  --benchmark-json=$(BENCH)/run.json
-	$(BIN)/python -m tests.benchmarks.ratios write $(BENCH)/run.json $(BENCH)/ratios.json
-	$(BIN)/python -m tests.benchmarks.frame_cost
-	$(BIN)/python -m tests.benchmarks.build_cost
+	$(BIN)/python -m experiments.ratios write $(BENCH)/run.json $(BENCH)/ratios.json
+	$(BIN)/python -m experiments.frame_cost
+	$(BIN)/python -m experiments.build_cost
 
 # Fails where a ratio is worse than in an earlier run, by more than its spread.
 bench-check: install
 	@test -n "$(AGAINST)" || { echo "error: name the ratios of an earlier run: make bench-check AGAINST=ratios.json" >&2; exit 2; }
-	$(BIN)/python -m tests.benchmarks.ratios check $(BENCH)/ratios.json --against $(AGAINST)
+	$(BIN)/python -m experiments.ratios check $(BENCH)/ratios.json --against $(AGAINST)
 
 # Training: the weights that come with the project, and those they are compared with.
-include configs/train/weights.mk
+include objconnect/learning/configs/weights.mk

@@ -1,1 +1,1 @@
-"""Localizers to beat, all behind ``scene.localizer.Localizer``."""
+"""Localizers to beat, all behind ``objconnect.scene.localizer.Localizer``."""

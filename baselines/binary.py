@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from baselines.features import Extractor
-from baselines.structure import StructureConfig, StructureLocalizer
-from scene.maps.features import Features, unit_bits
-from scene.maps.matching import match
+from objconnect.localization.matching.features import Extractor
+from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
+from objconnect.scene.maps.features import Features, unit_bits
+from objconnect.scene.maps.matching import match
 
 # Scale between levels of ORB's pyramid. It is OpenCV's default, by which pixels are converted.
 _ORB_STEP: Final = 1.2

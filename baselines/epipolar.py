@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from baselines.features import Extractor, map_features
-from baselines.rays import Rays
-from baselines.retrieval import OnDemand, References, RetrievalOptions
-from baselines.sampson import Matches, RefinementOptions, refine
-from baselines.sift import Sift
-from scene.colmap.relative_pose import estimate_relative_pose
-from scene.config import Config
-from scene.geometry.pose import Pose
-from scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
-from scene.maps.features import Features
-from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.lru_cache import LruCache, room
+from objconnect.localization.matching.features import Extractor, map_features
+from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
+from objconnect.localization.matching.sift import Sift
+from objconnect.scene.colmap.relative_pose import estimate_relative_pose
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.rays import Rays
+from objconnect.scene.geometry.sampson import Matches, RefinementOptions, refine
+from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.features import Features
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.storage.lru_cache import LruCache, room
 
 # A relative pose takes five matches; three more that agree are no coincidence.
 _LEAST_INLIERS = 8
@@ -84,7 +84,7 @@ class _Seen:
 
 
 class EpipolarLocalizer:
-    """Localizes images by relative poses. Implements ``scene.localizer.Localizer``."""
+    """Localizes images by relative poses. Implements ``objconnect.scene.localizer.Localizer``."""
 
     name = "epipolar"
     weights_sha256: str | None = None

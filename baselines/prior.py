@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from baselines.retrieval import References, RetrievalOptions
-from baselines.starts import StartOptions, start_of, starts
-from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
-from scene.maps.sparse_map import SparseMap
+from objconnect.localization.matching.retrieval import References, RetrievalOptions
+from objconnect.localization.starts import StartOptions, start_of, starts
+from objconnect.scene.config import Config
+from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.sparse_map import SparseMap
 
 
 class PriorConfig(Config):
@@ -28,7 +28,7 @@ class PriorConfig(Config):
 class PriorLocalizer:
     """Answers the prior, completed from the nearest photograph as methods by alignment complete it.
 
-    Implements ``scene.localizer.Localizer``.
+    Implements ``objconnect.scene.localizer.Localizer``.
     """
 
     name = "prior"

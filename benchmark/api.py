@@ -14,50 +14,50 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.training.command import train as train
-    from baselines.training.config import TrainConfig as TrainConfig
     from benchmark.audit.command import audit as audit
     from benchmark.datasets.dataset import Dataset as Dataset
     from benchmark.datasets.open import open_datasets as open_datasets
-    from benchmark.evaluate import evaluate as evaluate
-    from benchmark.external_poses import score as score
+    from benchmark.evaluation.evaluate import evaluate as evaluate
+    from benchmark.evaluation.external_poses import score as score
+    from benchmark.evaluation.starts import parse_start as parse_start
     from benchmark.forecast.command import forecast as forecast
     from benchmark.forecast.config import ForecastConfig as ForecastConfig
-    from benchmark.localize import localize as localize
-    from benchmark.localize import open_place as open_map  # noqa: F401
-    from benchmark.registry import create as create_localizer  # noqa: F401
-    from benchmark.registry import trainable as trainable
     from benchmark.regress import regress as regress
     from benchmark.report.leaderboard import leaderboard as leaderboard
     from benchmark.report.view import view as view
-    from benchmark.results import Results as Results
-    from benchmark.results_files import load as read_results  # noqa: F401
-    from benchmark.sequence import SequenceInputs as SequenceInputs
-    from benchmark.sequence import SequenceOutput as SequenceOutput
-    from benchmark.sequence import localize_sequence as localize_sequence
-    from benchmark.sequence import localize_video as localize_video
-    from benchmark.starts import parse_start as parse_start
-    from benchmark.tracking import SequenceConfig as SequenceConfig
+    from benchmark.results.results import Results as Results
+    from benchmark.results.results_files import load as read_results  # noqa: F401
     from benchmark.tracks.command import track as track
     from benchmark.validate import validate as validate
-    from dense.command import dense as dense
-    from ingest.command import ingest as ingest
-    from ingest.virtual.command import photograph_orthophoto as photograph_orthophoto
-    from mapping.build import build_map as build_map
-    from mapping.diagnosis.command import diagnose as diagnose
-    from mapping.supplement.command import supplement as supplement
-    from scene.bundle.scene import Scene as Scene
-    from scene.errors import InputError as InputError
-    from scene.exports.export import export as export
-    from scene.geometry.camera import Camera as Camera
-    from scene.geometry.pose import Pose as Pose
-    from scene.localizer import Estimate as Estimate
-    from scene.localizer import Localizer as Localizer
-    from scene.localizer import Prior as Prior
-    from scene.localizer import Query as Query
-    from scene.maps.colmap_files import read_model as read_model
-    from scene.maps.sparse_map import SparseMap as SparseMap
-    from scene.runtime.script import run_script as run_script
+    from objconnect.ingest.command import ingest as ingest
+    from objconnect.ingest.virtual.command import photograph_orthophoto as photograph_orthophoto
+    from objconnect.learning.training.command import train as train
+    from objconnect.learning.training.config import TrainConfig as TrainConfig
+    from objconnect.localization.pipeline.localize import localize as localize
+    from objconnect.localization.pipeline.localize import open_place as open_map  # noqa: F401
+    from objconnect.localization.pipeline.sequence import SequenceInputs as SequenceInputs
+    from objconnect.localization.pipeline.sequence import SequenceOutput as SequenceOutput
+    from objconnect.localization.pipeline.sequence import localize_sequence as localize_sequence
+    from objconnect.localization.pipeline.sequence import localize_video as localize_video
+    from objconnect.localization.pipeline.tracking import SequenceConfig as SequenceConfig
+    from objconnect.mapping.build import build_map as build_map
+    from objconnect.mapping.dense.command import dense as dense
+    from objconnect.mapping.diagnosis.command import diagnose as diagnose
+    from objconnect.mapping.supplement.command import supplement as supplement
+    from objconnect.methods import create as create_localizer  # noqa: F401
+    from objconnect.methods import trainable as trainable
+    from objconnect.scene.bundle.scene import Scene as Scene
+    from objconnect.scene.errors import InputError as InputError
+    from objconnect.scene.exports.export import export as export
+    from objconnect.scene.geometry.camera import Camera as Camera
+    from objconnect.scene.geometry.pose import Pose as Pose
+    from objconnect.scene.localizer import Estimate as Estimate
+    from objconnect.scene.localizer import Localizer as Localizer
+    from objconnect.scene.localizer import Prior as Prior
+    from objconnect.scene.localizer import Query as Query
+    from objconnect.scene.maps.colmap_files import read_model as read_model
+    from objconnect.scene.maps.sparse_map import SparseMap as SparseMap
+    from objconnect.scene.runtime.script import run_script as run_script
     from simulate.command import simulate as simulate
     from simulate.config import SimulateConfig as SimulateConfig
 
@@ -68,56 +68,56 @@ _MODULES = {
     "simulate": "simulate.command",
     "SimulateConfig": "simulate.config",
     "track": "benchmark.tracks.command",
-    "ingest": "ingest.command",
-    "photograph_orthophoto": "ingest.virtual.command",
-    "build_map": "mapping.build",
-    "diagnose": "mapping.diagnosis.command",
-    "supplement": "mapping.supplement.command",
-    "dense": "dense.command",
-    "export": "scene.exports.export",
+    "ingest": "objconnect.ingest.command",
+    "photograph_orthophoto": "objconnect.ingest.virtual.command",
+    "build_map": "objconnect.mapping.build",
+    "diagnose": "objconnect.mapping.diagnosis.command",
+    "supplement": "objconnect.mapping.supplement.command",
+    "dense": "objconnect.mapping.dense.command",
+    "export": "objconnect.scene.exports.export",
     "validate": "benchmark.validate",
     "audit": "benchmark.audit.command",
     # Read what is on disk.
-    "open_scene": "scene.bundle.scene:Scene.open",
+    "open_scene": "objconnect.scene.bundle.scene:Scene.open",
     "open_datasets": "benchmark.datasets.open",
-    "open_map": "benchmark.localize:open_place",
-    "read_model": "scene.maps.colmap_files",
-    "read_results": "benchmark.results_files:load",
+    "open_map": "objconnect.localization.pipeline.localize:open_place",
+    "read_model": "objconnect.scene.maps.colmap_files",
+    "read_results": "benchmark.results.results_files:load",
     # Localize.
-    "create_localizer": "benchmark.registry:create",
-    "localize": "benchmark.localize",
-    "localize_video": "benchmark.sequence",
-    "localize_sequence": "benchmark.sequence",
-    "SequenceInputs": "benchmark.sequence",
-    "SequenceOutput": "benchmark.sequence",
-    "SequenceConfig": "benchmark.tracking",
-    "train": "baselines.training.command",
-    "trainable": "benchmark.registry",
-    "TrainConfig": "baselines.training.config",
+    "create_localizer": "objconnect.methods:create",
+    "localize": "objconnect.localization.pipeline.localize",
+    "localize_video": "objconnect.localization.pipeline.sequence",
+    "localize_sequence": "objconnect.localization.pipeline.sequence",
+    "SequenceInputs": "objconnect.localization.pipeline.sequence",
+    "SequenceOutput": "objconnect.localization.pipeline.sequence",
+    "SequenceConfig": "objconnect.localization.pipeline.tracking",
+    "train": "objconnect.learning.training.command",
+    "trainable": "objconnect.methods",
+    "TrainConfig": "objconnect.learning.training.config",
     # Look ahead.
     "forecast": "benchmark.forecast.command",
     "ForecastConfig": "benchmark.forecast.config",
     # Measure and compare.
-    "evaluate": "benchmark.evaluate",
-    "parse_start": "benchmark.starts",
-    "score": "benchmark.external_poses",
+    "evaluate": "benchmark.evaluation.evaluate",
+    "parse_start": "benchmark.evaluation.starts",
+    "score": "benchmark.evaluation.external_poses",
     "leaderboard": "benchmark.report.leaderboard",
     "regress": "benchmark.regress",
     "view": "benchmark.report.view",
     # Write scripts.
-    "run_script": "scene.runtime.script",
+    "run_script": "objconnect.scene.runtime.script",
     # Types.
-    "Camera": "scene.geometry.camera",
+    "Camera": "objconnect.scene.geometry.camera",
     "Dataset": "benchmark.datasets.dataset",
-    "Estimate": "scene.localizer",
-    "InputError": "scene.errors",
-    "Localizer": "scene.localizer",
-    "Pose": "scene.geometry.pose",
-    "Prior": "scene.localizer",
-    "Query": "scene.localizer",
-    "Results": "benchmark.results",
-    "Scene": "scene.bundle.scene",
-    "SparseMap": "scene.maps.sparse_map",
+    "Estimate": "objconnect.scene.localizer",
+    "InputError": "objconnect.scene.errors",
+    "Localizer": "objconnect.scene.localizer",
+    "Pose": "objconnect.scene.geometry.pose",
+    "Prior": "objconnect.scene.localizer",
+    "Query": "objconnect.scene.localizer",
+    "Results": "benchmark.results.results",
+    "Scene": "objconnect.scene.bundle.scene",
+    "SparseMap": "objconnect.scene.maps.sparse_map",
 }
 
 __all__ = list(_MODULES)

@@ -31,7 +31,7 @@ if not __package__:  # run as a file: the packages of the project are not on the
 from simulate.render.libraries import missing_packages  # noqa: E402
 
 # The packages that contain weights.
-_WITH_WEIGHTS: Final = ("baselines", "objconnect", "mapping")
+_WITH_WEIGHTS: Final = ("baselines", "objconnect")
 
 _DISTRIBUTION: Final = "objconnect"
 # Equal to requires-python in pyproject.toml. An older Python can load this module alone.

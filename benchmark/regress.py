@@ -9,15 +9,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.paired import PairedChange, compare
 from benchmark.report.tables import ALL
-from benchmark.results import Results
-from benchmark.results_files import load, method_in, results_files
-from benchmark.score import THRESHOLDS, is_correct
-from scene.errors import InputError
-from scene.runtime.escaping import for_terminal
-from scene.storage.atomic import atomic_write
-from scene.storage.outputs import check_output_folder, check_outputs
+from benchmark.results.results import Results
+from benchmark.results.results_files import load, method_in, results_files
+from benchmark.scoring.paired import PairedChange, compare
+from benchmark.scoring.score import THRESHOLDS, is_correct
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.outputs import check_output_folder, check_outputs
 
 log = logging.getLogger(__name__)
 

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
-from benchmark.datasets.simulated import is_scene
-from benchmark.registry import create
-from benchmark.score import FALSE_FIX
-from scene.checks.conventions import OURS, POSE_READINGS, Reading
-from scene.checks.map_check import check_map, check_principal_points
-from scene.checks.report import Check, Report
-from scene.checks.validate import validate as validate_scene
-from scene.geometry.pose import Pose
-from scene.maps.sparse_map import SparseMap
+from benchmark.scoring.score import FALSE_FIX
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import is_scene
+from objconnect.scene.checks.conventions import OURS, POSE_READINGS, Reading
+from objconnect.scene.checks.map_check import check_map, check_principal_points
+from objconnect.scene.checks.report import Check, Report
+from objconnect.scene.checks.validate import validate as validate_scene
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import SparseMap
 
 # Number of queries whose reference poses are compared with poses that SIFT finds.
 _PROBES = 5

@@ -6,8 +6,8 @@ python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
 from pathlib import Path
 
 from benchmark.api import Pose, Prior, Query, create_localizer, open_scene, run_script
-from scene.localizer import Status
-from scene.storage.images import read_rgb
+from objconnect.scene.localizer import Status
+from objconnect.scene.storage.images import read_rgb
 
 
 def main(path: Path = Path("runs/examples/scene")) -> float:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.api import Estimate, Query, SparseMap, evaluate, open_datasets, run_script
-from scene.config import Config
-from scene.localizer import By, Status, Stopwatch
+from objconnect.scene.config import Config
+from objconnect.scene.localizer import By, Status, Stopwatch
 
 
 class NearestConfig(Config):

@@ -11,7 +11,7 @@ except ImportError as error:
     raise SystemExit(f"{error}: this example needs pandas (pip install pandas)") from None
 
 from benchmark.api import InputError, read_results, run_script
-from benchmark.results_files import BASIN
+from benchmark.results.results_files import BASIN
 
 
 def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:

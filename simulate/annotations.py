@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.covisibility import Covisibility, surface_points, visible_share
-from scene.bundle.frames import LAYERS
-from scene.bundle.scene import Scene
-from scene.storage.images import read_rgb
+from objconnect.scene.bundle.covisibility import Covisibility, surface_points, visible_share
+from objconnect.scene.bundle.frames import LAYERS
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.storage.images import read_rgb
 
 # Points per side of the grid that samples a frame's surface, so shares are multiples of 1/256.
 _PER_SIDE = 16

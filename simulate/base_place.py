@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scene.bundle.manifest import read_json, write_json
-from scene.errors import InputError
+from objconnect.scene.bundle.manifest import read_json, write_json
+from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from simulate.place.presets import preset
 from simulate.place.surveyed import load_surveyed, save_surveyed

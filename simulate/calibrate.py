@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from scene.errors import InputError
-from scene.geometry.camera import MODELS, Camera
-from scene.runtime.progress import progress_bar
-from scene.storage.atomic import atomic_write
-from scene.storage.outputs import OutputFile, check_outputs
-from scene.storage.provenance import PNG_MARK, PNG_METADATA
-from scene.storage.scratch import scratch
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.provenance import PNG_MARK, PNG_METADATA
+from objconnect.scene.storage.scratch import scratch
 from simulate.camera.lens import rendered_through
 from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.bundle.covisibility import write_covisibility
-from scene.bundle.frames import LAYERS, Frames, Layer, read_frames, write_frames
-from scene.bundle.labels import CLASSES
-from scene.bundle.manifest import (
+from objconnect.scene.bundle.covisibility import write_covisibility
+from objconnect.scene.bundle.frames import LAYERS, Frames, Layer, read_frames, write_frames
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.manifest import (
     Manifest,
     Objects,
     SceneObject,
@@ -30,18 +30,18 @@ from scene.bundle.manifest import (
     size_class,
     write_json,
 )
-from scene.bundle.pictures import draw_pictures
-from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import geodetic_from_enu
-from scene.geometry.pose import Pose
-from scene.runtime.cluster import worker_pool
-from scene.runtime.progress import progress_bar
-from scene.storage.atomic import TEMPORARY_PREFIX
-from scene.storage.images import Exif, write_jpeg
-from scene.storage.locks import write_lock
-from scene.storage.resumable import ResumableFolder
+from objconnect.scene.bundle.pictures import draw_pictures
+from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import geodetic_from_enu
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.runtime.cluster import worker_pool
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
+from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.locks import write_lock
+from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.base_place import base_place, check_site, keep_site, site_file
 from simulate.camera.lens import rendered_through
@@ -77,7 +77,7 @@ def simulate(
         config: configuration of the scene.
         out: new folder, or one left by a run of the same configuration.
         jobs: number of rendering processes on this machine.
-        cluster: cluster that renders instead, as ``scene.runtime.cluster.worker_pool`` takes it.
+        cluster: cluster that renders instead, as ``cluster.worker_pool`` takes it.
         twin: finished scene of the same site, whose place is taken over; None builds it.
 
     Raises:

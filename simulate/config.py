@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from scene.config import Config, load_config
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
@@ -270,7 +270,7 @@ class SimulateConfig(Config):
 
     @staticmethod
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
-        """Load a configuration from a YAML file and overrides; see ``scene.config.load_config``.
+        """Load a configuration from a YAML file and overrides; see ``config.load_config``.
 
         Overrides that are None are options which were not given.
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.config import Config
-from scene.errors import InputError
-from scene.geometry.camera import Camera
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import is_free
 from simulate.flight.config import (

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
-from scene.runtime.debian import check, require_packages
+from objconnect.scene.runtime.debian import check, require_packages
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # Without a font a browser draws no text at all.

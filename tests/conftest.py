@@ -16,10 +16,10 @@ import pytest
 import torch
 from hypothesis import settings
 
-from mapping.build import build_map
-from scene.bundle.scene import Scene
-from scene.runtime.memory import keep_few_kernels
-from scene.storage.digests import FOLDER_VARIABLE
+from objconnect.mapping.build import build_map
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.runtime.memory import keep_few_kernels
+from objconnect.scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries

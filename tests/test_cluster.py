@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.query_result import QueryResult
-from benchmark.registry import create
-from benchmark.results import Results
-from benchmark.results_files import load
-from dense.command import dense
-from mapping.build import build_map
-from scene.bundle.scene import Scene
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import Results
+from benchmark.results.results_files import load
+from objconnect.mapping.build import build_map
+from objconnect.mapping.dense.command import dense
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import Scene
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from tests.two_nodes import TwoNodes
@@ -91,4 +91,4 @@ def test_depth_maps(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path) -> Non
     assert report.cpu_seconds_per_map is not None
     digests = [Scene.open(scene).manifest.sha256 for scene in scenes]
     assert digests[0] == digests[1]
-    assert any(name.startswith("dense/") for name in digests[0])
+    assert any(name.startswith("objconnect/mapping/dense/") for name in digests[0])

@@ -48,7 +48,11 @@ MODULES = modules_with_examples()
 
 
 def test_the_vocabulary_has_examples() -> None:
-    assert {"scene.geometry.pose", "scene.geometry.camera", "scene.config"} <= set(MODULES)
+    assert {
+        "objconnect.scene.geometry.pose",
+        "objconnect.scene.geometry.camera",
+        "objconnect.scene.config",
+    } <= set(MODULES)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -1,7 +1,8 @@
 """The import arrows of the project, held by reading every module.
 
-``benchmark -> mapping -> objconnect -> baselines -> scene``, ``benchmark -> simulate -> scene``,
-``benchmark -> dense -> scene`` and ``benchmark -> ingest -> scene``.
+Packages: ``benchmark -> baselines -> objconnect``, ``simulate -> objconnect`` and
+``benchmark -> simulate``. Rooms of ``objconnect``: ``mapping -> network -> localization ->
+learning, ingest -> scene``.
 """
 
 from __future__ import annotations
@@ -15,26 +16,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.misuse.world import make_scene
+from tests.robustness.misuse.world import make_scene
 
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
+    "objconnect": set(),
+    "simulate": {"objconnect"},
+    "baselines": {"objconnect"},
+    "benchmark": {"baselines", "simulate", "objconnect"},
+}
+# The rooms of the library, and which of them each may use; modules beside them may use all.
+LIBRARY: dict[str, set[str]] = {
     "scene": set(),
-    "dense": {"scene"},
-    "simulate": {"scene"},
     "ingest": {"scene"},
-    "baselines": {"scene"},
-    "objconnect": {"baselines", "scene"},
-    "mapping": {"objconnect", "baselines", "scene"},
-    "benchmark": {
-        "mapping",
-        "objconnect",
-        "baselines",
-        "simulate",
-        "ingest",
-        "dense",
-        "scene",
-    },
+    "learning": {"scene"},
+    "localization": {"learning", "ingest", "scene"},
+    "network": {"localization", "learning", "scene"},
+    "mapping": {"network", "localization", "learning", "ingest", "scene"},
 }
 # The rooms of the simulator; what stands on its top floor may use them all.
 ROOMS = {
@@ -50,15 +48,15 @@ ADAPTERS = {
     "bpy": "simulate.render.blender",
     "bmesh": "simulate.render.blender",
     "mathutils": "simulate.render.blender",
-    "pycolmap": "scene.colmap",
-    "ray": "scene.runtime.cluster",
-    "pymavlink": "benchmark.mavlink",
-    "pyproj": "scene.geo.crs",
-    "rerun": "scene.exports.rerun",
-    "rosbags": "benchmark.ros",
-    "av": "scene.storage.video",
-    "srt": "scene.storage.subtitles",
-    "rasterio": "scene.geo.rasters",
+    "pycolmap": "objconnect.scene.colmap",
+    "ray": "objconnect.scene.runtime.cluster",
+    "pymavlink": "objconnect.localization.pipeline.mavlink",
+    "pyproj": "objconnect.scene.geo.crs",
+    "rerun": "objconnect.scene.exports.rerun",
+    "rosbags": "objconnect.localization.pipeline.ros",
+    "av": "objconnect.scene.storage.video",
+    "srt": "objconnect.scene.storage.subtitles",
+    "rasterio": "objconnect.scene.geo.rasters",
 }
 
 
@@ -106,7 +104,11 @@ def imports_when_loaded(tree: ast.AST) -> set[str]:
 
 def test_every_package_is_read() -> None:
     assert set(ALLOWED) == {name.split(".")[0] for name in ALL}
-    assert {"scene.geometry.pose", "baselines.sift", "benchmark.cli"} <= set(ALL)
+    assert {
+        "objconnect.scene.geometry.pose",
+        "objconnect.localization.matching.sift",
+        "benchmark.cli",
+    } <= set(ALL)
 
 
 @pytest.mark.parametrize("package", ALLOWED)
@@ -121,17 +123,28 @@ def test_arrows_run_one_way(package: str) -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_rooms_of_the_simulator_run_one_way(room: str) -> None:
-    allowed = {f"simulate.{other}" for other in ROOMS[room] | {room}}
+@pytest.mark.parametrize(
+    ("package", "room", "others"),
+    [
+        *(("simulate", room, others) for room, others in ROOMS.items()),
+        *(("objconnect", room, others) for room, others in LIBRARY.items()),
+    ],
+)
+def test_rooms_run_one_way(package: str, room: str, others: set[str]) -> None:
+    allowed = {f"{package}.{other}" for other in others | {room}}
     wrong = {
         (name, target)
-        for name, tree in modules("simulate").items()
-        if name.startswith(f"simulate.{room}.")
-        for target in imports_anywhere(tree) & set(ALL)
-        if target.startswith("simulate.") and ".".join(target.split(".")[:2]) not in allowed
+        for name, tree in modules(package).items()
+        if name.startswith(f"{package}.{room}.")
+        for target in imports_anywhere(tree) & set(ALL) - {package}
+        if target.startswith(f"{package}.") and ".".join(target.split(".")[:2]) not in allowed
     }
     assert not wrong
+
+
+def test_every_room_of_the_library_has_its_arrows() -> None:
+    rooms = {path.parent.name for path in (ROOT / "objconnect").glob("*/__init__.py")}
+    assert rooms == set(LIBRARY)
 
 
 @pytest.mark.parametrize("library", ADAPTERS)
@@ -172,20 +185,20 @@ def loaded_by(names: list[str]) -> set[str]:
 def test_blender_is_loaded_by_nobody_who_does_not_render() -> None:
     names = [name for name in ALL if not name.startswith("simulate")]
     loaded = loaded_by(names)
-    assert {"scene", "baselines", "objconnect", "benchmark"} <= loaded
+    assert {"baselines", "objconnect", "benchmark"} <= loaded
     assert not {"bpy", "mathutils"} & loaded
 
 
-def test_scene_loads_no_other_package() -> None:
-    loaded = loaded_by([name for name in ALL if name.startswith("scene")])
-    assert not (set(ALLOWED) - {"scene"}) & loaded
+def test_the_library_loads_no_other_package() -> None:
+    loaded = loaded_by([name for name in ALL if name.startswith("objconnect")])
+    assert not (set(ALLOWED) - {"objconnect"}) & loaded
 
 
 # Libraries that take seconds to import.
 HEAVY = {"torch", "pycolmap", "cv2", "matplotlib"}
 
 
-@pytest.mark.parametrize("name", ["scene.bundle.scene", "benchmark.cli"])
+@pytest.mark.parametrize("name", ["objconnect.scene.bundle.scene", "benchmark.cli"])
 def test_module_loads_no_heavy_library(name: str) -> None:
     assert not HEAVY & loaded_by([name])
 
@@ -195,7 +208,7 @@ def test_scene_is_opened_without_heavy_libraries(tmp_path: Path) -> None:
     code = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from scene.bundle.scene import Scene\n"
+        "from objconnect.scene.bundle.scene import Scene\n"
         "scene = Scene.open(Path(sys.argv[1]))\n"
         "assert scene.manifest.origin.altitude == scene.manifest.origin[2]\n"
         "assert scene.splits.map and scene.objects.objects and scene.covisibility.names\n"
@@ -221,7 +234,7 @@ def test_nobody_asks_what_time_it_is() -> None:
     """What is done and what is left follows from files that are there, never from a clock, which
     may be set back: durations alone are measured, by a counter that only rises.
 
-    ``scene.storage.digests`` alone may look at the times of files, as a part of their identity: a
+    ``storage.digests`` alone may look at the times of files, as a part of their identity: a
     file with other times is another file, whichever is later. It asks for the time in order to
     doubt a file that has just changed; a wrong clock makes it read files again, or trust one that
     changes twice within a tick of its file system.
@@ -238,7 +251,7 @@ def test_nobody_asks_what_time_it_is() -> None:
     asked = {
         (name, ast.unparse(node))
         for name, tree in ALL.items()
-        if name != "scene.storage.digests"
+        if name != "objconnect.scene.storage.digests"
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and (ast.unparse(node) in clocks or node.attr in times)
     }

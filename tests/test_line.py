@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.results_files import load
-from scene.bundle.scene import Scene
+from benchmark.results.results_files import load
+from objconnect.scene.bundle.scene import Scene
 
 
 @pytest.fixture(scope="module")

@@ -12,21 +12,21 @@ import pytest
 
 from benchmark.cli.choices import described, listed
 from benchmark.datasets.open import READERS, Reader
-from benchmark.registry import LOCALIZERS, TRAINABLES
-from scene.exports.formats import FORMATS
-from scene.imports.formats import FORMATS as POSE_FORMATS
-from scene.registry import Lazy, Registry
+from objconnect.methods import LOCALIZERS, TRAINABLES
+from objconnect.scene.exports.formats import FORMATS
+from objconnect.scene.imports.formats import FORMATS as POSE_FORMATS
+from objconnect.scene.registry import Lazy, Registry
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER
 from simulate.place.presets import PRESETS
 from tests.test_imports import ALLOWED
 
 ROOT = Path(__file__).parents[1]
 REGISTRIES: dict[str, Registry[Any]] = {
-    "benchmark.registry.LOCALIZERS": LOCALIZERS,
-    "benchmark.registry.TRAINABLES": TRAINABLES,
+    "objconnect.methods.LOCALIZERS": LOCALIZERS,
+    "objconnect.methods.TRAINABLES": TRAINABLES,
     "benchmark.datasets.open.READERS": READERS,
-    "scene.exports.formats.FORMATS": FORMATS,
-    "scene.imports.formats.FORMATS": POSE_FORMATS,
+    "objconnect.scene.exports.formats.FORMATS": FORMATS,
+    "objconnect.scene.imports.formats.FORMATS": POSE_FORMATS,
     "simulate.place.presets.PRESETS": PRESETS,
     "simulate.look.conditions.SEASONS": SEASONS,
     "simulate.look.conditions.LIGHTS": LIGHTS,
@@ -121,8 +121,8 @@ def test_opening_does_not_load_colmap() -> None:
     code = """
 from pathlib import Path
 from benchmark.datasets.open import READERS, open_datasets
-from scene.exports.export import export
-from scene.exports.formats import FORMATS
+from objconnect.scene.exports.export import export
+from objconnect.scene.exports.formats import FORMATS
 list(READERS.values())
 open_datasets(Path("tests/data/gate"))
 [FORMATS.load(name) for name in ("nerfstudio", "tum", "hloc")]

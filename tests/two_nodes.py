@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from scene.runtime.cluster import _kept_handler, _ray
+from objconnect.scene.runtime.cluster import _kept_handler, _ray
 
 # A busy machine takes longer to start a node than Ray waits.
 _ATTEMPTS = 4

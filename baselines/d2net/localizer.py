@@ -1,6 +1,6 @@
 """The localizer ``d2net``: matches of D2-Net's keypoints with map photographs, lifting and PnP.
 
-The map was not built from these keypoints, so ``baselines.lifting`` interpolates their 3D points
+The map was not built from these keypoints, so ``matching.lifting`` interpolates their 3D points
 between the map's observations.
 """
 
@@ -15,13 +15,13 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from baselines.checkpoint import shipped
 from baselines.d2net.detection import EDGE_RATIO, detect
 from baselines.d2net.network import D2Net, read_network
-from baselines.features import Extractor
-from baselines.structure import StructureConfig, StructureLocalizer
-from scene.maps.features import Features
-from scene.runtime.memory import keep_few_kernels, return_freed
+from objconnect.learning.checkpoint import shipped
+from objconnect.localization.matching.features import Extractor
+from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
+from objconnect.scene.maps.features import Features
+from objconnect.scene.runtime.memory import keep_few_kernels, return_freed
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""

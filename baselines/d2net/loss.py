@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.training.contrastive import sample
-from baselines.training.options import LOSSES, LossOptions
+from objconnect.learning.training.contrastive import sample
+from objconnect.learning.training.options import LOSSES, LossOptions
 
 # Numerical guards.
 # A value above any squared distance of unit vectors.

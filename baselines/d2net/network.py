@@ -16,10 +16,10 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baselines.checkpoint import load_into, read_weights
-from baselines.vgg import channels, vgg16_blocks
-from scene.config import Config, load_config
-from scene.errors import InputError
+from objconnect.learning.checkpoint import load_into, read_weights
+from objconnect.learning.vgg import channels, vgg16_blocks
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.errors import InputError
 
 STRIDE: Final = 8
 """Pixels per cell in training."""

@@ -8,20 +8,20 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-import baselines.pixloc.network as pixloc
-from baselines.checkpoint import read_weights
+import objconnect.learning.pixloc_net as pixloc
 from baselines.d2net.loss import Described, TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
-from baselines.training.config import TrainConfig
-from baselines.training.contrastive import contrastive, mean_over
-from baselines.training.pairs import PairBatch
-from baselines.vgg import IMAGENET_STD
-from scene.config import load_config
-from scene.errors import InputError
+from objconnect.learning.checkpoint import read_weights
+from objconnect.learning.training.config import TrainConfig
+from objconnect.learning.training.contrastive import contrastive, mean_over
+from objconnect.learning.training.pairs import PairBatch
+from objconnect.learning.vgg import IMAGENET_STD
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
 
 
 class D2NetTraining:
-    """Implements ``baselines.training.loop.Trainable``.
+    """Implements ``objconnect.learning.training.loop.Trainable``.
 
     The authors start from VGG16 trained on ImageNet and fine-tune its last layer. Here all layers
     are trained, from random weights or from PixLoc's encoder, and a contrastive loss is added. At

@@ -7,11 +7,11 @@ from typing import Final
 
 from pydantic import Field
 
-from baselines.checkpoint import shipped
-from baselines.featuremetric.localizer import FeaturemetricLocalizer
-from baselines.featuremetric.options import FeaturemetricConfig, SearchingConfig
-from baselines.folding import fold
-from baselines.pixloc.network import read_network
+from objconnect.learning.checkpoint import shipped
+from objconnect.learning.folding import fold
+from objconnect.learning.pixloc_net import read_network
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchingConfig
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
 """The weights that come with the project."""

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.sampson import Matches
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.matches import WORKING_SIDE, Pair
-from scene.checks.conventions import FOREIGN_READINGS, PoseReading
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
+from objconnect.scene.checks.conventions import FOREIGN_READINGS, PoseReading
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.sampson import Matches
 
 Array = NDArray[np.float64]
 

@@ -15,14 +15,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.sampson import Matches
 from benchmark.audit.agreement import errors, rays_of
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.matches import Pair
-from scene.geometry.camera import MODELS, Camera
-from scene.geometry.pose import Pose
-from scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
-from scene.storage.images import Exif
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
+from objconnect.scene.geometry.sampson import Matches
+from objconnect.scene.storage.images import Exif
 
 Array = NDArray[np.float64]
 

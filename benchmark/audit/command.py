@@ -31,9 +31,9 @@ from benchmark.audit.order import find_order
 from benchmark.audit.page import check_page, write_page
 from benchmark.audit.positions import FOLLOW, check_positions
 from benchmark.audit.stated import Stated, centres, sample
-from scene.geometry.camera import Camera
-from scene.imports.poses import Frame
-from scene.quantities.doubts import said_of
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.imports.poses import Frame
+from objconnect.scene.quantities.doubts import said_of
 
 Array = NDArray[np.float64]
 

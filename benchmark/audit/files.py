@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.stated import Stated
-from scene.errors import InputError
-from scene.geo.sea_level import above_ellipsoid
-from scene.geometry.camera import Camera
-from scene.runtime.progress import progress_bar
-from scene.storage.files import sha256_of
-from scene.storage.images import Exif, read_exif, read_rgb
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.images import Exif, read_exif, read_rgb
 
 THERE = "photographs are there and readable"
 SIZES = "photographs have the size of their cameras"

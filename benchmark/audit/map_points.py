@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.stated import Stated
-from scene.checks.conventions import PIXEL_READINGS
-from scene.checks.map_check import check_map
-from scene.geometry.camera import Camera
+from objconnect.scene.checks.conventions import PIXEL_READINGS
+from objconnect.scene.checks.map_check import check_map
+from objconnect.scene.geometry.camera import Camera
 
 CHECK = "points project to their keypoints"
 

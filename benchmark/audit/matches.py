@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.retrieval import RetrievalOptions, VladIndex
-from scene.colmap.options import SiftOptions
-from scene.colmap.sift import SiftExtractor
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.maps.features import unit_descriptors
-from scene.maps.matching import match
-from scene.runtime.progress import progress_bar
-from scene.storage.images import read_rgb
+from objconnect.localization.matching.retrieval import RetrievalOptions, VladIndex
+from objconnect.scene.colmap.options import SiftOptions
+from objconnect.scene.colmap.sift import SiftExtractor
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.maps.features import unit_descriptors
+from objconnect.scene.maps.matching import match
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.images import read_rgb
 
 Array = NDArray[np.float64]
 

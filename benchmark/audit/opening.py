@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 from benchmark.audit.stated import Stated, centres, places_of
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import READERS, open_datasets
-from benchmark.datasets.simulated import is_scene
-from benchmark.datasets.textfiles import read_gps
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
-from scene.imports.formats import FRAMED, read_foreign
-from scene.imports.names import match_files
-from scene.imports.poses import ForeignPoses, Frame
-from scene.imports.strangers import refuse_stranger
-from scene.maps.colmap_files import read_model
-from scene.storage.images import read_exif
-from scene.storage.listing import list_files
-from scene.storage.tables import read_table
+from objconnect.scene.bundle.scene import Scene, is_scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.textfiles import read_gps
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.imports.formats import FRAMED, read_foreign
+from objconnect.scene.imports.names import match_files
+from objconnect.scene.imports.poses import ForeignPoses, Frame
+from objconnect.scene.imports.strangers import refuse_stranger
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.listing import list_files
+from objconnect.scene.storage.tables import read_table
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 from benchmark.audit.findings import Audit, Verdict
 from benchmark.report.self_contained import fill
-from scene.errors import InputError
-from scene.storage.atomic import write_text
-from scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 ENDINGS: Final = (".html", ".htm")
 # These bytes stand near the beginning of every page.

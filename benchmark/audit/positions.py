@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.order import SHIFTS
 from benchmark.audit.stated import Stated
-from ingest.georegister import similarity
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
-from scene.geometry.robust import SIGMA_OF_MEDIAN
-from scene.storage.images import Exif
+from objconnect.ingest.georegister import similarity
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
+from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
+from objconnect.scene.storage.images import Exif
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
-from scene.maps.sparse_map import SparseMap
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 if TYPE_CHECKING:
     from benchmark.datasets.dataset import Dataset
-    from scene.geo.crs import Projection
-    from scene.geometry.camera import Camera
-    from scene.localizer import Localizer
+    from objconnect.scene.geo.crs import Projection
+    from objconnect.scene.geometry.camera import Camera
+    from objconnect.scene.localizer import Localizer
 
 # A plain value with a second setting behind it.
 _ANOTHER: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
@@ -59,7 +59,7 @@ def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None)
         InputError: the method has no such setting, ``--set`` gives it too, or the method cannot be
             made with its settings.
     """
-    from benchmark.registry import create
+    from objconnect.methods import create
 
     localizer = create(method, settings)
     if risk is None:
@@ -102,7 +102,7 @@ def parse_camera(words: str | None) -> Camera | None:
     Raises:
         InputError: the words describe no camera.
     """
-    from scene.geometry.camera import Camera
+    from objconnect.scene.geometry.camera import Camera
 
     try:
         return None if words is None else Camera.parse(words.split())
@@ -117,7 +117,7 @@ def parse_crs(words: str | None) -> Projection | None:
         InputError: there is no such system, it has no eastings and northings, or pyproj is not
             installed.
     """
-    from scene.geo.crs import Projection
+    from objconnect.scene.geo.crs import Projection
 
     try:
         return None if words is None else Projection(words)
@@ -155,7 +155,7 @@ def claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
     Raises:
         InputError: a folder lies inside an input, or cannot be written.
     """
-    from scene.storage.outputs import check_output_folder
+    from objconnect.scene.storage.outputs import check_output_folder
 
     for folder in folders:
         if folder is not None:

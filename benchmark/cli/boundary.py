@@ -20,8 +20,8 @@ from typing import Any, Final
 from typer.core import TyperGroup
 
 from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
-from scene.errors import InputError
-from scene.runtime.escaping import for_terminal
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.escaping import for_terminal
 
 REGRESSION: Final = 1
 INPUT_AT_FAULT: Final = 2

@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from scene.registry import Registry
+from objconnect.scene.registry import Registry
 
 
 def listed(registry: Registry[Any]) -> str:

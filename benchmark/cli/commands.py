@@ -15,7 +15,6 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "simulation": {
         "simulate": "Render a scene with exact camera poses.",
         "track": "Render and map the places of a track of the leaderboard.",
-        "gallery": "Render a page of pictures of every kind of place, season, light and weather.",
         "calibrate": "Calibrate the simulated camera from rendered chessboards.",
     },
     "scenes": {
@@ -33,7 +32,6 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "learning": {
         "train": "Train a method on rendered scenes, or resume its training.",
-        "ablate": "Train and evaluate variants of object-connect, and print one table.",
     },
     "localization": {
         "localize": "Find the poses of new photographs, or of the frames of a video, in a map.",

@@ -31,7 +31,7 @@ from benchmark.cli.options import (
     Start,
 )
 from benchmark.cli.output import Summary, emit
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -162,9 +162,9 @@ def localize(
     each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
     goes on where it stopped.
     """
-    from benchmark import sequence as sequences
-    from benchmark.localize import localize as run
-    from benchmark.localize import open_place
+    from objconnect.localization.pipeline import sequence as sequences
+    from objconnect.localization.pipeline.localize import localize as run
+    from objconnect.localization.pipeline.localize import open_place
 
     flown = _flown(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
@@ -248,10 +248,10 @@ def evaluate(
     interrupted run goes on where it stopped. Older results of the same name are replaced unless
     score wrote them; no other file is.
     """
-    from benchmark.evaluate import claim_evaluation, results_path
-    from benchmark.evaluate import evaluate as run
-    from benchmark.registry import create
-    from benchmark.starts import parse_start
+    from benchmark.evaluation.evaluate import claim_evaluation, results_path
+    from benchmark.evaluation.evaluate import evaluate as run
+    from benchmark.evaluation.starts import parse_start
+    from objconnect.methods import create
 
     # Everything that can be wrong is checked before the first minute is spent.
     check_jobs(jobs, cluster)
@@ -299,9 +299,9 @@ def basin(
     exactly that much, in the same direction for every method. Refiners start from this pose; sift
     looks at the map photographs nearest to it.
     """
-    from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
-    from benchmark.basin import basin as run
-    from benchmark.registry import create
+    from benchmark.evaluation.basin import DEFAULT_SIZES, basin_path, parse_sizes
+    from benchmark.evaluation.basin import basin as run
+    from objconnect.methods import create
 
     check_methods(method)
     sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
@@ -349,7 +349,7 @@ def score(
     tables print it "as declared". Older results of the same name are replaced if score
     wrote them; those of evaluate never are.
     """
-    from benchmark.external_poses import score as run
+    from benchmark.evaluation.external_poses import score as run
 
     opened = open_distinct_datasets(reference)
     claim_folders(reference, out)
@@ -372,9 +372,9 @@ def submit(
 
     An interrupted run goes on after the last finished slice.
     """
-    from benchmark.registry import create
-    from benchmark.submission import SUBMISSION
-    from benchmark.submission import submit as run
+    from benchmark.evaluation.submission import SUBMISSION
+    from benchmark.evaluation.submission import submit as run
+    from objconnect.methods import create
 
     claim_folders([path], out, cache)
     localized, images = run(path, create(method, parse_settings(overrides)), out, cache)

@@ -10,7 +10,7 @@ import typer
 
 from benchmark.cli.options import ClusterAddress, Json, MappedScene
 from benchmark.cli.output import Summary, emit
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -161,7 +161,7 @@ def build_map(
     Localization needs it; run this command after simulate. With --ortho, virtual photographs of the
     orthophoto become a new scene with its map, in which photographs are localized as in any other.
     """
-    from mapping.build import build_map as run
+    from objconnect.mapping.build import build_map as run
 
     views = {"altitude": altitude, "overlap": overlap, "tilt": tilt}
     placed = {"georeference": georeference, "georeference-height": georeference_height}
@@ -178,9 +178,9 @@ def build_map(
         raise InputError("--ortho needs --dsm and --out, and no SCENE")
     if georeference is None and georeference_height is not None:
         raise InputError("--georeference-height needs --georeference, the horizontal one")
-    from ingest.virtual.command import photograph_orthophoto
-    from ingest.virtual.options import ViewOptions
-    from scene.bundle.georeference import Georeference
+    from objconnect.ingest.virtual.command import photograph_orthophoto
+    from objconnect.ingest.virtual.options import ViewOptions
+    from objconnect.scene.bundle.georeference import Georeference
 
     given = {name: value for name, value in views.items() if value is not None}
     options = ViewOptions.model_validate(given)
@@ -220,7 +220,7 @@ def landmarks(
     size, its height above ground and a vector. Writes SCENE/landmarks.h5, which view draws. The
     localizer objconnect finds them by itself and does not need the file.
     """
-    from objconnect.scene_landmarks import find_landmarks as run
+    from objconnect.network.scene_landmarks import find_landmarks as run
 
     emit(run(scene, weights, out), as_json)
 
@@ -254,7 +254,7 @@ def dense(
     Writes SCENE/dense as a COLMAP workspace and measures it against the true depths where the scene
     has them. An interrupted run goes on where it stopped.
     """
-    from dense.command import dense as run
+    from objconnect.mapping.dense.command import dense as run
 
     report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed, cluster=cluster)
     emit(report, as_json)
@@ -280,7 +280,7 @@ def diagnose(
     they cover the ground. Draws SCENE/pictures/diagnosis.png. Where supplement added points, also
     reports and shows the map without them.
     """
-    from mapping.diagnosis.command import diagnose as run
+    from objconnect.mapping.diagnosis.command import diagnose as run
 
     emit(run(scene, masks, cell), as_json)
 
@@ -309,8 +309,8 @@ def supplement(
     else in the map changes. The command draws SCENE/pictures/diagnosis.png and reports figures of
     the map before and after.
     """
-    from mapping.supplement.command import supplement as run
-    from mapping.supplement.map import remove_from_map
+    from objconnect.mapping.supplement.command import supplement as run
+    from objconnect.mapping.supplement.map import remove_from_map
 
     if remove:
         if weights is not None or masks is not None:

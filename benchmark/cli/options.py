@@ -106,7 +106,7 @@ CameraWords = Annotated[
 
 def _require_address(address: str | None) -> str | None:
     """Refuse a malformed address before any work begins."""
-    from scene.runtime.cluster import require_address
+    from objconnect.scene.runtime.cluster import require_address
 
     require_address(address)
     return address

@@ -10,7 +10,7 @@ import typer
 from benchmark.cli.arguments import claim_folders, parse_settings
 from benchmark.cli.options import Cache, Jobs, Json, Method, Settings, Start
 from benchmark.cli.output import emit
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -82,7 +82,7 @@ def forecast(
     """
     from benchmark.forecast.command import forecast as run
     from benchmark.forecast.config import forecast_config, forecast_hint
-    from benchmark.registry import create
+    from objconnect.methods import create
 
     if (plan is None) == (flight is None):
         raise InputError("give the flight with --plan FILE, or with --flight")

@@ -12,7 +12,7 @@ import typer
 from benchmark.cli.boundary import REGRESSION
 from benchmark.cli.options import Json, MappedScene
 from benchmark.cli.output import Summary, emit
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -56,7 +56,7 @@ def leaderboard(
         Path | None,
         typer.Option(
             metavar="TRACK",
-            help="Folder of a track, such as leaderboard/uav-seasons, to keep the results in: "
+            help="Folder of a track, such as benchmark/tracks/uav-seasons, to keep the results in: "
             "rounded and compressed to a tenth, with the same figures.",
         ),
     ] = None,

@@ -13,7 +13,7 @@ from benchmark.cli.boundary import INPUT_AT_FAULT
 from benchmark.cli.choices import described, listed, one_of
 from benchmark.cli.options import Cache, CameraWords, Json
 from benchmark.cli.output import Summary, emit
-from scene.exports.formats import FORMATS
+from objconnect.scene.exports.formats import FORMATS
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -136,8 +136,8 @@ def ingest(
     from the map of the scene that --add names. Without --camera, focal lengths are read from there
     or from EXIF. An interrupted run goes on where it stopped.
     """
-    from ingest.command import ingest as run
-    from ingest.options import ControlOptions, IngestOptions
+    from objconnect.ingest.command import ingest as run
+    from objconnect.ingest.options import ControlOptions, IngestOptions
 
     report = run(
         photographs,
@@ -204,7 +204,7 @@ def export(
     files are relative to SCENE/sessions; in transforms.json they are relative to the file itself.
     An orthophoto is fused from the map's photographs.
     """
-    from scene.exports.export import export as run
+    from objconnect.scene.exports.export import export as run
 
     summary = run(scene, file_format, out, session or (), resolution=resolution, crs=crs)
     text = "{out}: {frames} frames for {format}".format_map(summary)

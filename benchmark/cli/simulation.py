@@ -11,7 +11,7 @@ from benchmark.cli.arguments import check_jobs
 from benchmark.cli.choices import listed, one_of
 from benchmark.cli.options import ClusterAddress, Jobs, Json, options_of
 from benchmark.cli.output import Summary, emit
-from scene.exports.formats import FORMATS
+from objconnect.scene.exports.formats import FORMATS
 from simulate.config import SimulateConfig
 from simulate.place.presets import PRESETS, SITE
 
@@ -108,10 +108,10 @@ def simulate(
     An option that is left out takes its value from the configuration file, else its default. An
     interrupted run goes on where it stopped. Run map on the scene next.
     """
-    from mapping.build import build_map as build
-    from scene.bundle.manifest import read_json
-    from scene.exports.export import export as write
-    from scene.storage.outputs import require_empty
+    from objconnect.mapping.build import build_map as build
+    from objconnect.scene.bundle.manifest import read_json
+    from objconnect.scene.exports.export import export as write
+    from objconnect.scene.storage.outputs import require_empty
     from simulate.command import simulate as run
     from simulate.twin.report import REPORT, SiteReport
 
@@ -185,47 +185,12 @@ def track(
     """
     from benchmark.tracks.command import track as run
     from benchmark.tracks.description import BOARD
-    from scene.errors import InputError
+    from objconnect.scene.errors import InputError
 
     check_jobs(jobs, cluster)
     if update and board is None:
         raise InputError("--update writes into the board: name its folder by --board")
     emit(run(name, out, place or (), jobs, cluster, board or BOARD, update), as_json)
-
-
-@app.command()
-@options_of(
-    SimulateConfig,
-    "preset",
-    "seed",
-    "area",
-    "size",
-    "spp",
-    defaults={"size": 240},
-    metavars={"preset": listed(PRESETS)},
-)
-def gallery(
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
-    ],
-    settings: dict[str, Any],
-    condition: Annotated[
-        str,
-        typer.Option(
-            metavar="SEASON-LIGHT[-WEATHER]", help="Condition to show every kind of place in."
-        ),
-    ] = "summer-noon",
-    as_json: Json = False,
-) -> None:
-    """Render a page of pictures of every kind of place, season, light and weather.
-
-    Every kind of place is shown in one condition, and the place of --preset in every condition. An
-    interrupted run goes on where it stopped.
-    """
-    from simulate.gallery import gallery as run
-
-    page = str(run(SimulateConfig.load(None, settings), out, condition))
-    emit(Summary(page, {"page": page}), as_json)
 
 
 @app.command()
@@ -248,7 +213,7 @@ def calibrate(
     Prints the calibration beside the true camera. Use it to see that a camera model is rendered as
     OpenCV understands it.
     """
-    from scene.config import load_config
+    from objconnect.scene.config import load_config
     from simulate.calibrate import calibrate as run
     from simulate.camera.lens import CameraConfig
 

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 _SET: Final = "--set"
 _SETTING: Final = re.compile(r"[A-Za-z_][\w.]*=.*", re.DOTALL)

@@ -16,14 +16,14 @@ from typing import Final
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
-from benchmark.datasets.textfiles import read_cameras, read_poses
-from scene.errors import InputError
-from scene.exports.cmu_names import CAMERAS, SIMULATED, ImageName, surroundings
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.maps.colmap_files import read_model
-from scene.storage.files import read_text
-from scene.storage.listing import list_files
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports.cmu_names import CAMERAS, SIMULATED, ImageName, surroundings
+from objconnect.scene.flights.textfiles import read_cameras, read_poses
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.storage.files import read_text
+from objconnect.scene.storage.listing import list_files
 
 TRACK: Final = "cmu"
 SIMULATED_TRACK: Final = "cmu-sim"

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.localizer import Prior, Query
-from scene.maps.sparse_map import SparseMap
-from scene.runtime.escaping import for_terminal
-from scene.storage.images import read_rgb
-from scene.storage.names import is_utf8
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Prior, Query
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.names import is_utf8
 
 
 @dataclass(frozen=True)

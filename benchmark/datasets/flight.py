@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
-from benchmark.datasets.origin import read_origin
-from benchmark.datasets.priors import Assumed, MapFrame, PriorTable
-from benchmark.datasets.textfiles import (
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.origin import read_origin
+from objconnect.scene.flights.priors import Assumed, MapFrame, PriorTable
+from objconnect.scene.flights.textfiles import (
     read_cameras,
     read_conditions,
     read_gps,
@@ -22,10 +23,9 @@ from benchmark.datasets.textfiles import (
     read_priors,
     require_same_case,
 )
-from scene.errors import InputError
-from scene.localizer import Prior
-from scene.maps.colmap_files import read_model
-from scene.maps.sparse_map import SparseMap
+from objconnect.scene.localizer import Prior
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.sparse_map import SparseMap
 
 TRACK: Final = "flight"
 SPARSE_SUFFIX: Final = "-sparse"

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
-from scene.errors import InputError
-from scene.maps.colmap_files import MODEL_FILES
-from scene.storage.digests import digests
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.colmap_files import MODEL_FILES
+from objconnect.scene.storage.digests import digests
 
 # Digest of a map photograph that does not exist: methods that need it report it themselves.
 _MISSING: Final = "missing"

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
 from benchmark.datasets.dataset import Dataset
-from scene.errors import InputError
-from scene.registry import Lazy, Registry
+from objconnect.scene.errors import InputError
+from objconnect.scene.registry import Lazy, Registry
 
 
 @runtime_checkable

@@ -13,19 +13,14 @@ from typing import Final
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.flight import TRACK as FLIGHT
 from benchmark.datasets.identity import parts_of
-from scene.bundle.frames import Frames
-from scene.bundle.scene import MANIFEST, Scene
-from scene.errors import InputError
-from scene.geometry.pose import Pose
-from scene.localizer import Prior
-from scene.maps.colmap_files import check_pose
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import MANIFEST, Scene, is_scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Prior
+from objconnect.scene.maps.colmap_files import check_pose
 
 TRACK: Final = "uav-sim"
-
-
-def is_scene(path: Path) -> bool:
-    """Return whether a folder is a finished scene."""
-    return (path / MANIFEST).is_file()
 
 
 def open_scene(path: Path) -> Dataset:

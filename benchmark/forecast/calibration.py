@@ -3,7 +3,7 @@
 A twin is not the site, and rendered snow is not the next winter's: the share of views that are
 found is no probability yet. A small logistic model turns the evidence around a waypoint into one.
 Its parameters were fitted to training towns, whose true winters are known
-(``tests.benchmarks.forecast``). It is drawn towards the smoothed share itself, which is also what
+(``experiments.forecast``). It is drawn towards the smoothed share itself, which is also what
 methods without a calibration get.
 """
 
@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.storage.files import parse_json
-from scene.storage.records import Record
+from objconnect.scene.storage.files import parse_json
+from objconnect.scene.storage.records import Record
 
 Array = NDArray[np.float64]
 

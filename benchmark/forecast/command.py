@@ -13,17 +13,17 @@ from benchmark.forecast.page import MARK, page
 from benchmark.forecast.picture import draw, ground_from_above
 from benchmark.forecast.report import SCHEMA, Forecast, photographs_wanted
 from benchmark.forecast.views import route_of, views_config
-from benchmark.results import Environment, Method
-from scene.bundle.manifest import read_json
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.localizer import Localizer
-from scene.storage.atomic import write_text
-from scene.storage.leftovers import remove_partial
-from scene.storage.locks import write_lock
-from scene.storage.outputs import OutputFile, check_outputs
-from scene.storage.provenance import PNG_MARK
-from scene.storage.scratch import cache_or_scratch, scratch
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.bundle.manifest import read_json
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Localizer
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.leftovers import remove_partial
+from objconnect.scene.storage.locks import write_lock
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.provenance import PNG_MARK
+from objconnect.scene.storage.scratch import cache_or_scratch, scratch
 from simulate.base_place import base_place
 from simulate.command import simulate
 from simulate.config import SimulateConfig

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, field_validator
 
-from scene.config import Config, load_config
-from scene.errors import InputError
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.errors import InputError
 from simulate.look.conditions import condition
 
 Positive = Annotated[float, Field(gt=0)]

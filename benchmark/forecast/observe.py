@@ -11,24 +11,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.answers import Located
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.simulated import TRACK
+from benchmark.evaluation.starts import Start, parse_start
 from benchmark.forecast.config import ForecastConfig
-from benchmark.journal import Journal, journal_path
-from benchmark.query_result import Named
-from benchmark.results import Environment, Method
-from benchmark.score import Threshold, is_correct, is_false_fix
-from benchmark.scored_query import localize_safely
-from benchmark.starts import Start, parse_start
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Localizer, Prior, Status
-from scene.maps.sparse_map import SparseMap
-from scene.runtime.escaping import for_terminal
-from scene.runtime.progress import progress_bar
-from scene.storage.digests import digests
+from benchmark.scoring.score import Threshold, is_correct, is_false_fix
+from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.journal import Journal, journal_path
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Localizer, Prior, Status
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.answers import Named
+from objconnect.scene.storage.digests import digests
 
 # A point is in view where the rendered surface is at most this much nearer, as a share of the
 # depth and in metres: maps and twins are less exact than truth.

@@ -26,7 +26,7 @@ from benchmark.forecast.report import (
     verdict_of,
     weak_stretches,
 )
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 
 Array = NDArray[np.float64]
 

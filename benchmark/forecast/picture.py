@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.forecast.report import VERDICTS, Forecast
-from scene.runtime.escaping import for_figure
-from scene.storage.atomic import atomic_write
-from scene.storage.provenance import PNG_METADATA
+from objconnect.scene.runtime.escaping import for_figure
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.provenance import PNG_METADATA
 from simulate.place.world import World
 
 COLOURS = ("#c0261c", "#f2b134", "#1f6fb4")

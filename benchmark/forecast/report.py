@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 from benchmark.forecast.calibration import Calibration
 from benchmark.forecast.config import ForecastConfig
-from benchmark.results import Environment, Method
-from scene.runtime.escaping import for_terminal
-from scene.storage.records import Record
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.records import Record
 
 Cause = Literal["few points", "look"]
 Verdict = Literal["holds", "gaps", "fails"]

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from benchmark.forecast.config import ForecastConfig
-from scene.bundle.scene import Scene
-from scene.config import describe
-from scene.errors import InputError
-from scene.geometry.camera import MODELS, Camera
-from scene.geometry.geodesy import is_same_place
-from scene.maps.sparse_map import SparseMap
-from scene.runtime.escaping import for_terminal
-from scene.storage.names import is_utf8
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.config import describe
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.geometry.geodesy import is_same_place
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.names import is_utf8
 from simulate.base_place import base_place
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.config import QUERY_PLAN, PlanFlight

@@ -24,15 +24,15 @@ from PIL import Image
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.report.pictures import project_points, spaced_points
-from scene.errors import HDF5_DAMAGE, InputError
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.maps.sparse_map import SparseMap
-from scene.runtime.progress import progress_bar
-from scene.storage.files import parse_json
-from scene.storage.hdf5 import array, attribute, group, groups, set_text
-from scene.storage.hdf5_writing import hdf5_file
-from scene.storage.images import read_rgb
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.files import parse_json
+from objconnect.scene.storage.hdf5 import array, attribute, group, groups, set_text
+from objconnect.scene.storage.hdf5_writing import hdf5_file
+from objconnect.scene.storage.images import read_rgb
 
 ALBUM: Final = "album.h5"
 ALBUM_MARK: Final = b"dataset_sha256"

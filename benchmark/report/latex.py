@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from benchmark.query_result import TOTAL
 from benchmark.report.paper import TITLE, Cell, Line, columns
 from benchmark.report.tables import Table
-from benchmark.score import THRESHOLDS
-from benchmark.summary import Recall
-from scene.runtime.escaping import for_terminal
+from benchmark.results.query_result import TOTAL
+from benchmark.scoring.score import THRESHOLDS
+from benchmark.scoring.summary import Recall
+from objconnect.scene.runtime.escaping import for_terminal
 
 _ESCAPED: Final = str.maketrans(
     {

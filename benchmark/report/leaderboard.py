@@ -11,8 +11,8 @@ from benchmark.report.markdown import markdown, paper_markdown
 from benchmark.report.page import page
 from benchmark.report.paper import note, side_by_side
 from benchmark.report.tables import groups, table
-from scene.storage.atomic import write_text
-from scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 MARKS: Final = {
     "leaderboard.md": b"Recall is the percentage of all listed queries",

@@ -6,12 +6,12 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from benchmark.query_result import TOTAL
 from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
-from benchmark.score import THRESHOLDS
-from benchmark.summary import Recall
-from scene.runtime.escaping import for_terminal
+from benchmark.results.query_result import TOTAL
+from benchmark.scoring.score import THRESHOLDS
+from benchmark.scoring.summary import Recall
+from objconnect.scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
 _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")

@@ -19,21 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmark.basin import Basin, load_basin
-from benchmark.clustered import MIN_CLUSTERS, difference_interval, permutation_p
-from benchmark.paired import compare, mcnemar
-from benchmark.query_result import TOTAL, QueryResult
+from benchmark.evaluation.basin import Basin, load_basin
 from benchmark.report.album import ALBUM, SIDE, Album, Entry, read_album, webp
 from benchmark.report.paper import TITLE, Line, columns, note, side_by_side
 from benchmark.report.self_contained import fill
 from benchmark.report.tables import ALL, Group, Run, saturation, start_in_words, table
-from benchmark.results_files import BASIN
-from benchmark.score import THRESHOLDS, is_correct
-from benchmark.summary import Recall, Summary, Uncertainty
-from benchmark.uncertainty import risk_coverage
-from scene.geometry.pose import Pose
-from scene.localizer import Status
-from scene.runtime.progress import progress_bar
+from benchmark.results.query_result import TOTAL, QueryResult
+from benchmark.results.results_files import BASIN
+from benchmark.scoring.clustered import MIN_CLUSTERS, difference_interval, permutation_p
+from benchmark.scoring.paired import compare, mcnemar
+from benchmark.scoring.score import THRESHOLDS, is_correct
+from benchmark.scoring.summary import Recall, Summary, Uncertainty
+from benchmark.scoring.uncertainty import risk_coverage
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Status
+from objconnect.scene.runtime.progress import progress_bar
 
 log = logging.getLogger(__name__)
 

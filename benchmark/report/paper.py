@@ -13,9 +13,9 @@ from typing import Final
 
 from benchmark.datasets.cmu import TRACK as CMU
 from benchmark.datasets.simulated import TRACK as SIMULATED
-from benchmark.query_result import QueryResult
 from benchmark.report.tables import Group, start_in_words
-from benchmark.score import Interval, Threshold, recall
+from benchmark.results.query_result import QueryResult
+from benchmark.scoring.score import Interval, Threshold, recall
 
 TITLE: Final = "Table I of the object-connect paper, beside ours"
 REPORTED: Final = "as reported by the paper"

@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery
-from benchmark.query_result import QueryResult
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.localizer import Status
-from scene.maps.sparse_map import SparseMap
-from scene.runtime.escaping import for_figure
-from scene.storage.atomic import atomic_write
-from scene.storage.images import read_rgb
-from scene.storage.provenance import PNG_METADATA
+from benchmark.results.query_result import QueryResult
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Status
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_figure
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.provenance import PNG_METADATA
 
 # Side of the cells, pixels, in each of which one point is drawn, so that the ground stays visible.
 _CELL = 48

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results import Results
-from benchmark.results_files import load, results_files
-from benchmark.score import THRESHOLDS
-from benchmark.summary import Summary
-from scene.bundle.manifest import ALL_CONDITIONS
-from scene.errors import InputError
-from scene.runtime.escaping import for_terminal
-from scene.storage.files import sha256_of
+from benchmark.results.results import Results
+from benchmark.results.results_files import load, results_files
+from benchmark.scoring.score import THRESHOLDS
+from benchmark.scoring.summary import Summary
+from objconnect.scene.bundle.manifest import ALL_CONDITIONS
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.files import sha256_of
 
 log = logging.getLogger(__name__)
 

@@ -20,24 +20,24 @@ from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
 from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate, ViewContent
 from benchmark.report.view_picture import draw
-from benchmark.results import Results
-from benchmark.results_files import load, results_files
-from benchmark.score import FALSE_FIX, is_correct
-from dense.command import DENSE
-from dense.workspace import Workspace
-from objconnect.scene_landmarks import read_landmarks
-from scene.bundle.object_points import objects_of_points
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.maps.sparse_map import MapImage, SparseMap
-from scene.runtime.escaping import for_terminal
-from scene.runtime.progress import progress_bar
-from scene.storage.atomic import write_text
-from scene.storage.images import read_rgb
-from scene.storage.outputs import OutputFile, check_outputs
-from scene.storage.provenance import PNG_MARK
+from benchmark.results.results import Results
+from benchmark.results.results_files import load, results_files
+from benchmark.scoring.score import FALSE_FIX, is_correct
+from objconnect.mapping.dense.command import DENSE
+from objconnect.mapping.dense.workspace import Workspace
+from objconnect.network.scene_landmarks import read_landmarks
+from objconnect.scene.bundle.object_points import objects_of_points
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.provenance import PNG_MARK
 
 LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
 """The colour of learned objects."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.manifest import SceneObject
-from scene.geometry.rectangle import rectangle
+from objconnect.scene.bundle.manifest import SceneObject
+from objconnect.scene.geometry.rectangle import rectangle
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class QueryEstimate:
         centre: (3,) estimated camera centre, metres; None without a pose.
         error: distance between the two, metres; None without a pose.
         angle: rotation error, degrees; None without a pose.
-        status: value of ``scene.localizer.Status``.
+        status: value of ``objconnect.scene.localizer.Status``.
         found: whether the status is ok and the pose is no false fix.
     """
 

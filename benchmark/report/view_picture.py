@@ -11,9 +11,9 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from benchmark.report.view_content import Method, ViewContent
-from scene.runtime.escaping import for_figure
-from scene.storage.atomic import atomic_write
-from scene.storage.provenance import PNG_METADATA
+from objconnect.scene.runtime.escaping import for_figure
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.provenance import PNG_METADATA
 
 _DPI = 110
 _SIDE = 8.0

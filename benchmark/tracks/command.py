@@ -20,11 +20,11 @@ from benchmark.tracks.description import (
 )
 from benchmark.tracks.difficulty import measure, write_queries
 from benchmark.tracks.renders import difference, read_render, render_of, write_render
-from mapping.build import build_map
-from scene.bundle.scene import Scene
-from scene.exports.export import export
-from scene.storage.outputs import check_output_folder, check_outputs
-from scene.storage.packed import SUFFIX
+from objconnect.mapping.build import build_map
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.exports.export import export
+from objconnect.scene.storage.outputs import check_output_folder, check_outputs
+from objconnect.scene.storage.packed import SUFFIX
 from simulate.command import finished_scene, simulate
 from simulate.config import SimulateConfig
 
@@ -158,7 +158,7 @@ def track(
         places: data sets of the places to render; none means all.
         jobs: number of rendering processes on this machine.
         cluster: cluster that renders and extracts features instead, see
-            ``scene.runtime.cluster.worker_pool``.
+            ``objconnect.scene.runtime.cluster.worker_pool``.
         board: folder of all tracks.
         update: whether to record these renders, and how hard each query is, in the board.
 

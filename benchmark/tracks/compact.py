@@ -13,15 +13,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.query_result import QueryResult
-from benchmark.results import Results, rescore
-from benchmark.results_files import PACKED, load, method_in, results_files
-from benchmark.summary import summarize, summarize_parts
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import Results, rescore
+from benchmark.results.results_files import PACKED, load, method_in, results_files
+from benchmark.scoring.summary import summarize, summarize_parts
 from benchmark.tracks.description import DESCRIPTION, Track, load_track
-from scene.errors import InputError
-from scene.storage.atomic import atomic_write
-from scene.storage.outputs import check_outputs
-from scene.storage.packed import SUFFIX, pack
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.outputs import check_outputs
+from objconnect.scene.storage.packed import SUFFIX, pack
 
 RESULTS: Final = "results"
 """The folder of a track's results: ``results/<start>/<dataset>/<method>.json.xz``."""

@@ -1,6 +1,6 @@
 """The description of a track: the places that are rendered, the starts and the methods.
 
-A track is the folder ``leaderboard/<track>/``. Its ``track.yaml`` is read here; ``renders/``,
+A track is the folder ``benchmark/tracks/<track>/``. Its ``track.yaml`` is read here; ``renders/``,
 ``queries/`` and ``results/`` beside it are what the track was measured to be.
 """
 
@@ -13,12 +13,12 @@ from typing import Annotated, Final
 import yaml
 from pydantic import Field, field_validator
 
-from scene.config import SHIPPED, Config, load_config
-from scene.errors import InputError
-from scene.storage.atomic import write_text
-from scene.storage.listing import list_files
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.listing import list_files
 
-BOARD: Final = SHIPPED.with_name("leaderboard")
+BOARD: Final = Path(__file__).parent
 """The folder of the tracks that come with the project."""
 
 DESCRIPTION: Final = "track.yaml"
@@ -53,7 +53,7 @@ class Track(Config):
         title: what it shows, in a line.
         config: configuration of ``simulate``: a name or a file; places set preset and seed.
         places: the places.
-        starts: starts of ``benchmark.starts`` that methods are run from.
+        starts: starts of ``benchmark.evaluation.starts`` that methods are run from.
         methods: names of the results files.
     """
 

@@ -19,13 +19,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.bundle.covisibility import surface_points, visible_points
-from scene.bundle.frames import Frames
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.runtime.progress import progress_bar
-from scene.storage.atomic import write_text
+from objconnect.scene.bundle.covisibility import surface_points, visible_points
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import write_text
 
 # Points per side of the grid that samples the surface in a query.
 _PER_SIDE: Final = 16

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.tracks.difficulty import Difficulty, QueryRow
-from scene.bundle.manifest import ALL_CONDITIONS
-from scene.errors import InputError
-from scene.storage.tables import read_table
+from objconnect.scene.bundle.manifest import ALL_CONDITIONS
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.tables import read_table
 
 SAME: Final = "same"
 """Name of the queries under the map's own condition; no condition can be called so."""

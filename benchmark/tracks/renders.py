@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scene.bundle.manifest import read_json
-from scene.bundle.scene import Scene
-from scene.config import Config
-from scene.geometry.camera import Camera
-from scene.runtime.progress import progress_bar
-from scene.storage.atomic import atomic_write
-from scene.storage.images import read_rgb
-from scene.storage.packed import pack
+from objconnect.scene.bundle.manifest import read_json
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.packed import pack
 
 # Blocks per side of a photograph, and decimals of their brightness.
 _BLOCKS: Final = 8

@@ -13,9 +13,9 @@ import math
 
 from pydantic import Field, model_validator
 
-from scene.config import Config
-from scene.errors import InputError
-from scene.geometry.camera import Camera
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from simulate.camera.pinhole import PinholeCamera
 
 # A pinhole picture grows with the tangent of the angle. Beyond this angle (deg), nearly all of it

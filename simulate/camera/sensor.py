@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from scene.config import Config
+from objconnect.scene.config import Config
 
 _BLUR_SAMPLES_PER_PX = 4
 

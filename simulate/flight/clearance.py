@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.geometry.camera import Camera
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from simulate.flight.gimbal import camera_centres
 from simulate.place.world import World
 

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scene.errors import InputError
-from scene.quantities.mission_heights import Above, above_of_frame, check_mode
+from objconnect.scene.errors import InputError
+from objconnect.scene.quantities.mission_heights import Above, above_of_frame, check_mode
 from simulate.flight.command_names import NAMES
 
 # Heights that a plan says twice are one when they differ by no more, metres.

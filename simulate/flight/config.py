@@ -13,8 +13,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from scene.config import Config
-from scene.storage.files import read_text, sha256_of
+from objconnect.scene.config import Config
+from objconnect.scene.storage.files import read_text, sha256_of
 
 Positive = Annotated[float, Field(gt=0)]
 Overlap = Annotated[float, Field(ge=0, le=0.95)]

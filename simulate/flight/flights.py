@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.flight.config import GridFlight, NadirFlight, ObliqueFlight
 from simulate.flight.gimbal import Aims, gimbal_poses, perturbed_poses
 from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.geodesy import is_same_place
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import is_same_place
 from simulate.flight.config import FlownFlight, scene_digest
 from simulate.flight.site import FlightSite
 

@@ -15,8 +15,8 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.quantities.mission_heights import Above
+from objconnect.scene.errors import InputError
+from objconnect.scene.quantities.mission_heights import Above
 from simulate.flight.commands import (
     CAPTURES,
     CONDITIONS,

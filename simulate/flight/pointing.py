@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.flight.commands import Command, Mav
 
 Array = NDArray[np.float64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic
-from scene.quantities.mission_heights import Above
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from objconnect.scene.quantities.mission_heights import Above
 from simulate.flight.commands import LANDINGS, Command, Mav
 from simulate.flight.site import GroundHeight
 from simulate.flight.vehicle import Vehicle

@@ -15,11 +15,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from scene.bundle.manifest import read_json
-from scene.errors import InputError
-from scene.geo.crs import geoid_undulation
-from scene.geometry.geodesy import Geodetic
-from scene.quantities.mission_heights import Above, above_of_survey
+from objconnect.scene.bundle.manifest import read_json
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.crs import geoid_undulation
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.quantities.mission_heights import Above, above_of_survey
 from simulate.flight.commands import HARMLESS, Command, Mav
 from simulate.flight.gimbal import Aims
 from simulate.flight.mission import Aircraft

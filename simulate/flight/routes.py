@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.flight.config import CorridorFlight, FreeFlight, StreetFlight
 from simulate.flight.flights import INSET_SHARE
 from simulate.flight.gimbal import Aims

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.flight.config import MAP_PLAN, FlightPlan
 from simulate.place.world import Road
 

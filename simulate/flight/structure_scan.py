@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from simulate.flight.commands import Command, Mav
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.flight.commands import Command, Mav
 from simulate.flight.site import MAX_PHOTOGRAPHS
 

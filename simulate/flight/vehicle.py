@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.flight.commands import Command
 
 _ARDUPILOT, _PX4 = 3, 12  # MAV_AUTOPILOT

@@ -13,9 +13,9 @@ from functools import cache
 from math import exp, inf, log2, pi, radians, sin
 from typing import TypeVar
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic
-from scene.registry import Registry
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.registry import Registry
 from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.labels import CLASSES
 from simulate.look.conditions import Condition
 from simulate.place.paint import SHIFT, to_raster
 from simulate.place.world import Ground, Rgb

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from math import asin, atan2, cos, degrees, radians, sin, tan
 from typing import NamedTuple
 
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.geometry.geodesy import Geodetic
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.labels import CLASSES
 from simulate.look.conditions import SEASONS, Condition, Season
 from simulate.look.ground import grain, noise, srgb
 from simulate.place.world import World

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scene.bundle.labels import CLASSES
-from scene.bundle.manifest import DeclaredChange
-from scene.config import Config
-from scene.errors import InputError
-from scene.geometry.rectangle import overlap, rectangle
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.manifest import DeclaredChange
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
 from simulate.place.kerbs import Rises
 from simulate.place.world import MAX_OBJECT_ID, World, WorldObject

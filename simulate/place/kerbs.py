@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.labels import CLASSES
 from simulate.place.grid import CircleGrid
 from simulate.place.site import PAVEMENT_M
 from simulate.place.world import Ground, Kerb, Road, WorldObject, polyline_points

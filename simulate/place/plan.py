@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.place.kerbs import lay_kerbs, raised
 from simulate.place.paint import paint
 from simulate.place.relief import relief

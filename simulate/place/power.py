@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geometry.rectangle import rectangle
+from objconnect.scene.geometry.rectangle import rectangle
 from simulate.place.objects import small
 from simulate.place.roadside import off_junction
 from simulate.place.site import Footing, Site

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from scene.registry import Lazy, Registry
+from objconnect.scene.registry import Lazy, Registry
 
 if TYPE_CHECKING:
     from simulate.place.plan import Plan

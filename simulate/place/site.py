@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene.errors import InputError
-from scene.geometry.rectangle import overlap, rectangle
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
 from simulate.place.world import (
     MAX_OBJECT_ID,

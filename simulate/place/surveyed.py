@@ -9,8 +9,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.storage.atomic import atomic_write
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.atomic import atomic_write
 from simulate.place.world import Ground, Heightfield, Imagery, World
 
 _GREY: Final = 128  # tone of ground cover that has no parcels

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene.bundle.labels import CLASSES
-from scene.geometry.rectangle import rectangle
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.geometry.rectangle import rectangle
 
 Rgb = tuple[float, float, float]
 

@@ -18,8 +18,8 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from scene.runtime.memory import resident_bytes
-from scene.storage.scratch import scratch
+from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import resample
 from simulate.look import ground

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from scene.bundle.frames import LAYERS
-from scene.errors import InputError
+from objconnect.scene.bundle.frames import LAYERS
+from objconnect.scene.errors import InputError
 
 # Bytes per pixel of a rendered frame before it is packed: rgb and all layers, uncompressed.
 _RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.look.conditions import PLACE
 from simulate.place.change import Change
@@ -38,7 +38,7 @@ class RenderJob(BaseModel):
     - ``origin`` is the geodetic origin, from which the position of the sun follows.
     - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.changed_world``.
     - ``prepared`` is the file of a surveyed place, which is read instead of built.
-    - ``lens`` is the camera of the photographs as ``str(scene.geometry.camera.Camera)``, when it is
+    - ``lens`` is the camera of the photographs as ``str(Camera)``, when it is
       not the pinhole ``camera``, which then covers its view.
     - ``travel`` is how far the camera of a frame moves, in world metres, while its rows are read
       out from top to bottom. Its pose is that of the middle of the picture.

@@ -10,7 +10,7 @@ import ctypes
 import sys
 from typing import Final
 
-from scene.runtime.debian import check, require_packages
+from objconnect.scene.runtime.debian import check, require_packages
 
 # Debian package of each shared library that bpy 4.5 needs.
 PACKAGES: Final = {

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.storage.scratch import scratch
+from objconnect.scene.storage.scratch import scratch
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.job import FrameDone, RenderChunk, RenderJob, frame_path
@@ -113,7 +113,7 @@ def rendering(
 def _lens_rays(lens: str) -> NDArray[np.float64]:
     """Return the rays x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
     # Imported here, because it loads torch, which Blender's processes do not need.
-    from scene.geometry.camera import Camera
+    from objconnect.scene.geometry.camera import Camera
 
     camera = Camera.parse(lens.split())
     rays, _ = camera.unproject(camera.pixel_grid())

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from scene.runtime.cluster import WorkerPool, split_work
-from scene.storage.atomic import atomic_write
-from scene.storage.scratch import scratch
+from objconnect.scene.runtime.cluster import WorkerPool, split_work
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import FRAMES_PER_PROCESS, rendering
 

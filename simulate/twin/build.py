@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.geo.rasters import Raster
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.rasters import Raster
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.look.conditions import condition
 from simulate.look.ground import srgb
 from simulate.look.sun import sun_position

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.labels import CLASSES
-from scene.errors import InputError
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.errors import InputError
 
 Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -49,7 +49,7 @@ def classify(
         closed: where heights are not known, (n, n).
 
     Returns:
-        Labels (n, n) of ``scene.bundle.labels.CLASSES``.
+        Labels (n, n) of ``objconnect.scene.bundle.labels.CLASSES``.
     """
     sigma = max(_SCALE_M / cell_m, 0.6)
     soft = cv2.GaussianBlur(rgb, (0, 0), sigma) / np.float32(255)

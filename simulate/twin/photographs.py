@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle.scene import Scene
-from scene.geometry.camera import Camera
-from scene.runtime.progress import progress_bar
-from scene.storage.images import read_rgb
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.images import read_rgb
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 The grid is centred on the world's origin, with rows from south to north. The world is
 east-north-up, so it is turned against the raster by the convergence of the meridians, and the earth
-curves away from its plane (``scene.geo.local``). Between pixels, values are interpolated at steps
+curves away from its plane (``geo.local``). Between pixels, values are interpolated at steps
 of 1/32 of a pixel.
 """
 
@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geo.local import LocalProjection, world_from
-from scene.geo.rasters import Box, Patch, Raster
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.geo.local import LocalProjection, world_from
+from objconnect.scene.geo.rasters import Box, Patch, Raster
+from objconnect.scene.geometry.geodesy import Geodetic
 
 Array = NDArray[np.float64]
 Float = NDArray[np.float32]

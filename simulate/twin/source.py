@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.exports import ortho
-from scene.geo.local import at_height
-from scene.geo.rasters import Raster
-from scene.geometry.geodesy import Geodetic
-from scene.storage.scratch import scratch
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports import ortho
+from objconnect.scene.geo.local import at_height
+from objconnect.scene.geo.rasters import Raster
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.storage.scratch import scratch
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
 from simulate.twin.photographs import Photograph, map_photographs, photographed_square
 from simulate.twin.sampling import known_square

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines.binary import Akaze, Binary, Orb
-from scene.maps.features import unit_bits
-from scene.storage.images import read_rgb
+from objconnect.scene.maps.features import unit_bits
+from objconnect.scene.storage.images import read_rgb
 
 GATE = Path(__file__).parents[1] / "data" / "gate" / "images" / "map" / "images"
 KINDS = [Orb(2000), Akaze(2000, 1e-4)]

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.epipolar import EpipolarConfig, EpipolarLocalizer
-from baselines.features import Extractor
 from benchmark.datasets.open import open_datasets
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status
-from scene.maps.features import Features
-from scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.localization.matching.features import Extractor
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Query, Status
+from objconnect.scene.maps.features import Features
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 GATE = Path(__file__).parents[1] / "data" / "gate"
 CAMERA = Camera("OPENCV", 64, 48, (52.0, 51.5, 32.2, 23.8, -0.1, 0.02, 1e-3, -5e-4))

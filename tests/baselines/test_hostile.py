@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
-from benchmark.registry import METHODS, create
-from scene.errors import InputError
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Localizer, Prior, Query, Status
-from scene.maps.sparse_map import SparseMap
+from objconnect.methods import METHODS, create
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
 
 GATE = Path(__file__).parents[1] / "data" / "gate"
 (DATASET,) = open_datasets(GATE)

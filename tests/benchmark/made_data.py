@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from PIL import Image
 
-from benchmark.query_result import QueryResult
-from scene.bundle.frames import Frames, write_frames
-from scene.bundle.manifest import Manifest, Session, Splits, write_json
-from scene.bundle.scene import finish_scene
-from scene.config import Config
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status
-from scene.maps.sparse_map import SparseMap
+from benchmark.results.query_result import QueryResult
+from objconnect.scene.bundle.frames import Frames, write_frames
+from objconnect.scene.bundle.manifest import Manifest, Session, Splits, write_json
+from objconnect.scene.bundle.scene import finish_scene
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
 
 CAMERA = Camera("SIMPLE_RADIAL", 96, 64, (80.0, 48.0, 32.0, 0.01))
 MAP_NAMES = ("a.jpg", "c.jpg", "e.jpg", "g.jpg")

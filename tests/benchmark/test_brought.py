@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.registry import create, known
-from scene.errors import InputError
+from benchmark.evaluation.evaluate import evaluate
+from objconnect.methods import create, known
+from objconnect.scene.errors import InputError
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "nearest"
 

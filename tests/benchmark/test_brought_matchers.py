@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
-from benchmark.registry import create, known
-from scene.errors import InputError
-from scene.localizer import Estimate, Localizer, Query, Status
-from scene.maps.sparse_map import SparseMap
+from objconnect.methods import create, known
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Estimate, Localizer, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "matchers"
 (DATASET,) = open_datasets(Path(__file__).parents[1] / "data" / "gate")

@@ -17,14 +17,14 @@ import typer
 from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
-import benchmark.registry
+import objconnect.methods
 from benchmark.cli import app
 from benchmark.cli.arguments import parse_settings
 from benchmark.cli.commands import COMMANDS, CommandGroup
 from benchmark.cli.options import options_of
 from benchmark.cli.output import Summary, emit
-from benchmark.registry import create
-from scene.localizer import Estimate, Status
+from objconnect.methods import create
+from objconnect.scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
             "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.1)),
         }
     )
-    monkeypatch.setattr(benchmark.registry, "create", lambda name, overrides: localizer)
+    monkeypatch.setattr(objconnect.methods, "create", lambda name, overrides: localizer)
     return localizer
 
 

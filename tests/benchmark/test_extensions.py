@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from scene.bundle.scene import Scene
+from objconnect.scene.bundle.scene import Scene
 from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
@@ -36,7 +36,7 @@ CODE = """
 from baselines.pixloc.training import PixlocTraining
 from baselines.prior import PriorConfig, PriorLocalizer
 from benchmark.datasets.flight import open_flight
-from scene.config import load_config
+from objconnect.scene.config import load_config
 from simulate.look.conditions import SEASONS
 from simulate.place.presets import PRESETS
 

@@ -20,20 +20,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 from typer.testing import CliRunner, Result
 
-from baselines.featuremetric import problem, references
-from baselines.featuremetric.localizer import FeaturemetricLocalizer
-from baselines.featuremetric.maps import Network
-from baselines.structure import StructureLocalizer
 from benchmark.cli import app
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.registry import create
-from benchmark.starts import parse_start
-from scene.geometry.camera import Camera
-from scene.localizer import Estimate, Localizer, Query, Status
-from scene.maps.features import Features
-from scene.maps.sparse_map import SparseMap
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.starts import parse_start
+from objconnect.localization.featuremetric import problem, references
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.featuremetric.maps import Network
+from objconnect.localization.matching.structure import StructureLocalizer
+from objconnect.methods import create
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.localizer import Estimate, Localizer, Query, Status
+from objconnect.scene.maps.features import Features
+from objconnect.scene.maps.sparse_map import SparseMap
 
 DATA: Final = Path(__file__).parents[1] / "data"
 BASELINE: Final = DATA / "gate-baseline"

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from benchmark.cli import app
-from benchmark.paired import compare
-from benchmark.results import DatasetId, Method, Results
+from benchmark.results.results import DatasetId, Results
+from benchmark.scoring.paired import compare
+from objconnect.localization.provenance import Method
 from tests.benchmark.made_data import scored_query
 
 

@@ -11,7 +11,7 @@ import typer.main
 from benchmark.cli import app
 from benchmark.cli.arguments import parse_settings
 from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from tests.benchmark.test_cli import error_line, invoke
 
 COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
@@ -24,7 +24,6 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "evaluate": "prior",
         "forecast": "prior",
         "score": "none",
-        "ablate": "error=3m,5deg",
     },
 }
 

@@ -20,12 +20,12 @@ from baselines.d2net import localizer as d2net
 from baselines.pixloc import localizer as pixloc
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.registry import create
-from benchmark.starts import parse_start
-from benchmark.summary import Summary
-from mapping.build import build_map
-from objconnect import localizer as objconnect
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.starts import parse_start
+from benchmark.scoring.summary import Summary
+from objconnect.mapping.build import build_map
+from objconnect.methods import create
+from objconnect.network import localizer as objconnect
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmark.validate import validate
-from scene.geometry.pose import Pose
+from objconnect.scene.geometry.pose import Pose
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.featuremetric.acceptance import AcceptanceModel, log_odds_of, read_acceptance
-from baselines.featuremetric.evidence import Evidence
-from scene.config import load_config
-from tests.benchmarks.acceptance import Record, Told, _plain, fit, read
+from experiments.acceptance import Record, Told, _plain, fit, read
+from objconnect.localization.featuremetric.acceptance import (
+    AcceptanceModel,
+    log_odds_of,
+    read_acceptance,
+)
+from objconnect.localization.featuremetric.evidence import Evidence
+from objconnect.scene.config import load_config
 
 
 def write_records(path: Path, seed: int, inliers: int) -> Path:

@@ -1,6 +1,6 @@
 """A whole query in maps of 100 and of 1,000 photographs: read the ratio, not the seconds.
 
-``make bench``; of 10,000 and of memory tells ``python -m tests.benchmarks.large_map``.
+``make bench``; of 10,000 and of memory tells ``python -m experiments.large_map``.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from baselines.structure import StructureLocalizer
-from scene.localizer import Status
-from scene.storage.lru_cache import MEGABYTE
-from tests.benchmarks.large_map import Flight, fly, ground, localizer_of, queries, write_map
+from experiments.large_map import Flight, fly, ground, localizer_of, queries, write_map
+from objconnect.localization.matching.structure import StructureLocalizer
+from objconnect.scene.localizer import Status
+from objconnect.scene.storage.lru_cache import MEGABYTE
 
 pytestmark = pytest.mark.thorough
 

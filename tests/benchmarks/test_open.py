@@ -15,11 +15,11 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-import scene.storage.digests
+import objconnect.scene.storage.digests
 from benchmark.datasets.flight import gps_sigma
 from benchmark.datasets.open import open_datasets
-from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses
-from scene.maps.colmap_files import read_model
+from objconnect.scene.flights.textfiles import read_cameras, read_gps, read_poses
+from objconnect.scene.maps.colmap_files import read_model
 from tests.benchmark.made_data import CAMERA, pose_at, write_model
 
 pytestmark = pytest.mark.thorough
@@ -50,7 +50,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (path / "reference_poses.txt").write_text("\n".join(lines[MAPPED:]) + "\n")
     (path / "gps.csv").write_text("\n".join(rows) + "\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene.storage.digests, "_TICK_NS", -(10**18))  # they were written just now
+        patch.setattr(
+            objconnect.scene.storage.digests, "_TICK_NS", -(10**18)
+        )  # they were written just now
         opened(path)
         yield path
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from experiments.pixloc_cost import METHODS, Ground, lower_bound, made
 from tests.baselines.pixloc import official
-from tests.benchmarks.pixloc_cost import METHODS, Ground, lower_bound, made
 
 pytestmark = pytest.mark.thorough
 

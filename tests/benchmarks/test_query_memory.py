@@ -11,7 +11,7 @@ from typing import Final
 
 import pytest
 
-from baselines.featuremetric.options import FeaturemetricConfig
+from objconnect.localization.featuremetric.options import FeaturemetricConfig
 
 ROOT: Final = Path(__file__).parents[2]
 # Ten queries of the gate, of which six are aligned with the network and the others matched.
@@ -26,7 +26,7 @@ FLAT_MB: Final = 4.0
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heap is told by glibc")
 def test_memory_is_flat_over_64_queries_told_nothing(tmp_path: Path) -> None:
     """See docs/evidence/localize.md, where 64 queries are 32 of the demo asked twice."""
-    command = [sys.executable, "-m", "tests.benchmarks.query_memory", "tests/data/gate"]
+    command = [sys.executable, "-m", "experiments.query_memory", "tests/data/gate"]
     command += ["--cache", str(tmp_path), "--queries", str(QUERIES)]
     command += ["--among", str(FIRST), str(LAST)]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from scene.bundle.manifest import read_json
-from tests.benchmarks import ratio_picture
-from tests.benchmarks.ratios import KIND, Ratios, main, ratios_of
+from experiments import ratio_picture
+from experiments.ratios import KIND, Ratios, main, ratios_of
+from objconnect.scene.bundle.manifest import read_json
 
 OPTIONS = Path(__file__).parents[2] / "pyproject.toml"
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from scene.bundle.frames import LAYERS, read_frames, write_frames
+from experiments.renderer import Renderer, nadir_job
+from objconnect.scene.bundle.frames import LAYERS, read_frames, write_frames
 from simulate.command import _frames, _pack
 from simulate.config import SimulateConfig
-from tests.benchmarks.renderer import Renderer, nadir_job
 
 pytestmark = pytest.mark.thorough
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from baselines.retrieval import References, Viewpoints, VladIndex
-from scene.geometry.camera import Camera
-from scene.localizer import Prior, Query
-from scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.localization.matching.retrieval import References, Viewpoints, VladIndex
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.localizer import Prior, Query
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 pytestmark = pytest.mark.thorough
 

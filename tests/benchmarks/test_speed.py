@@ -14,22 +14,22 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-import baselines.align.linearise as linearising
-from baselines.align.residuals import Level, LevelCost
-from baselines.align.sampling import CellTable, stencil
-from baselines.featuremetric.quantized import QuantizationOptions
-from baselines.folding import fold
-from baselines.grey_photograph import GreyPhotograph
-from baselines.quantization import largest_values, quantized
-from baselines.sweep import SweepOptions
-from baselines.window_sweep import WindowSweep
-from objconnect.localizer import SHIPPED
-from objconnect.network import read_network
-from scene.bundle.scene import Scene
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.maps.colmap_files import read_model
-from scene.maps.matching import match
+import objconnect.localization.align.linearise as linearising
+from objconnect.learning.folding import fold
+from objconnect.learning.quantization import largest_values, quantized
+from objconnect.localization.align.residuals import Level, LevelCost
+from objconnect.localization.align.sampling import CellTable, stencil
+from objconnect.localization.depth.grey_photograph import GreyPhotograph
+from objconnect.localization.depth.sweep import SweepOptions
+from objconnect.localization.depth.window_sweep import WindowSweep
+from objconnect.localization.featuremetric.quantized import QuantizationOptions
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import read_network
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.matching import match
 
 pytestmark = pytest.mark.thorough
 

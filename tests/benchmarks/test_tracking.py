@@ -1,6 +1,6 @@
 """An image of a sequence beside the same image near its prior, in one run: read the ratio.
 
-``tests/benchmarks/tracked.py`` follows a whole flight.
+``experiments/tracked.py`` follows a whole flight.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from benchmark.registry import create
-from scene.localizer import Localizer, Prior, Query, Status
+from experiments.pixloc_cost import CAMERA, TRUTH
+from objconnect.methods import create
+from objconnect.scene.localizer import Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
-from tests.benchmarks.pixloc_cost import CAMERA, TRUTH
 
 pytestmark = pytest.mark.thorough
 PREDICTED = looking_down(9.15, -0.3, (1.4, -0.9, 3.7))

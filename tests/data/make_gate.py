@@ -19,9 +19,9 @@ import torch
 
 from benchmark.datasets.dataset import BenchmarkQuery
 from benchmark.datasets.open import open_datasets
-from mapping.build import build_map
-from scene.config import load_config
-from scene.geometry.pose import Pose
+from objconnect.mapping.build import build_map
+from objconnect.scene.config import load_config
+from objconnect.scene.geometry.pose import Pose
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 

@@ -14,13 +14,14 @@ from statistics import median, quantiles
 from tests.docs.documents import ROOT
 
 PACKAGES = (
-    "scene",
-    "dense",
+    "objconnect/scene",
+    "objconnect/ingest",
+    "objconnect/learning",
+    "objconnect/localization",
+    "objconnect/network",
+    "objconnect/mapping",
     "simulate",
-    "ingest",
     "baselines",
-    "objconnect",
-    "mapping",
     "benchmark",
 )
 LONGEST = 400  # lines of a module

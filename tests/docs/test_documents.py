@@ -13,7 +13,7 @@ import pytest
 import typer.main
 
 from benchmark.cli import app
-from scene.bundle.scene import Scene
+from objconnect.scene.bundle.scene import Scene
 from tests.docs import documents
 from tests.docs.documents import DOCUMENTS, GUIDES, ROOT
 

@@ -14,7 +14,7 @@ from types import ModuleType
 import matplotlib.pyplot as plt
 import pytest
 
-from scene.runtime.script import run_script
+from objconnect.scene.runtime.script import run_script
 from simulate.render.libraries import require_libraries
 from tests.blender import require_blender
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from benchmark.cli.stray import refuse_stray_settings
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from tests.docs import documents
 from tests.docs.documents import DOCUMENTS, ROOT
 from tests.docs.test_documents import COMMANDS
 
-_FOLDERS = ("docs", "examples", "configs", "benchmark", "baselines", "objconnect", "tests")
+_CODE = ("objconnect", "simulate", "baselines", "benchmark", "experiments", "tests")
+_FOLDERS = ("docs", "examples", *_CODE)
 WRITTEN = sorted(
     path
     for folder in _FOLDERS

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import torch
 
-from scene.geometry.camera import Camera
+from objconnect.scene.geometry.camera import Camera
 from simulate.camera.lens import rendered_through
 from simulate.render.job import RenderJob
 from tests.blender import require_blender

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.labels import CLASSES
 from simulate.place.kerbs import Rises
 from simulate.place.world import World
 

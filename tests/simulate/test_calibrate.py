@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from scene.errors import InputError
-from scene.geometry.camera import MODELS, Camera
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import MODELS, Camera
 from simulate.calibrate import BOARD, board_points, board_pose, calibrate
 
 pytestmark = pytest.mark.thorough

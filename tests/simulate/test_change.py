@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.rectangle import overlap
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.rectangle import overlap
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.look.props import shape_mesh

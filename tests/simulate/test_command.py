@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle.frames import LAYERS, Frames
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.geodesy import geodetic_from_enu
-from scene.storage.images import read_exif, read_rgb
-from scene.storage.locks import write_lock
+from objconnect.scene.bundle.frames import LAYERS, Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import geodetic_from_enu
+from objconnect.scene.storage.images import read_exif, read_rgb
+from objconnect.scene.storage.locks import write_lock
 from simulate.command import _frames, finished_scene, lasting_noise, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import bytes_needed
@@ -269,7 +269,7 @@ def test_named_sessions() -> None:
 
 
 def test_the_track_changes_one_thing_at_a_time() -> None:
-    track = SimulateConfig.load(Path(__file__).parents[2] / "configs" / "uav-sim.yaml", {})
+    track = SimulateConfig.load(Path("uav-sim"), {})
     sessions = dict(zip(track.session_names(), track.sessions, strict=True))
     base = sessions["same"]
     changed = {name: s for name, s in sessions.items() if s.role == "query" and s != base}

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle.labels import CLASSES
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.config import ObliqueFlight

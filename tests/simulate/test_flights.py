@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from scene.config import load_config
-from scene.errors import InputError
-from scene.geometry.camera import Camera
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.flight.gimbal import camera_centres

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from scene.bundle.scene import Scene
-from scene.errors import InputError
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from simulate.place.town import build_town
 from simulate.planner import plan_session

@@ -17,8 +17,8 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from simulate.flight.qgroundcontrol import read_plan
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from scene.checks.depth_check import DepthFrames, check_depth
-from scene.errors import InputError
-from scene.geometry.camera import Camera
+from objconnect.scene.checks.depth_check import DepthFrames, check_depth
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from simulate.camera.lens import PRESETS, rendered_through
 from simulate.camera.resample import resample
 from simulate.config import SimulateConfig
@@ -22,7 +22,7 @@ from simulate.flight.site import FlightSite, Wind
 from simulate.place.town import build_town
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
-from tests.scene.made_cameras import CAMERAS
+from tests.objconnect.scene.made_cameras import CAMERAS
 from tests.simulate.blender_says import check_rays, dot_errors
 from tests.simulate.made_ground import ground_error
 from tests.simulate.test_flights import pinhole as made_pinhole

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
-from scene.errors import InputError
-from scene.geometry.rectangle import overlap
+from objconnect.scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.rectangle import overlap
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.config import ObliqueFlight
 from simulate.flight.flights import plan_oblique

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import Aims, camera_centres

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 from pydantic import ValidationError
 
 import simulate.render.pool
-from scene.bundle.labels import CLASSES
-from scene.errors import InputError
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.clearance import check_flight, is_free

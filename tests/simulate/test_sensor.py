@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle.frames import LAYERS
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.storage.images import read_rgb
+from objconnect.scene.bundle.frames import LAYERS
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.images import read_rgb
 from simulate.camera.sensor import SensorConfig, expose
 from simulate.command import simulate
 from simulate.config import SimulateConfig

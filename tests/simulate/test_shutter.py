@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scene.checks.validate import validate
-from scene.errors import InputError
+from objconnect.scene.checks.validate import validate
+from objconnect.scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.command import simulate
 from simulate.config import SimulateConfig

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
-from scene.bundle.labels import CLASSES
+from objconnect.scene.bundle.labels import CLASSES
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import camera_centres
 from simulate.look.conditions import condition
@@ -178,7 +178,7 @@ def test_drives_see_all_surroundings_from_tracks_of_their_own(
 @pytest.mark.slow
 def test_a_tree_from_one_command_is_localized_in(tmp_path: Path) -> None:
     scene, results = tmp_path / "street", tmp_path / "results"
-    config = Path(__file__).parents[2] / "configs" / "street.yaml"
+    config = Path(__file__).parents[2] / "simulate" / "configs" / "street.yaml"
     words = ["simulate", "--config", str(config), "--out", str(scene), "--export", "cmu"]
     made = CliRunner().invoke(app, words)
     assert made.exit_code == 0, made.output

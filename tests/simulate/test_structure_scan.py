@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from simulate.flight.gimbal import Aims
 from simulate.flight.qgroundcontrol import read_plan
 

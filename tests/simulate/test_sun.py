@@ -7,7 +7,7 @@ from math import degrees
 
 import pytest
 
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.look.sun import sun_equatorial, sun_position
 
 GREENWICH = Geodetic(51.4779, 0.0, 46.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
-from scene.errors import InputError
-from scene.geometry.rectangle import overlap, rectangle
+from objconnect.scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.rectangle import overlap, rectangle
 from simulate.look import ground
 from simulate.look.buildings import building_mesh
 from simulate.look.conditions import condition

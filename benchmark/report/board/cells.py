@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.report.board.runs import BoardQuery
-from benchmark.score import Interval, Threshold, is_correct, wilson
+from benchmark.scoring.score import Interval, Threshold, is_correct, wilson
+from benchmark.scoring.uncertainty import Predicted, doubt
 from benchmark.tracks.queries import CHANGED, SAME
-from benchmark.uncertainty import Predicted, doubt
-from scene.bundle.manifest import ALL_CONDITIONS
+from objconnect.scene.bundle.manifest import ALL_CONDITIONS
 
 ALL: Final = ALL_CONDITIONS
 # A cell says how wide its intervals are where recall is 90 %.
@@ -75,7 +75,7 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
 def bounded_recall(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
     """Return the recall of the surest answers, of which fewer than 1 % are wrong.
 
-    Answers are believed in the order of ``benchmark.uncertainty.doubt``, as far as the share of
+    Answers are believed in the order of ``uncertainty.doubt``, as far as the share of
     wrong poses among them is below ``RISK``. Equal ones are believed together. An answer without a
     probability and a standard deviation is never believed.
 

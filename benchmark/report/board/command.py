@@ -11,8 +11,8 @@ from benchmark.report.board.runs import TrackBoard, read_boards
 from benchmark.report.board.text import HeadlineRow, board_markdown, headline
 from benchmark.report.leaderboard import MARKS
 from benchmark.tracks.description import BOARD
-from scene.storage.atomic import write_text
-from scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 _MARKDOWN: Final = "leaderboard.md"
 _PAGE: Final = "leaderboard.html"

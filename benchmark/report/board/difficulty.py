@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.score import Interval, wilson
+from benchmark.scoring.score import Interval, wilson
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.query_result import QueryResult
 from benchmark.report.board.cells import Cell, bounded_recall, cells, conditions, parts
 from benchmark.report.board.difficulty import AXES, Axis, Bin, binned
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.page import figures_of, nees_of, paired, rounded
 from benchmark.report.tables import start_in_words
-from benchmark.score import THRESHOLDS, Interval
-from benchmark.summary import summarize
-from benchmark.uncertainty import risk_coverage
-from scene.localizer import Status
+from benchmark.results.query_result import QueryResult
+from benchmark.scoring.score import THRESHOLDS, Interval
+from benchmark.scoring.summary import summarize
+from benchmark.scoring.uncertainty import risk_coverage
+from objconnect.scene.localizer import Status
 
 # Points of a risk-coverage curve on the page.
 _POINTS: Final = 50

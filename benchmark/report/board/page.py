@@ -11,8 +11,8 @@ from benchmark.report.board.pictures import Pictures
 from benchmark.report.board.runs import TrackBoard
 from benchmark.report.page import paper_of
 from benchmark.report.self_contained import fill
-from benchmark.score import THRESHOLDS
-from scene.runtime.progress import progress_bar
+from benchmark.scoring.score import THRESHOLDS
+from objconnect.scene.runtime.progress import progress_bar
 
 
 def board_page(boards: Sequence[TrackBoard]) -> str:

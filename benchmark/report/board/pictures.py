@@ -2,7 +2,7 @@
 
 ``<track>/album/<dataset>.h5`` is an album (``benchmark.report.album``) of a few queries with small
 photographs. It is made from the albums that ``evaluate`` writes beside results:
-``python -m benchmark.report.board.pictures --track leaderboard/uav-seasons RESULTS...``
+``python -m benchmark.report.board.pictures --track benchmark/tracks/uav-seasons RESULTS...``
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any, Final
 from benchmark.report.album import ALBUM, Album, read_album, write_album
 from benchmark.report.board.runs import TrackBoard, read_board
 from benchmark.report.page import PICTURE_BYTES, shrunk
-from scene.errors import InputError
-from scene.storage.outputs import check_outputs
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.outputs import check_outputs
 
 _FOLDER: Final = "album"
 # Queries of each data set, and the longest side of their photographs, pixels. Ten data sets take

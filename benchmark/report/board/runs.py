@@ -13,16 +13,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.query_result import QueryResult
-from benchmark.results import Results
-from benchmark.results_files import load
-from benchmark.score import THRESHOLDS, is_correct
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import Results
+from benchmark.results.results_files import load
+from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import RESULTS
 from benchmark.tracks.description import DESCRIPTION, Place, Track, load_track
 from benchmark.tracks.difficulty import QueryRow
 from benchmark.tracks.queries import read_queries
-from scene.errors import InputError
-from scene.runtime.progress import progress_bar
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.progress import progress_bar
 
 log = logging.getLogger(__name__)
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from benchmark.query_result import TOTAL
 from benchmark.report.board import beside_paper
 from benchmark.report.board.cells import RISK, Cell, bounded_recall, cells
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.markdown import escaped, line, nees_text, number, paper_markdown, recall_text
 from benchmark.report.tables import start_in_words
-from benchmark.score import THRESHOLDS
-from benchmark.summary import Recall, Summary, summarize
+from benchmark.results.query_result import TOTAL
+from benchmark.scoring.score import THRESHOLDS
+from benchmark.scoring.summary import Recall, Summary, summarize
 
 
 @dataclass(frozen=True)

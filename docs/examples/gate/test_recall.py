@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.registry import create
+from benchmark.evaluation.evaluate import evaluate
+from objconnect.methods import create
 
 
 def test_recall(tmp_path, no_recall_drop):

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from scene.config import Config, load_config
-from scene.localizer import By, Estimate, Query, Status, Stopwatch
-from scene.maps.sparse_map import SparseMap
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
+from objconnect.scene.maps.sparse_map import SparseMap
 
 
 class NearestConfig(Config):

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from baselines.vgg import BLOCKS, vgg16_blocks
+from objconnect.learning.vgg import BLOCKS, vgg16_blocks
 
 RECORDED = Path(__file__).parents[2] / "data/official/d2net-0a3356c.npz"
 # Of the pictures; the second is the same scene moved by SHIFT.

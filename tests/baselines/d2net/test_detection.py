@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from baselines.checkpoint import write_weights
 from baselines.d2net.detection import detect, find_peaks
 from baselines.d2net.network import D2Net, D2NetNetConfig, read_network
-from scene.errors import InputError
+from objconnect.learning.checkpoint import write_weights
+from objconnect.scene.errors import InputError
 from tests.baselines.d2net import official
 
 SLIM = D2NetNetConfig(width=0.125)

@@ -12,13 +12,13 @@ import pytest
 
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
-from baselines.views import north_angle
-from benchmark.registry import create
-from scene.errors import InputError
-from scene.localizer import Prior, Query, Status
-from scene.maps.colmap_files import read_model
-from scene.maps.sparse_map import SparseMap
-from scene.storage.images import read_rgb
+from objconnect.methods import create
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.views import north_angle
+from objconnect.scene.localizer import Prior, Query, Status
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.images import read_rgb
 from tests.baselines.d2net.untrained import untrained
 
 GATE = Path(__file__).parents[2] / "data" / "gate"

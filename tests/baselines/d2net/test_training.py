@@ -10,15 +10,15 @@ from torch import Tensor
 from torch.nn import functional
 
 import baselines.d2net.training
-from baselines.checkpoint import write_weights
 from baselines.d2net.loss import Described, TripletLoss, triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, soft_scores
 from baselines.d2net.training import D2NetTraining, start_from
-from baselines.pixloc.network import PixlocNet, PixlocNetConfig
-from baselines.training.config import TrainConfig
-from baselines.training.pairs import Pair, PairBatch, Pinhole, collate
-from baselines.vgg import encode
-from tests.baselines.training.slopes import watched
+from objconnect.learning.checkpoint import write_weights
+from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
+from objconnect.learning.training.config import TrainConfig
+from objconnect.learning.training.pairs import Pair, PairBatch, Pinhole, collate
+from objconnect.learning.vgg import encode
+from tests.objconnect.learning.training.slopes import watched
 
 SMALL = TrainConfig(width=0.125, warm_up=0.25)
 

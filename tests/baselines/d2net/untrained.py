@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
-from baselines.checkpoint import write_weights
 from baselines.d2net.network import D2Net, D2NetNetConfig
+from objconnect.learning.checkpoint import write_weights
 
 
 def untrained(folder: Path) -> Path:

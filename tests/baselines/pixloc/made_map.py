@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from baselines.checkpoint import write_weights
-from baselines.pixloc.network import PixlocNet, PixlocNetConfig
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.learning.checkpoint import write_weights
+from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 CAMERA = Camera("PINHOLE", 256, 192, (220.0, 224.0, 126.0, 98.0))
 HEIGHT = 20.0

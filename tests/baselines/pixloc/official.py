@@ -15,10 +15,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from baselines.pixloc.network import PixlocNet, read_network
-from baselines.vgg import BLOCKS, vgg16_blocks
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
+from objconnect.learning.pixloc_net import PixlocNet, read_network
+from objconnect.learning.vgg import BLOCKS, vgg16_blocks
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
 
 RECORDED = Path(__file__).parents[2] / "data/official/pixloc-65a51a7-network.npz"
 # Whole, odd, and with sides whose rest of 16 is cut off at several levels.

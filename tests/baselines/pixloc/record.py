@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from scene.geometry.pose import Pose as OurPose
+from objconnect.scene.geometry.pose import Pose as OurPose
 from tests.baselines.pixloc import official
 
 

@@ -9,18 +9,18 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from baselines.featuremetric.acceptance import AcceptanceModel
-from baselines.featuremetric.options import SearchOptions
-from baselines.featuremetric.refiner import Refiner
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
-from baselines.place.finder import PlaceOptions
-from baselines.views import with_heading
-from benchmark.registry import create
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Prior, Query, Status
-from scene.maps.sparse_map import SparseMap
+from objconnect.localization.coarse.finder import PlaceOptions
+from objconnect.localization.featuremetric.acceptance import AcceptanceModel
+from objconnect.localization.featuremetric.options import SearchOptions
+from objconnect.localization.featuremetric.refiner import Refiner
+from objconnect.methods import create
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import with_heading
+from objconnect.scene.localizer import Estimate, Prior, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))

@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from baselines.pixloc.loss import in_pixels, reprojection_error
-from scene.geometry.pose import Pose
-from scene.geometry.projection import Intrinsics
+from objconnect.learning.training.pose_loss import in_pixels, reprojection_error
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.projection import Intrinsics
 
 
 def test_errors_are_logged_in_pixels() -> None:

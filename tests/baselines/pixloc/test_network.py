@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.checkpoint import write_weights
-from baselines.pixloc.network import PixlocNet, PixlocNetConfig, _decode, read_network
-from scene.config import load_config
-from scene.errors import InputError
+from objconnect.learning.checkpoint import write_weights
+from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig, read_network
+from objconnect.learning.unet import _decode
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
 from tests.baselines.pixloc import official
 
 TOLERANCE = 1e-4

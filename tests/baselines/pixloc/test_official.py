@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.align.aligner import align
-from baselines.align.options import Options
-from baselines.align.problem import Problem
-from baselines.align.residuals import Level
-from baselines.align.sampling import sample
-from baselines.featuremetric.maps import FeatureMap
-from baselines.pixloc.loss import Seen, pose_loss, reprojection_error
-from baselines.pixloc.network import PixlocNet
-from scene.geometry.pose import Pose
+from objconnect.learning.pixloc_net import PixlocNet
+from objconnect.learning.training.pose_loss import Seen, pose_loss, reprojection_error
+from objconnect.localization.align.aligner import align
+from objconnect.localization.align.options import Options
+from objconnect.localization.align.problem import Problem
+from objconnect.localization.align.residuals import Level
+from objconnect.localization.align.sampling import sample
+from objconnect.localization.featuremetric.maps import FeatureMap
+from objconnect.scene.geometry.pose import Pose
 from tests.baselines.pixloc import official
 
 

@@ -11,13 +11,14 @@ from torch import Tensor
 from torch.nn import functional
 
 import baselines.pixloc.training
-from baselines.align.aligner import align
-from baselines.align.options import Options
-from baselines.align.problem import Problem
-from baselines.pixloc.training import PixlocTraining, contrast_of, levels_of, unrolled
-from baselines.training.config import TrainConfig
-from tests.baselines.training.made_pairs import pairs
-from tests.baselines.training.slopes import watched
+from baselines.pixloc.training import PixlocTraining
+from objconnect.learning.training.config import TrainConfig
+from objconnect.localization.align.aligner import align
+from objconnect.localization.align.options import Options
+from objconnect.localization.align.problem import Problem
+from objconnect.localization.featuremetric.training import contrast_of, levels_of, unrolled
+from tests.objconnect.learning.training.made_pairs import pairs
+from tests.objconnect.learning.training.slopes import watched
 
 TINY = TrainConfig(width=0.05, warm_up=0.5)
 STRIDES = (16, 4)

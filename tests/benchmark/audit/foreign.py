@@ -17,13 +17,13 @@ import numpy as np
 import torch
 from PIL import Image
 
-from scene.bundle.frames import Frames
-from scene.bundle.scene import Scene
-from scene.colmap.models import write_posed
-from scene.geometry.geodesy import geodetic_from_enu
-from scene.geometry.pose import Pose, so3_log
-from scene.maps.photographs import PosedImage
-from scene.maps.sparse_map import SparseMap
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.geometry.geodesy import geodetic_from_enu
+from objconnect.scene.geometry.pose import Pose, so3_log
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
 
 SESSION = "map-summer-noon-nadir"
 

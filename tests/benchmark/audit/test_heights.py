@@ -11,8 +11,8 @@ import pytest
 from benchmark.audit.command import audit
 from benchmark.audit.findings import Finding, Verdict
 from benchmark.audit.positions import EAST_NORTH, HEIGHTS
-from scene.geometry.geodesy import Geodetic
-from scene.storage.images import Exif, write_jpeg
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.storage.images import Exif, write_jpeg
 
 COUNT = 6
 

@@ -12,9 +12,9 @@ import pytest
 from benchmark.audit.command import audit
 from benchmark.audit.findings import Audit
 from benchmark.audit.matches import Pair, match_photographs
-from scene.bundle.scene import Scene
-from scene.geometry.pose import Pose
-from scene.storage.files import sha256_of
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.storage.files import sha256_of
 from tests.benchmark.audit.foreign import colmap, halved, nerfstudio, odm, table, tum
 
 Plant = Callable[[Scene, Path], Path]

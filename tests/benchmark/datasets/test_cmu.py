@@ -11,8 +11,8 @@ import torch
 
 from benchmark.datasets.cmu import condition, is_cmu, open_cmu
 from benchmark.datasets.open import open_datasets
-from scene.errors import InputError
-from scene.exports.cmu_names import surroundings
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports.cmu_names import surroundings
 from tests.benchmark.made_data import pose_at, write_jpeg, write_model
 
 INTRINSICS = """\

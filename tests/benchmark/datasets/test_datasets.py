@@ -9,9 +9,9 @@ import pytest
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.flight import gps_sigma
 from benchmark.datasets.open import open_datasets
-from benchmark.datasets.textfiles import read_priors
-from scene.errors import InputError
-from scene.maps.colmap_files import read_model
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.textfiles import read_priors
+from objconnect.scene.maps.colmap_files import read_model
 from tests.benchmark.made_data import (
     MAP_NAMES,
     QUERY_NAMES,

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.flight import gps_sigma, open_flight
-from benchmark.datasets.priors import Assumed, MapFrame
-from benchmark.datasets.textfiles import read_priors
-from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
-from scene.localizer import Prior
-from scene.maps.colmap_files import read_model
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.priors import Assumed, MapFrame
+from objconnect.scene.flights.textfiles import read_priors
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.localizer import Prior
+from objconnect.scene.maps.colmap_files import read_model
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 MIDDLE = np.array([3.0, -2.0, 41.0])

@@ -9,9 +9,9 @@ from benchmark.forecast.config import ForecastConfig
 from benchmark.forecast.observe import Observation
 from benchmark.forecast.outlook import seasons_of, waypoints_of
 from benchmark.forecast.report import Forecast, photographs_wanted
-from benchmark.results import Environment, Method
-from scene.geometry.geodesy import Geodetic
-from scene.localizer import Status
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.localizer import Status
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 CENTRES = np.array([(30.0 * k - 60.0, 10.0, 70.0) for k in range(5)])

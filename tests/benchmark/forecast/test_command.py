@@ -15,9 +15,9 @@ from benchmark.cli import app
 from benchmark.forecast.calibration import UNCALIBRATED
 from benchmark.forecast.config import forecast_config
 from benchmark.forecast.report import Forecast
-from benchmark.registry import create
-from scene.bundle.scene import Scene
-from scene.errors import InputError
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
 
 QUICK = ForecastConfig(

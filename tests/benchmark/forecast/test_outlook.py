@@ -11,8 +11,8 @@ from benchmark.forecast.config import ForecastConfig
 from benchmark.forecast.observe import _count
 from benchmark.forecast.outlook import geojson
 from benchmark.forecast.report import Forecast, runs, verdict_of
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic
-from scene.localizer import Status
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from objconnect.scene.localizer import Status
 from tests.benchmark.forecast.made_forecast import CENTRES, CONFIG, ORIGIN, observation, report
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from benchmark.forecast.page import MARK, page
 from benchmark.forecast.picture import draw
-from scene.storage.images import read_rgb
+from objconnect.scene.storage.images import read_rgb
 from tests.benchmark.forecast.made_forecast import report
 from tests.browser import Browser
 

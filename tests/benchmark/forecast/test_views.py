@@ -11,11 +11,11 @@ import pytest
 
 from benchmark.forecast.config import ForecastConfig
 from benchmark.forecast.views import views_config
-from benchmark.registry import create
-from scene.bundle.manifest import write_json
-from scene.bundle.scene import MANIFEST, Scene
-from scene.config import load_config
-from scene.errors import InputError
+from objconnect.methods import create
+from objconnect.scene.bundle.manifest import write_json
+from objconnect.scene.bundle.scene import MANIFEST, Scene
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import CAMERA, write_scene
 from tests.simulate.test_qgroundcontrol import PLAN

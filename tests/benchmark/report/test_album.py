@@ -20,7 +20,7 @@ from benchmark.report.album import (
     read_album,
     write_album,
 )
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import moved, pose_at
 
 

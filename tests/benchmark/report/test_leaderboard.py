@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.starts import NONE, PRIOR, Start
 from benchmark.report.leaderboard import leaderboard
-from benchmark.starts import NONE, PRIOR, Start
-from scene.errors import InputError
-from scene.localizer import Estimate, Status
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmark.basin import Size, basin
 from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.basin import Size, basin
 from benchmark.report.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.page import PICTURE_BYTES
 from benchmark.report.self_contained import embedded
-from benchmark.results import Results, rescore
-from benchmark.results_files import load
-from scene.localizer import Status
+from benchmark.results.results import Results, rescore
+from benchmark.results.results_files import load
+from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import FakeLocalizer, write_flight, write_scene
 from tests.benchmark.report.test_leaderboard import run
 from tests.browser import Browser

@@ -8,8 +8,8 @@ from PIL import Image
 
 from benchmark.datasets.open import open_datasets
 from benchmark.report.pictures import median_query, query_overlay
-from scene.errors import InputError
-from scene.localizer import Status
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import moved, pose_at, scored_query
 
 

@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from benchmark.report.view import SceneView, view
-from dense.workspace import Workspace
-from scene.bundle.frames import write_frames
-from scene.bundle.manifest import Objects, SceneObject, write_json
-from scene.bundle.object_points import objects_of_points
-from scene.bundle.scene import Scene
-from scene.bundle.supplement import SUPPLEMENT, AddedPoint, Supplement
-from scene.errors import InputError
-from scene.maps.colmap_files import read_point_ids
+from objconnect.mapping.dense.workspace import Workspace
+from objconnect.scene.bundle.frames import write_frames
+from objconnect.scene.bundle.manifest import Objects, SceneObject, write_json
+from objconnect.scene.bundle.object_points import objects_of_points
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.bundle.supplement import SUPPLEMENT, AddedPoint, Supplement
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.colmap_files import read_point_ids
 from tests.benchmark.made_data import CAMERA, write_scene
 from tests.benchmark.report.test_leaderboard import run
 from tests.browser import Browser

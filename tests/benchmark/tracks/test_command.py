@@ -10,18 +10,19 @@ import yaml
 
 from benchmark.datasets.open import open_datasets
 from benchmark.datasets.simulated import open_scene
-from benchmark.results import DatasetId, Method, Results
+from benchmark.results.results import DatasetId, Results
 from benchmark.tracks import command
 from benchmark.tracks.command import track
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import load_track
 from benchmark.tracks.renders import difference, read_render, render_of
-from scene.bundle.scene import Scene, finish_scene
-from scene.errors import InputError
+from objconnect.localization.provenance import Method
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import scored_query, write_scene
 from tests.conftest import RENDERED
-from tests.scene.exports.test_cmu import street as street  # a fixture
+from tests.objconnect.scene.exports.test_cmu import street as street  # a fixture
 
 Snapshot = dict[str, int]
 

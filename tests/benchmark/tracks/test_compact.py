@@ -13,15 +13,16 @@ from typing import Any
 import pytest
 import yaml
 
-from benchmark.query_result import QueryResult
 from benchmark.regress import regress, update
 from benchmark.report.leaderboard import leaderboard
-from benchmark.results import DatasetId, Method, Results
-from benchmark.results_files import load, method_in
-from benchmark.score import THRESHOLDS, is_correct, is_false_fix
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import DatasetId, Results
+from benchmark.results.results_files import load, method_in
+from benchmark.scoring.score import THRESHOLDS, is_correct, is_false_fix
 from benchmark.tracks.compact import compact, store, targets_of, write_compact
-from scene.errors import InputError, WriteError
-from scene.localizer import Status
+from objconnect.localization.provenance import Method
+from objconnect.scene.errors import InputError, WriteError
+from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import scored_query
 
 DIGEST = "ab" * 32

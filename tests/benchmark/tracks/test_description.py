@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.registry import LOCALIZERS
-from benchmark.starts import parse_start
+from benchmark.evaluation.starts import parse_start
 from benchmark.tracks.description import BOARD, Place, Track, load_track, write_track
-from scene.errors import InputError
+from objconnect.methods import LOCALIZERS
+from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 
 TRACKS = sorted(path.parent.name for path in BOARD.glob("*/track.yaml"))

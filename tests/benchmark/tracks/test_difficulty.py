@@ -20,13 +20,20 @@ from benchmark.tracks.difficulty import (
     measure,
     write_queries,
 )
-from scene.bundle.covisibility import write_covisibility
-from scene.bundle.frames import Frames, write_frames
-from scene.bundle.manifest import Manifest, Objects, Session, Splits, Surroundings, write_json
-from scene.bundle.scene import Scene, finish_scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
+from objconnect.scene.bundle.covisibility import write_covisibility
+from objconnect.scene.bundle.frames import Frames, write_frames
+from objconnect.scene.bundle.manifest import (
+    Manifest,
+    Objects,
+    Session,
+    Splits,
+    Surroundings,
+    write_json,
+)
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.annotations import measure_covisibility
 
 # This camera sees 40 x 30 m of flat ground from 40 m.

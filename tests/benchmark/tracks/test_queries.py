@@ -6,7 +6,7 @@ import pytest
 
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
 from benchmark.tracks.queries import read_queries
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 
 HEAD = "name,condition,flight,part,overlap,scale,angle_deg,days\n"
 ROWS = [

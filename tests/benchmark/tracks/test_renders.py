@@ -14,10 +14,10 @@ from benchmark.tracks.renders import (
     render_of,
     write_render,
 )
-from scene.bundle.scene import Scene
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.storage.images import read_rgb
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.storage.images import read_rgb
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluate import evaluate
-from benchmark.query_result import QueryResult
-from benchmark.registry import create
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.starts import parse_start
 from benchmark.report.board.runs import read_board
-from benchmark.score import THRESHOLDS, is_correct
-from benchmark.starts import parse_start
+from benchmark.results.query_result import QueryResult
+from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.command import track
 from benchmark.tracks.description import BOARD
+from objconnect.methods import create
 
 NAME = "uav-small"
 

@@ -1,4 +1,4 @@
-"""Records where PixLoc's own optimizer goes, for ``tests/baselines/align/test_official.py``.
+"""Records where PixLoc's own optimizer goes, for the test of the aligner.
 
     python -m tests.data.official.make_pixloc_optimizer CLONE
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from tests.baselines.align.official import CASES, ITERATIONS, RECORD, case
+from tests.objconnect.localization.align.official import CASES, ITERATIONS, RECORD, case
 
 
 def main(clone: str) -> None:

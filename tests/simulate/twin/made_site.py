@@ -14,9 +14,9 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import from_origin
 
-from scene.geo.crs import Projection
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
-from tests.scene.geo.made_site import _world
+from objconnect.scene.geo.crs import Projection
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from tests.objconnect.scene.geo.made_site import _world
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle.scene import Scene
-from scene.geometry.camera import Camera
-from scene.storage.images import read_rgb
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.storage.images import read_rgb
 from simulate.twin.photographs import (
     Photograph,
     colours_seen,

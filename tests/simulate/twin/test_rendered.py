@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle.scene import Scene
-from scene.checks.validate import validate
-from scene.errors import InputError
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.checks.validate import validate
+from objconnect.scene.errors import InputError
 from simulate.base_place import base_place
 from simulate.command import render_job, simulate
 from simulate.config import SimulateConfig

@@ -12,10 +12,10 @@ import rasterio
 from pydantic import ValidationError
 from rasterio.transform import from_origin
 
-from scene.errors import InputError
-from scene.geo.crs import Projection
-from scene.geo.rasters import Raster
-from scene.geometry.geodesy import geodetic_from_enu
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.crs import Projection
+from objconnect.scene.geo.rasters import Raster
+from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.look.sun import sun_position

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import rasterio  # noqa: F401  it sets variables of the environment when it is first imported
 
-from scene.bundle.manifest import Splits, write_json
-from scene.bundle.scene import Scene, finish_scene
-from scene.errors import InputError
+from objconnect.scene.bundle.manifest import Splits, write_json
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.errors import InputError
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.twin.build import build_site

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.lifting import LiftingOptions, interpolated_points
-from baselines.pnp import PnpConfig, solve_pose
-from scene.config import load_config
-from scene.errors import HDF5_DAMAGE, InputError
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
-from scene.maps.sparse_map import SparseMap
-from scene.storage.files import require_readable
-from scene.storage.hdf5 import array, group
+from objconnect.localization.matching.lifting import LiftingOptions, interpolated_points
+from objconnect.localization.matching.pnp import PnpConfig, solve_pose
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.files import require_readable
+from objconnect.scene.storage.hdf5 import array, group
 
 # hloc counts pixels from the centre of the first one, the project from its corner.
 CORNER = 0.5

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.features import map_features
-from baselines.lifting import LiftingOptions, interpolated_points
-from baselines.pnp import PnpConfig, solve_pose
-from baselines.retrieval import OnDemand, References
-from baselines.sift import Sift
-from baselines.starts import starts
-from baselines.views import WarpedImage, north_angle, warp_image
-from scene.config import load_config
-from scene.errors import InputError
-from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
-from scene.maps.sparse_map import SparseMap
-from scene.storage.images import read_rgb
+from objconnect.localization.matching.features import map_features
+from objconnect.localization.matching.lifting import LiftingOptions, interpolated_points
+from objconnect.localization.matching.pnp import PnpConfig, solve_pose
+from objconnect.localization.matching.retrieval import OnDemand, References
+from objconnect.localization.matching.sift import Sift
+from objconnect.localization.starts import starts
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import WarpedImage, north_angle, warp_image
+from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.images import read_rgb
 
 log = logging.getLogger(__name__)
 

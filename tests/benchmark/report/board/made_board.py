@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.query_result import QueryResult
-from benchmark.results import DatasetId, Method, Results
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import DatasetId, Results
 from benchmark.tracks.description import Place, Track, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
+from objconnect.localization.provenance import Method
 from tests.benchmark.made_data import scored_query
 
 CONDITIONS = ("summer-noon", "summer-dusk", "snow-dusk")

@@ -12,17 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.clustered import permutation_p
+from benchmark.evaluation.starts import NONE
 from benchmark.report.album import read_album
 from benchmark.report.board.command import BoardReport, board
 from benchmark.report.board.pictures import keep_pictures, main
-from benchmark.results_files import load
-from benchmark.score import THRESHOLDS, is_correct
-from benchmark.starts import NONE
+from benchmark.results.results_files import load
+from benchmark.scoring.clustered import permutation_p
+from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import store, targets_of
 from benchmark.tracks.description import Place, Track, load_track, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
-from scene.errors import InputError
+from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
 from tests.benchmark.report.board.made_board import write_board
 from tests.benchmark.report.test_leaderboard import run

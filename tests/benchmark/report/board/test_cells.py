@@ -5,13 +5,13 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from benchmark.query_result import QueryResult
 from benchmark.report.board.cells import Cell, bounded_recall, cells
 from benchmark.report.board.difficulty import AXES, binned
 from benchmark.report.board.runs import BoardQuery
-from benchmark.score import THRESHOLDS
+from benchmark.results.query_result import QueryResult
+from benchmark.scoring.score import THRESHOLDS
 from benchmark.tracks.difficulty import Difficulty, QueryRow
-from scene.localizer import Status
+from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import scored_query
 
 AT = THRESHOLDS[1]

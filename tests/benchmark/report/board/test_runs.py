@@ -10,12 +10,13 @@ import pytest
 from benchmark.report.board.cells import cells
 from benchmark.report.board.command import board
 from benchmark.report.board.runs import read_board, read_boards
-from benchmark.results import Method, rescore
-from benchmark.results_files import load
-from benchmark.score import THRESHOLDS
+from benchmark.results.results import rescore
+from benchmark.results.results_files import load
+from benchmark.scoring.score import THRESHOLDS
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import load_track, write_track
-from scene.errors import InputError
+from objconnect.localization.provenance import Method
+from objconnect.scene.errors import InputError
 from tests.benchmark.report.board.made_board import write_board
 
 NAME = "uav-seasons"

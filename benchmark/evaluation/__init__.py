@@ -1,0 +1,1 @@
+"""Localizers are run on data sets, and poses of other programs are scored."""

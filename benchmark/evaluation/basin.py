@@ -1,0 +1,230 @@
+"""The basin of convergence of a method: its recall against the error of the prior.
+
+Every query is localized once for each size of error. Its prior is the reference pose, shifted by
+exactly this many metres and rotated by exactly this many degrees. The directions are drawn from the
+seed and the query's name, so that they are the same for every method and for every size. The prior
+states the size of its error as its standard deviation.
+
+Methods use the prior in different ways. A refiner starts its optimization there. ``sift`` matches
+the map photographs nearest to it and, with ``use_gnss``, weighs its position in the refinement. It
+needs no starting pose, so its recall falls only where the nearest photographs no longer show the
+ground that the query shows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Final, Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from benchmark.datasets.dataset import Dataset
+from benchmark.evaluation.evaluate import require_folder
+from benchmark.evaluation.scored_query import score_query
+from benchmark.evaluation.starts import moved_prior
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import DatasetId
+from benchmark.results.results_files import BASIN, method_in
+from benchmark.scoring.score import THRESHOLDS, is_correct, wilson
+from benchmark.scoring.summary import Recall
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.bundle.manifest import read_json
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import FARTHEST_M
+from objconnect.scene.localizer import Localizer, Status
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.outputs import check_outputs
+from objconnect.scene.storage.records import Record
+from objconnect.scene.storage.scratch import cache_or_scratch
+
+_SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
+
+# A larger count in a file is damage.
+_MOST = 10**12
+Count = Annotated[int, Field(ge=0, le=_MOST)]
+
+
+class Size(NamedTuple):
+    """The error of a prior: metres of its position, degrees of its attitude."""
+
+    metres: float
+    degrees: float
+
+    def __str__(self) -> str:
+        return f"{self.metres:g}m/{self.degrees:g}deg"
+
+
+DEFAULT_SIZES: Final = tuple(
+    Size(*size) for size in ((0, 0), (1, 2), (3, 5), (8, 10), (15, 20), (30, 30))
+)
+
+
+class Level(Record):
+    """The counts of one size of error.
+
+    Attributes:
+        prior_t_m: distance of the prior's position from the camera centre, metres.
+        prior_r_deg: angle between the attitudes of the prior and the camera, degrees.
+        queries: number of queries; all of them count in the recall.
+        failed: number of queries without a pose.
+        fallback: number of queries whose pose is only the prior's; they count as wrong.
+        correct: number of correct queries by the key of a threshold, such as "0.25m_2deg".
+    """
+
+    prior_t_m: float = Field(ge=0)
+    prior_r_deg: float = Field(ge=0)
+    queries: int = Field(ge=1, le=_MOST)
+    failed: Count
+    fallback: Count
+    correct: dict[str, Count]
+
+    @model_validator(mode="after")
+    def _adds_up(self) -> Level:
+        if set(self.correct) != {threshold.key for threshold in THRESHOLDS}:
+            raise ValueError(f"thresholds are {sorted(self.correct)}")
+        if max(self.correct.values()) + self.failed + self.fallback > self.queries:
+            raise ValueError("more answers than queries")
+        return self
+
+    def recall(self, threshold: str) -> Recall:
+        """Return the percentage of correct queries with its Wilson 95 % interval."""
+        correct = self.correct[threshold]
+        low, high = wilson(correct, self.queries)
+        return Recall(value=100 * correct / self.queries, low=100 * low, high=100 * high)
+
+
+class Basin(Record):
+    """The file ``RESULTS/<dataset>/<method>.basin.json`` of one method on one data set."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    method: Method
+    dataset: DatasetId
+    seed: int
+    environment: Environment
+    levels: tuple[Level, ...] = Field(min_length=1)
+
+    def text(self) -> str:
+        """Return one line for each size of error."""
+        lines = []
+        for level in self.levels:
+            recalls = [
+                f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}] % at {threshold}"
+                for threshold in THRESHOLDS
+                for recall in [level.recall(threshold.key)]
+            ]
+            size = f"{level.prior_t_m:g} m {level.prior_r_deg:g}°"
+            lines.append(f"prior {size}: {', '.join(recalls)}, of {level.queries}")
+        return "\n".join(lines)
+
+
+def parse_sizes(text: str) -> tuple[Size, ...]:
+    """Read sizes of error, written like ``1m/2deg,3m/5deg``.
+
+    Raises:
+        InputError: the text is written otherwise, or lists a size twice or one that is too large.
+    """
+    sizes = []
+    for word in text.split(","):
+        match = _SIZE.fullmatch(word.strip())
+        if match is None:
+            raise InputError(f"errors are listed as 1m/2deg,3m/5deg; got {word.strip()!r}")
+        size = Size(float(match.group(1)), float(match.group(2)))
+        if size.metres > FARTHEST_M:
+            raise InputError(f"a position cannot be wrong by {size.metres:g} metres")
+        if size.degrees > 180:
+            raise InputError(f"an attitude cannot be wrong by {size.degrees:g} degrees")
+        if size in sizes:
+            raise InputError(f"the error {size} is listed twice")
+        sizes.append(size)
+    return tuple(sizes)
+
+
+def basin_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
+    """Return the path of the basin file of a method on a data set."""
+    return out / dataset.name / f"{localizer.name}{BASIN}"
+
+
+def basin(
+    dataset: Dataset,
+    localizer: Localizer,
+    out: Path,
+    sizes: Sequence[Size] = DEFAULT_SIZES,
+    seed: int = 0,
+    cache: Path | None = None,
+) -> Basin:
+    """Localize every query from priors with every size of error, and write the counts.
+
+    Args:
+        dataset: data set of the queries. Their own priors are not used.
+        localizer: method to run.
+        out: folder of the results.
+        sizes: sizes of the error.
+        seed: random seed of the error directions.
+        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+
+    Returns:
+        The basin that was written.
+
+    Raises:
+        InputError: the map or a photograph is missing or damaged, or ``out`` cannot be written.
+    """
+    require_folder(out)
+    target = basin_path(out, dataset, localizer)
+    check_outputs([target], within=out)
+    method_in(target)
+    sparse_map = dataset.load_map()
+    with cache_or_scratch(cache, out) as folder:
+        localizer.prepare(sparse_map, dataset.images, folder)
+    answers: list[list[QueryResult]] = [[] for _ in sizes]
+    steps = len(dataset.queries) * len(sizes)
+    with progress_bar(f"{dataset.name} {localizer.name}", steps) as advance:
+        for number, query in enumerate(dataset.queries):
+            loaded = query.load()
+            # With seed 0 the priors are the same as those of `evaluate --start error=`.
+            name = f"{seed} {query.name}" if seed else query.name
+            for level, size in enumerate(sizes):
+                prior = moved_prior(query.reference, name, *size)
+                began = perf_counter()
+                estimate = localize_safely(localizer, replace(loaded, prior=prior))
+                seconds = perf_counter() - began
+                answers[level].append(score_query(query, estimate, sparse_map, seconds))
+                advance(number * len(sizes) + level + 1)
+    result = Basin(
+        method=Method.of(localizer),
+        dataset=DatasetId.of(dataset),
+        seed=seed,
+        environment=Environment.current(),
+        levels=tuple(_level(*pair) for pair in zip(sizes, answers, strict=True)),
+    )
+    text = result.model_dump_json(indent=1, by_alias=True) + "\n"
+    write_text(target, text)
+    return result
+
+
+def load_basin(path: Path) -> Basin:
+    """Read a basin file.
+
+    Raises:
+        InputError: the file is missing, cannot be read, or has counts that contradict each other.
+    """
+    return read_json(path, Basin, "basin file")
+
+
+def _level(size: Size, answers: Sequence[QueryResult]) -> Level:
+    return Level(
+        prior_t_m=size.metres,
+        prior_r_deg=size.degrees,
+        queries=len(answers),
+        failed=sum(answer.status is Status.FAILED for answer in answers),
+        fallback=sum(answer.status is Status.FALLBACK for answer in answers),
+        correct={
+            threshold.key: sum(is_correct(answer, threshold) for answer in answers)
+            for threshold in THRESHOLDS
+        },
+    )

@@ -1,0 +1,207 @@
+"""Evaluation of one localizer on one data set."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from contextlib import closing
+from pathlib import Path
+
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.identity import changes, require_unchanged
+from benchmark.evaluation.run import Run, prepared
+from benchmark.evaluation.starts import NONE, PRIOR, Start
+from benchmark.report.album import ALBUM, ALBUM_MARK, album_parts, keep_album
+from benchmark.report.pictures import median_query, query_overlay
+from benchmark.results.query_result import QueryResult
+from benchmark.results.results import DatasetId, Results
+from benchmark.results.results_files import claim_results, load
+from objconnect.localization.pipeline.journal import Journal, journal_path
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Localizer
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.memory import peak_megabytes
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.answers import pose_of
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
+from objconnect.scene.storage.provenance import PNG_MARK
+
+log = logging.getLogger(__name__)
+
+
+# More than six parameters: they are the options of the command ``evaluate``.
+def evaluate(
+    dataset: Dataset,
+    localizer: Localizer,
+    out: Path,
+    start: Start = PRIOR,
+    cache: Path | None = None,
+    jobs: int = 1,
+    cluster: str | None = None,
+) -> Results:
+    """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
+
+    Two files are written beside it: ``<method>-query.png``, which shows the map drawn into the
+    query of median error, and ``album.h5``, which holds what the leaderboard's page shows of each
+    query. Where a method raises an exception on a query, it has failed on that query, and the run
+    goes on. Finished queries are kept in a hidden journal until the run ends, so that an
+    interrupted run goes on where it stopped. Queries that were finished on another version of the
+    data set are not reused, and a warning names what changed. If the data set changes during the
+    run, no results are written.
+
+    Args:
+        dataset: data set to run on.
+        localizer: method to run.
+        out: folder of the results.
+        start: what the method is told about each query besides its image.
+        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        jobs: number of queries at a time, in threads. Seconds per query are measured with this many
+            at work.
+        cluster: address of a cluster whose cores localize the queries instead; see
+            ``worker_pool``. Its nodes must see the data set and the cache under the same paths as
+            this process. The seconds of preparation are then those of the first worker, with its
+            own start; the peak memory is that of the largest worker.
+
+    Returns:
+        The results that were written.
+
+    Raises:
+        InputError: the map or a photograph is missing, damaged or changed during the run, ``out``
+            cannot be written, or there is no such cluster.
+    """
+    require_folder(out)
+    start = _available_start(start, dataset)
+    method = Method.of(localizer)
+    target = results_path(out, dataset, localizer)
+    claim_evaluation(dataset, localizer, out)
+    earlier = _earlier(target, DatasetId.of(dataset), method, start)
+    # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
+    run = Run(dataset, localizer, start, cache, None if cluster else out)
+    key = _key(method, dataset, start)
+    with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
+        _warn_of_changes(dataset, target, earlier, journal)
+        with (
+            prepared(run, jobs, cluster) as (seconds, localize),
+            closing(
+                localize([q for q in dataset.queries if q.name not in journal.done], journal.add)
+            ) as scored,
+            progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
+        ):
+            peak = None if cluster else peak_megabytes()
+            advance(len(journal.done))
+            for memory in scored:
+                peak = max(filter(None, (peak, memory)), default=None)
+                advance(len(journal.done))
+        try:
+            require_unchanged(dataset, run.sparse_map.names)
+        except InputError:
+            journal.done.clear()  # the queries may have been read before or after the change
+            raise
+        queries = [journal.done[query.name] for query in dataset.queries]
+        results = Results.of(method, DatasetId.of(dataset), start.name, queries, seconds, peak)
+        # The album comes before the results, so that a run interrupted here still has its journal.
+        keep_album(target.with_name(ALBUM), dataset, run.sparse_map)
+        results.write(target)
+    _draw_median(dataset, run.sparse_map, results, _picture_path(target))
+    return results
+
+
+def _earlier(target: Path, dataset: DatasetId, method: Method, start: Start) -> Results | None:
+    """Return the results that a run will replace, or None.
+
+    Log whether they are of the same data set, but of other options or another start.
+    """
+    if not target.is_file():
+        return None
+    try:
+        earlier = load(target)
+    except InputError:
+        return None  # the file holds no results
+    other = [f"start {earlier.start}"] if earlier.start != start.name else []
+    other += ["other options or weights"] if earlier.method != method else []
+    if other and earlier.dataset == dataset:
+        log.warning(
+            "%s will be replaced, which holds results of %s: choose another --out to keep both",
+            target,
+            " and ".join(other),
+        )
+    return earlier
+
+
+def _warn_of_changes(
+    dataset: Dataset, target: Path, earlier: Results | None, journal: Journal[QueryResult]
+) -> None:
+    """Log which parts of the data set changed since an earlier run on it.
+
+    The earlier run is the one of the journal, or else the one whose results are replaced.
+    """
+    path, before = journal.path, journal.dropped
+    if before is None and earlier is not None:
+        path, written = target, earlier.dataset.sha256
+        if written != dataset.sha256:
+            before = album_parts(target.with_name(ALBUM), written) or {}
+    if before is None or before == dataset.parts:
+        return
+    changed = changes(before, dataset.parts) if before else "which part was not recorded"
+    log.warning("the data set %s changed since %s was written: %s", dataset.name, path, changed)
+
+
+def require_folder(out: Path) -> None:
+    """Refuse a path for results where a file lies.
+
+    Raises:
+        InputError: ``out`` exists and is not a folder.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"cannot write results to {out}: it is not a folder")
+
+
+def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
+    """Return the path of the results of a method on a data set."""
+    return out / dataset.name / f"{localizer.name}.json"
+
+
+def _picture_path(results: Path) -> Path:
+    """Return the path of the picture of the query of median error."""
+    return results.with_name(f"{results.stem}-query.png")
+
+
+def claim_evaluation(dataset: Dataset, localizer: Localizer, out: Path) -> None:
+    """Refuse, before any work, an evaluation whose files would replace files of another command.
+
+    Raises:
+        InputError: a file would be replaced, or cannot be written.
+    """
+    target = results_path(out, dataset, localizer)
+    claim_results(target, Method.of(localizer), out)
+    picture = OutputFile(_picture_path(target), b"" if target.is_file() else PNG_MARK)
+    check_outputs([picture, OutputFile(target.with_name(ALBUM), ALBUM_MARK)], within=out)
+
+
+def _available_start(start: Start, dataset: Dataset) -> Start:
+    """Return the start, or "none" where it is "prior" and no query of the data set has a prior."""
+    if start.kind != "prior":
+        return start
+    missing = sum(query.prior is None for query in dataset.queries)
+    if missing == len(dataset.queries):
+        return NONE
+    if missing:
+        log.warning("%s: %d queries have no prior", dataset.name, missing)
+    return PRIOR
+
+
+def _key(method: Method, dataset: Dataset, start: Start) -> str:
+    """Return the digest of everything that decides the results of a run."""
+    parts = [method.model_dump_json(), dataset.sha256, start.name]
+    parts.append(Environment.current().model_dump_json())
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _draw_median(dataset: Dataset, sparse_map: SparseMap, results: Results, path: Path) -> None:
+    """Draw the query of median error; without a localized query there is no picture."""
+    chosen = median_query(results.queries)
+    if chosen is None or chosen.cam_from_world is None:
+        return
+    query = next(query for query in dataset.queries if query.name == chosen.name)
+    query_overlay(query, sparse_map, pose_of(chosen.cam_from_world), path, results.method.name)

@@ -1,0 +1,196 @@
+"""A run of a method over the queries of a data set: in threads of this process or on a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager
+from functools import cached_property, partial
+from pathlib import Path
+from threading import Event
+from time import perf_counter
+from typing import Any
+
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.evaluation.scored_query import score_query
+from benchmark.evaluation.starts import LoadQuery, Start
+from benchmark.results.query_result import QueryResult
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.methods import create, known
+from objconnect.scene.localizer import Localizer, MapPart, PreparesParts
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.cluster import WorkerPool, split_work, worker_pool
+from objconnect.scene.runtime.memory import peak_megabytes, reset_peak
+from objconnect.scene.storage.scratch import cache_or_scratch, scratch
+
+# The greatest number of queries that a worker of a cluster is handed at once.
+_MOST_QUERIES_AT_ONCE = 16
+# Photographs of the map that a worker prepares at once.
+_FEWEST_PREPARED, _MOST_PREPARED = 8, 64
+# Work without a query: a worker that is handed it only prepares the method.
+_ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
+
+Scored = tuple[QueryResult, float | None]
+"""The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
+Keep = Callable[[QueryResult], None]
+"""Keeps the result of a query. Threads call it: no signal parts an answer from its keeping."""
+Unit = Sequence[BenchmarkQuery] | MapPart
+"""What a worker of a cluster is handed: queries to localize, or a part of the map to prepare."""
+LocalizeAll = Callable[[Sequence[BenchmarkQuery], Keep], Generator[float | None, None, None]]
+
+
+class Run:
+    """A method that is prepared on the map of a data set and localizes its queries.
+
+    An unprepared run can be pickled, so that the workers of a cluster prepare one each.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        localizer: Localizer,
+        start: Start,
+        cache: Path | None,
+        scratch: Path | None,
+    ) -> None:
+        self._dataset, self._localizer = dataset, localizer
+        self._start, self._cache, self._scratch = start, cache, scratch
+        self._load: LoadQuery | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle an unprepared run.
+
+        A localizer of the registry is pickled as its name and configuration, because objects of
+        libraries inside it cannot be pickled.
+        """
+        localizer: Any = self._localizer
+        if localizer.name in known():
+            return _created_run, (
+                self._dataset, localizer.name, localizer.config.model_dump(), self._start,
+                self._cache, self._scratch,
+            )  # fmt: skip
+        return Run, (self._dataset, localizer, self._start, self._cache, self._scratch)
+
+    @cached_property
+    def sparse_map(self) -> SparseMap:
+        """Return the map of the data set."""
+        return self._dataset.load_map()
+
+    def prepare(self) -> float:
+        """Prepare the method on the map, and return the seconds that the method took."""
+        reset_peak()
+        sparse_map = self.sparse_map
+        # Files that the method opened in the folder stay open after the folder is gone.
+        with cache_or_scratch(self._cache, self._scratch) as cache:
+            began = perf_counter()
+            self._localizer.prepare(sparse_map, self._dataset.images, cache)
+            took = perf_counter() - began
+            self._load = self._start.loader(self._dataset, sparse_map, cache)
+        return took
+
+    def localize(self, query: BenchmarkQuery) -> Scored:
+        """Localize a query and score its pose."""
+        assert self._load is not None
+        loaded = self._load(query)
+        began = perf_counter()
+        estimate = localize_safely(self._localizer, loaded)
+        seconds = perf_counter() - began
+        return score_query(query, estimate, self.sparse_map, seconds), peak_megabytes()
+
+    def __call__(self, unit: Unit) -> Iterator[Scored]:
+        """Localize queries in a worker, which prepares the method before its first queries; or
+        compute what the cache is to hold of a part of the map, which yields nothing."""
+        if isinstance(unit, MapPart):
+            assert isinstance(self._localizer, PreparesParts) and self._cache is not None
+            images = self._dataset.images
+            self._localizer.prepare_part(self.sparse_map, images, self._cache, unit)
+            return
+        if self._load is None:
+            self.prepare()
+        yield from map(self.localize, unit)
+
+    @contextmanager
+    def parts(self, cores: int) -> Iterator[Sequence[MapPart]]:
+        """Divide the preparation among the cores of a cluster, where the method can be prepared in
+        parts; their files are there while the block runs, which prepares the whole."""
+        if self._cache is None or not isinstance(self._localizer, PreparesParts):
+            yield []
+            return
+        names = self.sparse_map.names
+        with scratch(self._cache) as folder:
+            some = split_work(names, cores, _FEWEST_PREPARED, _MOST_PREPARED)
+            yield [MapPart(part, folder.absolute()) for part in some]
+
+
+def _created_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> Run:
+    return Run(dataset, create(name, config), *others)
+
+
+@contextmanager
+def prepared(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, LocalizeAll]]:
+    """Prepare the method here or on a cluster.
+
+    Yields:
+        The seconds that preparing took, and a function that localizes queries in threads of this
+        process or on the cluster, keeps each result, and yields the peak memory of its process.
+    """
+    if cluster is None:
+        yield run.prepare(), lambda queries, keep: _in_threads(run, queries, jobs, keep)
+        return
+    with worker_pool(cluster, run) as workers:
+        yield _prepare_workers(run, workers), partial(_on_cluster, workers)
+
+
+def _on_cluster(
+    workers: WorkerPool[Unit, Scored],
+    queries: Sequence[BenchmarkQuery],
+    keep: Keep,
+) -> Generator[float | None, None, None]:
+    parts = split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
+    with closing(workers.map(parts)) as answers:
+        for result, memory in answers:
+            keep(result)
+            yield memory
+
+
+def _prepare_workers(run: Run, workers: WorkerPool[Unit, Scored]) -> float:
+    """Let all workers prepare the map in parts and one of them the whole, and return the seconds.
+
+    This fills the cache, which the other workers then read instead of preparing all at once.
+    """
+    began = perf_counter()
+    with run.parts(workers.cores) as parts:
+        nothing = [*workers.map(parts), *workers.map([_ONLY_PREPARE])]
+    assert not nothing
+    return perf_counter() - began
+
+
+def _in_threads(
+    run: Run, queries: Sequence[BenchmarkQuery], jobs: int, keep: Keep
+) -> Generator[float | None, None, None]:
+    """Localize queries in threads, and yield the peak memory as soon as a result is kept."""
+    failed = Event()
+
+    def localize(query: BenchmarkQuery) -> float | None:
+        if failed.is_set():
+            return None
+        try:
+            result, memory = run.localize(query)
+            keep(result)
+        except BaseException:
+            failed.set()
+            raise
+        return memory
+
+    with ThreadPoolExecutor(jobs) as pool:
+        try:
+            order = {pool.submit(localize, query): k for k, query in enumerate(queries)}
+            waiting = set(order)
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                # Of several errors at once, the one of the earliest query ends the run.
+                for future in sorted(done, key=order.__getitem__):
+                    yield future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

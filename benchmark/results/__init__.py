@@ -1,0 +1,1 @@
+"""Results of one method on one data set, and their files."""

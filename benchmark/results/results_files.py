@@ -1,0 +1,150 @@
+"""Results files: where they are, who may replace them, and whether they are whole."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+from benchmark.results.results import Results, rescore
+from benchmark.scoring.summary import PARTS
+from objconnect.localization.provenance import Method
+from objconnect.scene.bundle.manifest import read_json
+from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Status
+from objconnect.scene.storage.files import parse_json
+from objconnect.scene.storage.listing import list_files
+from objconnect.scene.storage.outputs import check_outputs, foreign_file_error
+from objconnect.scene.storage.packed import MAGIC, SUFFIX, unpack
+
+# Ending of basin files, which lie beside results but are not results; see ``evaluation.basin``.
+BASIN: Final = ".basin.json"
+
+# Ending of compact results files; see ``benchmark.tracks.compact``.
+PACKED: Final = f".json{SUFFIX}"
+
+# The first bytes of every results file and basin file, and of what a compact one holds.
+_HEADS: Final = (b'{\n "schema": 1,\n "method": {', b'{"schema":1,"method":{')
+
+# Stored and recomputed figures that differ relatively by more show that the file was changed.
+_TOLERANCE = 1e-9
+# Figures that files of earlier versions lack; they are computed when the file is read.
+_ADDED: Final = {"false_fixes"}
+
+
+def method_in(path: Path) -> Method | None:
+    """Return the method of the results file or basin file at a path.
+
+    The answer is None where there is no file, or a damaged one that this program wrote.
+
+    Raises:
+        WriteError: the file is neither of these.
+    """
+    if not path.is_file():
+        return None
+    content = path.read_bytes()
+    if content.startswith(MAGIC):
+        try:
+            content = unpack(content)
+        except ValueError:
+            return None
+    try:
+        return Method.model_validate(parse_json(content.decode())["method"])
+    except (ValueError, KeyError, TypeError):
+        if content and not content.startswith(_HEADS):
+            raise foreign_file_error(path) from None
+    return None
+
+
+def claim_results(path: Path, method: Method, out: Path) -> None:
+    """Refuse, before any work, to replace a file that is not an older version of these results.
+
+    Results of ``evaluate`` are replaced only by ``evaluate``, and those of ``score`` by ``score``.
+
+    Args:
+        path: path of the results that will be written.
+        method: their method.
+        out: folder of all results.
+
+    Raises:
+        InputError: another command wrote the file there, or ``check_outputs`` refuses
+            the path.
+    """
+    check_outputs([path], within=out)
+    before = method_in(path)
+    if before is None:
+        return
+    if before.is_external != method.is_external:
+        writer = "score" if before.is_external else "evaluate"
+        remedy = "remove it" if before.is_external else "choose another --method"
+        raise InputError(
+            f"{path} holds results that {writer} wrote: {remedy}, or choose another --out"
+        )
+
+
+def results_files(path: Path) -> list[Path]:
+    """Return the results files in a folder ``RESULTS`` or ``RESULTS/<dataset>``, or the one file.
+
+    Raises:
+        InputError: there is no results file.
+    """
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError(f"results {path} do not exist")
+    files = [
+        file
+        for file in list_files(path, (".json", SUFFIX), depth=2)
+        if file.name.lower().endswith((".json", PACKED)) and not file.name.endswith(BASIN)
+    ]
+    if not files:
+        raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
+    return files
+
+
+def load(path: Path) -> Results:
+    """Read a results file and recompute its figures.
+
+    Raises:
+        InputError: the file cannot be read or is not a results file, a query contradicts itself, or
+            the figures do not follow from the queries.
+    """
+    results = read_json(path, Results, "results file")
+    seen: set[str] = set()
+    for query in results.queries:
+        if query.name in seen:
+            raise InputError(f"results file {path}: query {query.name} is listed twice")
+        seen.add(query.name)
+        given = {query.cam_from_world is None, query.t_err_m is None, query.r_err_deg is None}
+        if given != {query.status is Status.FAILED}:
+            raise InputError(
+                f"results file {path}: query {query.name} is '{query.status}' but its pose and "
+                "errors say otherwise"
+            )
+    recomputed = rescore(results)
+    parts = {"summary", *(f"by_{part}" for part in PARTS)}
+    stored, computed = (of.model_dump(include=parts) for of in (results, recomputed))
+    for part in stored:
+        if (where := _difference(stored[part], computed[part], part)) is not None:
+            raise InputError(
+                f"results file {path}: {where} does not follow from its queries; "
+                "the file was changed after it was written"
+            )
+    return recomputed
+
+
+def _difference(stored: object, computed: object, where: str) -> str | None:
+    """Return the dotted name of the first figure that differs, or None."""
+    if isinstance(stored, dict) and isinstance(computed, dict):
+        for key in sorted(stored.keys() | computed.keys()):
+            if key in _ADDED and stored.get(key) is None:
+                continue
+            if key not in stored or key not in computed:
+                return f"{where}.{key}"
+            difference = _difference(stored[key], computed[key], f"{where}.{key}")
+            if difference is not None:
+                return difference
+        return None
+    if isinstance(stored, float) and isinstance(computed, float):
+        return None if math.isclose(stored, computed, rel_tol=_TOLERANCE) else where
+    return None if stored == computed else where

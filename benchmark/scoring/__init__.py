@@ -1,0 +1,1 @@
+"""Recall, intervals, paired tests and calibration of uncertainties."""

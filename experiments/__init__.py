@@ -1,0 +1,1 @@
+"""Scripts that measure: ours beside peers, ablations, numbers that were chosen. Not installed."""

@@ -1,0 +1,32 @@
+"""Seconds until a method is prepared on a cluster: ``python -m experiments.cluster_preparation
+SCENE [--cluster local] [--method objconnect]``, with an empty cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.run import Run, prepared
+from benchmark.evaluation.starts import PRIOR
+from objconnect.methods import create
+
+
+def main() -> None:
+    """Print the seconds by the clock."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--cluster", default="local")
+    parser.add_argument("--method", default="objconnect")
+    given = parser.parse_args()
+    (dataset,) = open_datasets(given.scene)
+    with tempfile.TemporaryDirectory() as cache:
+        run = Run(dataset, create(given.method, {}), PRIOR, Path(cache), None)
+        with prepared(run, 1, given.cluster) as (seconds, _):
+            print(f"{seconds:.1f} s for {len(run.sparse_map.names)} photographs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""How much faster two workers render than one: `python -m experiments.cluster_speed`.
+
+A Ray cluster on this machine renders the same frames with one worker of one core and with two, in
+turns, after every worker has rendered a frame. The place is built anew for every share of frames,
+as in a real run. Blender's processor seconds say how much of a core a worker had: on a machine that
+does other things too, read the second ratio, of what two workers do in a second of both cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from experiments.renderer import nadir_job
+from objconnect.scene.runtime.cluster import worker_pool
+from simulate.config import SimulateConfig
+from simulate.render.job import RenderJob
+from simulate.render.remote import divided, frame_files
+from tests.two_nodes import TwoNodes
+
+# In place of a frame's number: the processor seconds of the share that ends.
+_SPENT = -1
+
+
+class Run(NamedTuple):
+    """Seconds by the clock, and of the processor, all workers together."""
+
+    seconds: float
+    cpu: float
+
+
+def accounted(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+    """Frames of a share, then the processor seconds they took."""
+    before = _children()
+    yield from frame_files(share)
+    yield _SPENT, repr(_children() - before).encode()
+
+
+def _children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def measure(address: str, workers: int, job: RenderJob) -> Run:
+    """Render all frames of a job with all workers of a cluster."""
+    with worker_pool(address, accounted) as team:
+        assert team.cores == workers
+        first = job.model_copy(update={"poses": {0: job.poses[0]}})
+        for _ in team.map([first] * workers):
+            pass
+        began, cpu, frames = time.perf_counter(), 0.0, 0
+        for frame, data in team.map(divided(job, sorted(job.poses), workers)):
+            if frame == _SPENT:
+                cpu += float(data)
+            else:
+                frames += 1
+        assert frames == len(job.poses)
+        return Run(time.perf_counter() - began, cpu)
+
+
+def main() -> None:
+    """Print every run, then the ratios."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--area", type=float, default=160)
+    words.add_argument("--size", type=int, default=512)
+    words.add_argument("--frames", type=int, default=48)
+    words.add_argument("--turns", type=int, default=1)
+    chosen = words.parse_args()
+    wanted = {"seed": 7, "area": chosen.area, "size": chosen.size}
+    job = nadir_job(SimulateConfig.model_validate(wanted), chosen.frames)
+    nodes = TwoNodes()
+    runs: dict[int, list[Run]] = {1: [], 2: []}
+    try:
+        for _ in range(chosen.turns):
+            for workers in (1, 2):
+                nodes.have(workers)
+                run = measure(nodes.address, workers, job)
+                runs[workers].append(run)
+                print(
+                    f"{workers} workers: {run.seconds:.1f} s, {run.cpu:.1f} cpu-s, "
+                    f"{run.cpu / run.seconds / workers:.2f} of a core each",
+                    flush=True,
+                )
+    finally:
+        nodes.end()
+    one, two = (min(runs[workers]) for workers in (1, 2))
+    print(f"by the clock two workers are {one.seconds / two.seconds:.2f} times as fast as one")
+    print(f"by processor seconds, if each has a core to itself: {2 * one.cpu / two.cpu:.2f} times")
+
+
+if __name__ == "__main__":
+    main()

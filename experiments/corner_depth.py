@@ -1,0 +1,63 @@
+"""How far corners of photographs stand from the true surface of a rendered scene.
+
+``python -m experiments.corner_depth SCENE`` (a finished scene with a map and rendered depth).
+To measure another version of the code: ``PYTHONPATH=FOLDER python -P THIS_FILE SCENE``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmark.datasets.open import open_datasets
+from objconnect.localization.depth.sweep import SweepOptions
+from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions
+from objconnect.scene.bundle.scene import Scene
+
+_MOST = 2500
+
+
+def main() -> None:
+    """Print one line per photograph, and one of all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--every", type=int, default=6, help="take every so many photographs")
+    parser.add_argument("--sweep", default="{}", help="options of the sweep, as JSON")
+    given = parser.parse_args()
+    options = CornerOptions(sweep=SweepOptions.model_validate_json(given.sweep))
+    torch.set_num_threads(1)
+    scene, (dataset,) = Scene.open(given.scene), open_datasets(given.scene)
+    sparse_map = dataset.load_map()
+    find = CornerFinder(sparse_map, dataset.images, _MOST, 1024, options)
+    names = sparse_map.names[given.every // 2 :: given.every]
+    find(names[0])  # what is made once
+    off, seconds = [], []
+    for name in names:
+        began = time.process_time()
+        found = find(name)
+        seconds.append(time.process_time() - began)
+        session = name.split("/")[0]
+        with scene.dense(session) as layers:
+            depth = layers.read("depth", list(scene.frames(session).names).index(name))
+        columns, rows = found.xy.astype(int).T
+        in_camera = sparse_map.images[name].pose.transform(torch.from_numpy(found.xyz))
+        off.append(np.abs(in_camera[:, 2].numpy() - depth[rows, columns]))
+        print(f"{name}: {_summary(off[-1:], seconds[-1:])}")
+    print(f"all: {_summary(off, seconds)}")
+
+
+def _summary(off: list[np.ndarray], seconds: list[float]) -> str:
+    """Return how many corners were placed, how exactly and in what time, in words."""
+    every = np.concatenate(off)
+    return (
+        f"{len(every) / len(off):.0f} of {_MOST} corners placed, off by {np.median(every):.4f} m "
+        f"(median), {np.mean(every < 0.5):.1%} within 0.5 m, {np.mean(seconds):.3f} s"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,239 @@
+"""The eight numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+
+    python -m experiments.covariance SCENE [SCENE ...] [--method objconnect]
+        [--start error=3m,5deg] [--cache CACHE]
+
+Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
+queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_level``,
+``_level_patches``, ``_floor``, ``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most
+likely the errors, if these follow a Student distribution of eight degrees of freedom, and, with
+four times the weight, under each condition the mean of their normalised squares (NEES) and the
+share of them in the 95 % ellipsoid. Printed are the eight, and for each condition the NEES with
+them, with those that the method has now, and with the covariance as it is measured; of several
+scenes, also the NEES of each with the numbers that the others give.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Final
+from unittest.mock import patch
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit
+
+import objconnect.localization.featuremetric.attempt as attempts
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.starts import Start, parse_start
+from benchmark.scoring.uncertainty import _CHI2_95
+from objconnect.localization.align.covariance import Spread
+from objconnect.localization.featuremetric.attempt import Attempt
+from objconnect.localization.featuremetric.calibration import CovarianceNumbers, calibrated
+from objconnect.localization.featuremetric.options import SearchOptions
+from objconnect.methods import create
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Status
+from objconnect.scene.runtime.progress import progress_bar
+
+# Degrees of freedom of the errors: fewer than infinitely many, as some poses are wrong by far more.
+_TAIL: Final = 8.0
+# Mean and variance of the NEES of such errors.
+_MEAN: Final = 6.0
+_VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
+# A pose with a larger NEES counts as this in the mean of its condition: no covariance of poses that
+# are right makes up for one that is wrong by far and sure of itself.
+_SURE_AND_WRONG: Final = 100.0
+_INSIDE: Final = 0.95
+# A pose counts as inside by the logistic function of the logarithm of its NEES, with this width, as
+# a count has no slope to follow.
+_SOFT: Final = 0.05
+# Weight of means and shares of the conditions beside the likelihood, which makes covariances of
+# conditions with fewer large errors than Student's too large.
+_OF_CONDITIONS: Final = 4.0
+_RESTARTS: Final = 2
+_SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
+
+
+# Where the search for the numbers begins, as there are several minima.
+_BEGIN: Final = (
+    CovarianceNumbers(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    CovarianceNumbers(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Accepted poses, N in all.
+
+    Attributes:
+        scenes: of their queries.
+        conditions: of their queries.
+        errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
+        around: how far the poses may be off, as the alignments measure it.
+        fit: (N,) cost as a share of the cost by chance.
+        false: (N,) whether they are wrong by more than 5 m or 10 degrees.
+    """
+
+    scenes: NDArray[np.str_]
+    conditions: NDArray[np.str_]
+    errors: NDArray[np.float64]
+    around: Spread
+    fit: NDArray[np.float64]
+    false: NDArray[np.bool_]
+
+    def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
+        """Return some of the poses."""
+        rows = torch.from_numpy(which)
+        around = Spread(*(getattr(self.around, each.name)[rows] for each in fields(Spread)))
+        columns = (self.scenes, self.conditions, self.errors, self.fit, self.false)
+        scenes, conditions, errors, fit, false = (column[which] for column in columns)
+        return Answers(scenes, conditions, errors, around, fit, false)
+
+    def calibrated(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
+        """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
+        return calibrated(self.around, self.fit, numbers)
+
+    def nees(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
+        """Return the normalised errors squared (N,) with these numbers."""
+        return _nees(self.errors, self.calibrated(numbers))
+
+
+def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the normalised squares (N,) of errors (N, 6)."""
+    whitened = np.linalg.solve(covariances, errors[..., None])
+    return np.asarray((errors * whitened[..., 0]).sum(-1))
+
+
+def calibrate(answers: Answers) -> CovarianceNumbers:
+    """Return the numbers with which the covariances are right."""
+
+    def unlikeliness(logarithms: NDArray[np.float64]) -> float:
+        numbers = CovarianceNumbers(*np.exp(logarithms).tolist())
+        volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
+        nees = answers.nees(numbers)
+        tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
+        bounded, inside = np.minimum(nees, _SURE_AND_WRONG), expit(np.log(_CHI2_95 / nees) / _SOFT)
+        off = 0.0
+        for condition in np.unique(answers.conditions):
+            own = answers.conditions == condition
+            off += own.sum() * (bounded[own].mean() - _MEAN) ** 2 / (2 * _VARIANCE)
+            off += own.sum() * (inside[own].mean() - _INSIDE) ** 2 / (2 * _INSIDE * (1 - _INSIDE))
+        return float(volume + tail + _OF_CONDITIONS * off)
+
+    tried = []
+    for begin in _BEGIN:
+        at = np.log(begin)
+        for _ in range(_RESTARTS):  # the simplex of eight numbers shrinks before it is at the least
+            found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
+            at = found.x
+        tried.append(found)
+    return CovarianceNumbers(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
+
+
+def unseen_nees(answers: Answers) -> NDArray[np.float64]:
+    """Return the normalised errors squared (N,) with the numbers that the other scenes give."""
+    nees = np.empty(len(answers.scenes))
+    for scene in np.unique(answers.scenes):
+        unseen = answers.scenes == scene
+        nees[unseen] = answers[unseen].nees(calibrate(answers[~unseen]))
+    return nees
+
+
+def main() -> None:
+    """Localize the queries of all scenes, and print the numbers."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--start", default="error=3m,5deg", type=parse_start)
+    parser.add_argument("--cache", type=Path)
+    given = parser.parse_args()
+    cache = given.cache or Path(tempfile.mkdtemp())
+    answers = _together(
+        answer
+        for scene in given.scenes
+        for dataset in open_datasets(scene)
+        for answer in _answers(dataset, given.method, given.start, cache)
+    )
+    options = create(given.method, {}).config.search
+    found = calibrate(answers)
+    now = CovarianceNumbers.of(options)
+    for name, value in found._asdict().items():
+        print(f"covariance_{name} {value:.3g}")
+    _table("found", answers, answers.nees(found))
+    _table("now", answers, answers.nees(now))
+    _table("measured", answers, _nees(answers.errors, answers.around.covariance.numpy()))
+    if len(np.unique(answers.scenes)) > 1:
+        _table("found on the other scenes", answers, unseen_nees(answers))
+
+
+_Answer = tuple[str, str, Estimate, Attempt, Pose]
+"""Scene, condition, estimate, what it is of, and the true pose."""
+
+
+def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterator[_Answer]:
+    """Yield the accepted poses of a data set's queries that come from an alignment."""
+    localizer = create(method, {})
+    localizer.prepare(dataset.load_map(), dataset.images, cache)
+    load = start.loader(dataset, dataset.load_map(), cache)
+    last: list[Attempt] = []
+
+    def measured(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
+        last[:] = [attempt]
+        covariance = None if attempt.spread is None else attempt.spread.covariance[0].numpy()
+        if covariance is None or not np.isfinite(covariance).all():
+            return None
+        return attempt.view.photograph_covariance(covariance)
+
+    with (
+        patch.object(attempts, "pose_covariance", measured),
+        progress_bar(f"{dataset.name} {method}", len(dataset.queries)) as advance,
+    ):
+        for done, query in enumerate(dataset.queries, 1):
+            last.clear()
+            answer = localizer.localize(load(query))
+            if answer.status is Status.OK and answer.covariance is not None and last:
+                yield dataset.name, query.condition, answer, last[0], query.reference
+            advance(done)
+
+
+def _together(answers: Iterable[_Answer]) -> Answers:
+    scenes, conditions, errors, around, fit, false = [], [], [], [], [], []
+    for scene, condition, estimate, attempt, truth in answers:
+        assert estimate.cam_from_world is not None and attempt.spread is not None
+        assert estimate.covariance is not None
+        scenes.append(scene)
+        conditions.append(condition)
+        errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
+        of_photograph = torch.from_numpy(estimate.covariance)[None]
+        around.append(replace(attempt.spread, covariance=of_photograph))
+        fit.append(attempt.fit)
+        metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
+        false.append(metres > 5 or degrees > 10)
+    parts = [torch.cat([getattr(each, field.name) for each in around]) for field in fields(Spread)]
+    columns = (np.array(scenes), np.array(conditions), np.array(errors))
+    return Answers(*columns, Spread(*parts), np.array(fit), np.array(false))
+
+
+def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:
+    """Print the NEES of each condition and of all, as Markdown."""
+    print(f"\n| {title} | poses | mean NEES | % in the 95 % ellipsoid | false fixes |")
+    print("|---|--:|--:|--:|--:|")
+    for condition in ["all", *np.unique(answers.conditions)]:
+        chosen = (answers.conditions == condition) | (condition == "all")
+        values, false = nees[chosen], answers.false[chosen]
+        print(
+            f"| {condition} | {len(values)} | {values.mean():.1f} | "
+            f"{100 * (values <= _CHI2_95).mean():.1f} | {false.sum()} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""The network in other engines beside plain torch: ``python -m experiments.engines``.
+
+It needs ``pip install onnx onnxruntime openvino`` and prints, for each engine and number format,
+milliseconds of a pass of whole square pictures and what the process then
+holds more than before:
+
+- 512, 720: of one size, the median of some passes;
+- any: of 24 sizes between these, once each, as photographs that are turned north up have.
+
+Torch is as the localizer runs it, but for ``shown``, by which it spares what shows nothing. The
+integers of the others are those of ONNX Runtime's own quantization, whose scales are of random
+pictures: they tell what a pass costs, not what it is worth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from objconnect.learning.folding import fold
+from objconnect.learning.quantization import largest_values, quantized
+from objconnect.learning.vgg import encode
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import ObjConnectNet, read_network
+from objconnect.scene.runtime.memory import resident_bytes
+
+Pass = Callable[[NDArray[np.float32]], object]
+
+ENGINES: Final = {
+    "torch": ("float32", "bfloat16", "integers"),
+    "onnxruntime": ("float32", "integers"),
+    "openvino": ("float32", "bfloat16", "integers"),
+}
+_SIDES: Final = (512, 720)
+_REPEATS: Final = 9
+_SIZES: Final = 24
+
+
+class Whole(nn.Module):
+    """The network without what engines cannot take: maps made in parts, and on demand."""
+
+    def __init__(self, network: ObjConnectNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Return features and confidences of each level, coarse to fine."""
+        network, made = self.network, list[Tensor]()
+        strides = network.config.strides
+        *skips, maps = encode(network.encoder, image, strides[-1])
+        steps = [None, *network.decoder.children()]
+        for number, step in enumerate(steps):
+            if step is not None:
+                up = functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
+                maps = step(torch.cat([up, skips.pop()], 1))
+            if (stride := 16 >> number) in strides:
+                level = strides.index(stride)
+                made += [network.features[level](maps), network.confidence[level](maps).neg()]
+        return made
+
+
+def of_torch(numbers: str) -> Pass:
+    """Return a pass of the network as the localizer runs it."""
+    network, _ = read_network(SHIPPED)
+    fold(network, "float32" if numbers == "float32" else "bfloat16")
+    if numbers == "integers":
+        with torch.inference_mode(), torch.autocast("cpu"), largest_values(network) as largest:
+            network(torch.rand(1, 3, 256, 256))
+        scales = {name: values.clamp(min=1e-3) / 255 for name, values in largest.items()}
+        network = quantized(network, scales, network.config.strides)
+
+    @torch.inference_mode()
+    def run(picture: NDArray[np.float32]) -> object:
+        image = torch.from_numpy(picture).contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", enabled=numbers != "float32"):
+            return network(image)
+
+    return run
+
+
+def of_engine(engine: str, numbers: str, threads: int, folder: Path) -> Pass:
+    """Return a pass of the exported network in an engine."""
+    file = folder / "network.onnx"
+    network, _ = read_network(SHIPPED)
+    axes = {"image": {2: "height", 3: "width"}}
+    example = (torch.rand(1, 3, 256, 256),)
+    torch.onnx.export(
+        Whole(network), example, file, input_names=["image"], dynamic_axes=axes, dynamo=False
+    )
+    if numbers == "integers":
+        file = _in_integers(file)
+    if engine == "openvino":
+        import openvino
+
+        settings = {
+            "INFERENCE_PRECISION_HINT": "f32" if numbers == "float32" else "bf16",
+            "INFERENCE_NUM_THREADS": threads,
+            "PERFORMANCE_HINT": "LATENCY",
+        }
+        request = openvino.Core().compile_model(file, "CPU", settings).create_infer_request()
+        return lambda picture: request.infer({0: picture}, share_inputs=True, share_outputs=True)
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    return lambda picture: session.run(None, {"image": picture})
+
+
+def _in_integers(file: Path) -> Path:
+    """Quantize an exported network by the values that it has in two random pictures."""
+    from onnxruntime import quantization as onnx
+
+    pictures = [{"image": _picture(256)} for _ in range(2)]
+
+    class Reader(onnx.CalibrationDataReader):  # type: ignore[misc]
+        def get_next(self) -> dict[str, Any] | None:
+            return pictures.pop() if pictures else None
+
+    to = file.with_name("integers.onnx")
+    types = {"activation_type": onnx.QuantType.QUInt8, "weight_type": onnx.QuantType.QInt8}
+    onnx.quantize_static(file, to, Reader(), per_channel=True, **types)
+    return to
+
+
+def _picture(side: int) -> NDArray[np.float32]:
+    return np.random.default_rng(side).random((1, 3, side, side), dtype=np.float32)
+
+
+def measure(run: Pass) -> list[float]:
+    """Return milliseconds of a pass of 512 and of 720 pixels, and of any size between."""
+    sizes = np.random.default_rng(0).uniform(*_SIDES, _SIZES).astype(int) // 16 * 16
+
+    def seconds(picture: NDArray[np.float32]) -> float:
+        begin = perf_counter()
+        run(picture)
+        return perf_counter() - begin
+
+    fixed = [median([seconds(_picture(side)) for _ in range(_REPEATS)]) for side in _SIDES]
+    anew = [seconds(_picture(int(side))) for side in sizes]
+    return [1e3 * each for each in (*fixed, sum(anew) / _SIZES)]
+
+
+def main() -> None:
+    """Measure every engine in a process of its own."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--one", nargs=2, metavar=("ENGINE", "NUMBERS"))
+    given = parser.parse_args()
+    if given.one is None:
+        print(f"{'':24} {'512':>6} {'720':>6} {'any':>6} ms {'held':>6} MB")
+        for engine, formats in ENGINES.items():
+            for numbers in formats:
+                words = ["--threads", str(given.threads), "--one", engine, numbers]
+                subprocess.run([sys.executable, "-m", __spec__.name, *words], check=True)
+        return
+    torch.set_num_threads(given.threads)
+    engine, numbers = given.one
+    before = resident_bytes()
+    with tempfile.TemporaryDirectory() as folder:
+        if engine == "torch":
+            run = of_torch(numbers)
+        else:
+            run = of_engine(engine, numbers, given.threads, Path(folder))
+        cost = measure(run)
+        held = (resident_bytes() - before) / 1e6
+    print(f"{engine + ' ' + numbers:24}", *(f"{each:6.1f}" for each in cost), f"   {held:6.0f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Whose features lie on small objects: places per 1000 pixels of a map's photographs, by method.
+
+``python -m experiments.feature_density SCENE [CACHE]`` (a scene with a map and rendered
+objects; CACHE is that of an evaluation, to begin with). Counted are the places in the map's
+photographs that a method compares queries with: keypoints with a 3D point, or points aligned to.
+``objects`` is the object-connect network with all its blocks. Methods that weigh places by a
+confidence have a second line, in which each counts as much as that.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmark.datasets.open import open_datasets
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.matching.structure import StructureLocalizer
+from objconnect.mapping.dense.report import GROUPS, Groups
+from objconnect.methods import create
+from objconnect.network.localizer import SHIPPED
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.localizer import Localizer
+from objconnect.scene.maps.sparse_map import MapImage
+
+_METHODS = ("sift", "d2net", "pixloc", "objconnect", "objects")
+_KINDS = GROUPS[1:]
+_SMALL = _KINDS.index("small")
+
+
+class _Places(NamedTuple):
+    """Of a photograph: world points (N, 3), and how much each counts (N,)."""
+
+    xyz: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+def _made(method: str) -> Localizer:
+    if method == "objects":
+        return create(
+            "objconnect", {"weights": SHIPPED.with_name("objconnect-objects.safetensors")}
+        )
+    return create(method, {})
+
+
+def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
+    """All alike, then by confidence."""
+    if isinstance(localizer, StructureLocalizer):
+        xyz = localizer._lifted(row).xyz
+        yield _Places(xyz, np.ones(len(xyz)))
+    elif isinstance(localizer, FeaturemetricLocalizer):
+        seen = localizer.prepared.refine.problems.observations[row]
+        yield _Places(seen.xyz, np.ones(len(seen.xyz)))
+        yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
+
+
+def _shown(
+    image: MapImage, xyz: NDArray[np.float64], instance: NDArray[np.uint16]
+) -> NDArray[np.uint16]:
+    """Identifiers (N,) of what lies at the pixels of points."""
+    xy = image.camera.project(image.pose.transform(torch.from_numpy(xyz))).xy.numpy()
+    columns, rows = np.floor(xy).astype(int).T
+    height, width = instance.shape
+    return np.asarray(instance[rows.clip(0, height - 1), columns.clip(0, width - 1)])
+
+
+def main(path: Path, cache: Path) -> None:
+    """Print the table."""
+    scene, (dataset, *_) = Scene.open(path), open_datasets(path)
+    sparse_map = dataset.load_map()
+    groups = Groups(scene)
+    instances = {
+        image.name: layers["instance"]
+        for image, layers in scene.mapped_layers(sparse_map, "instance")
+    }
+    pixels = np.bincount(groups.of(np.stack(list(instances.values()))).ravel(), minlength=4)
+    print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
+          + "  small to all  small things with one")  # fmt: skip
+    for method in _METHODS:
+        localizer = _made(method)
+        localizer.prepare(sparse_map, dataset.images, cache)
+        totals: list[NDArray[np.float64]] = []
+        shown = met = 0
+        for row, name in enumerate(sparse_map.names):
+            image, instance = sparse_map.images[name], instances[name]
+            seen = np.unique(instance)
+            things = set(seen[groups.of(seen) == _SMALL].tolist())
+            for turn, places in enumerate(_places(localizer, row)):
+                on = _shown(image, places.xyz, instance)
+                counted = np.bincount(groups.of(on), places.weight, minlength=4)
+                if turn == len(totals):
+                    totals.append(np.zeros(4))
+                totals[turn] += counted
+                if turn == 0:
+                    shown += len(things)
+                    met += len(things.intersection(on.tolist()))
+        for turn, total in enumerate(totals):
+            each, overall = 1000 * total / pixels, 1000 * total.sum() / pixels.sum()
+            end = f"  {met / shown:.0%} of {shown}" if turn == 0 else ""
+            print(
+                f"{method + ('', ', weighed')[turn]:20s}{overall:7.2f}  "
+                + "  ".join(f"{value:7.2f}" for value in each)
+                + f"  {each[_SMALL] / overall:12.2f}{end}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        main(Path(sys.argv[1]), Path(sys.argv[2] if len(sys.argv) > 2 else folder))

@@ -1,0 +1,136 @@
+"""What a frame costs, and what costs it: `python -m experiments.frame_cost`."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from experiments.renderer import Renderer, nadir_job
+from objconnect.scene.bundle.frames import LAYERS, write_frames
+from simulate.command import _frames, _pack
+from simulate.config import SimulateConfig
+
+_FRAMES = 5
+_KINDS = ("still", "flat", "raw", "bare", "ours")
+
+
+def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
+    """Processor seconds a frame of `config`'s first session, by part: medians over frames.
+
+    All of them are rendered with some settings, so that Blender takes these in once.
+    """
+    job = nadir_job(config, _FRAMES)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "session"
+        renderer = Renderer(job, folder)
+        try:
+            spent = {}
+            for kind in _KINDS:
+                renderer.ask(kind, 0, *settings)  # takes in what differs from the kind before
+                asked = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
+                spent[kind] = float(np.median(asked))
+        finally:
+            renderer.stop()
+        poses = np.array([job.poses[k] for k in range(_FRAMES)])
+        rng = np.random.default_rng(0)
+        frames = _frames(folder.name, poses, config.photo_camera(), config.sessions[0], config, rng)
+        start = time.process_time()
+        write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
+        packing = (time.process_time() - start) / _FRAMES
+    return {
+        "taking in the scene": spent["still"],
+        "rays to the first surface": spent["flat"] - spent["still"],
+        "light and shading": spent["raw"] - spent["flat"],
+        "denoiser": spent["bare"] - spent["raw"],
+        "**the picture alone**": spent["bare"],
+        "layers": spent["ours"] - spent["bare"],
+        "packing": packing,
+        "**a frame with everything**": spent["ours"] + packing,
+    }
+
+
+def tried(
+    config: SimulateConfig, settings: Sequence[str], always: Sequence[str], paths: int
+) -> Iterator[str]:
+    """Yield a line for each setting: seconds of the picture alone, and how it differs.
+
+    Args:
+        config: of the frames.
+        settings: each may consist of several, with blanks between them.
+        always: settings of all pictures.
+        paths: per pixel of the picture to compare with, which is not denoised; 0 compares with the
+            picture without the setting.
+    """
+    job = nadir_job(config, _FRAMES)
+    with tempfile.TemporaryDirectory() as scratch:
+        renderer = Renderer(job, Path(scratch) / "session")
+
+        def picture(
+            frame: int, *setting: str, kind: str = "bare"
+        ) -> tuple[float, NDArray[np.float64]]:
+            took = renderer.ask(kind, frame, *always, *setting)[0]
+            with Image.open(renderer.rendered / "bare.png") as shown:
+                return took, np.asarray(shown.convert("RGB"), float)
+
+        rows: dict[str, list[tuple[float, float, float]]] = {}
+        try:
+            picture(0)  # takes the scene in
+            for frame in range(_FRAMES):
+                many = (f"cycles.samples={paths}", "cycles.seed=1")
+                _, usual = picture(frame, *many, kind="raw") if paths else picture(frame)
+                for setting in ("", *settings):
+                    took, other = picture(frame, *setting.split())
+                    off = other - usual
+                    row = (took, float(np.abs(off).mean()), float((off**2).mean()))
+                    rows.setdefault(setting, []).append(row)
+        finally:
+            renderer.stop()
+    for setting, found in rows.items():
+        took, off, square = np.median(found, 0)
+        psnr = (
+            "none"
+            if square == 0
+            else f"{off:.2f} grey levels, {20 * np.log10(255 / square**0.5):.1f} dB"
+        )
+        yield f"| {setting or 'as it is'} | {took:.2f} | {psnr} |"
+
+
+def main() -> None:
+    """Print the table."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--preset", default="town")
+    words.add_argument("--condition", default="summer-noon")
+    words.add_argument("--area", type=float, default=400)
+    words.add_argument("--size", type=int, default=512)
+    words.add_argument("--spp", type=int, default=4)
+    words.add_argument("--with", action="append", default=[], help="settings of all parts")
+    words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
+    words.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
+    asked = vars(words.parse_args())
+    settings, always, paths = asked.pop("try"), asked.pop("with"), asked.pop("paths")
+    session = {
+        "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
+    }  # fmt: skip
+    config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
+    if settings:
+        print("| | cpu-seconds | difference |\n|---|--:|---|")
+        for line in tried(config, settings, always, paths):
+            print(line, flush=True)
+        return
+    cost = frame_cost(config, *always)
+    print("| part of a frame | cpu-seconds |\n|---|---|")
+    for part, seconds in cost.items():
+        print(f"| {part} | {seconds:.2f} |")
+    ratio = cost["**a frame with everything**"] / cost["**the picture alone**"]
+    print(f"Everything over the picture alone: {ratio:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""What learned objects and the graph over them are worth, beside segments that nobody learned.
+
+    python -m experiments.object_ablation TRAINING_SCENE... --report SCENE... [--seeds 3]
+
+Objects are those of the detector, or the segments of SLIC, of Felzenszwalb or squares, each with
+the mean of the same detector's vectors. For each kind a graph over objects is trained, once per
+seed; and for the learned ones also one that hears of no neighbours. Printed for each: how often an
+object's likeliest landmark, or one of the likeliest five, is the right one; and how often the true
+pose (8 m, 10 degrees) is the first start, or among the first five, with nothing known but the
+camera, which is taken to look straight down.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from experiments.objects import finder_of, rank_of_right, ranks_of
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
+from objconnect.network.connect import ConnectOptions, Connector
+from objconnect.network.constellation_training import (
+    LONGEST,
+    ConstellationTraining,
+    Lesson,
+    lesson,
+    train_graph,
+)
+from objconnect.network.detector import Detections, DetectorMaps
+from objconnect.network.finder import headings_around
+from objconnect.network.landmarks import LandmarkOptions
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import ObjConnectNet, read_network
+from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.objects import centres, occupancy
+from objconnect.network.segmentation import at_level, segment
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.storage.images import read_rgb
+
+VARIANTS = [("learned", 2), ("learned", 0), ("slic", 2), ("felzenszwalb", 2), ("grid", 2)]
+# As many segments as the detector has objects at most.
+SEGMENTS = {"segments": 256, "segment_side": 24.0}
+
+
+class SegmentFinder(ObjectFinder):
+    """Finds segments of a kind, with the detector's vectors."""
+
+    def __init__(self, network: ObjConnectNet, kind: str) -> None:
+        assert network.detector is not None
+        extract = MapExtractor(network, LONGEST, "float32")
+        super().__init__(extract, network.detector, LandmarkOptions())
+        self._stride = network.detector.config.stride
+        self._config = ObjConnectNetConfig.model_validate({"segmentation": kind, **SEGMENTS})
+
+    def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
+        """See ``ObjectFinder``."""
+        image = torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
+        labels = at_level(segment(image, self._config), image, maps.centre, self._stride)
+        objects = occupancy(labels, self._config.segments)
+        there = objects.present[0]
+        rows = maps.vector.permute(0, 2, 3, 1).flatten(1, 2)
+        side = objects.area[0, there].sqrt() * self._stride
+        return Detections(
+            centres(objects)[0, there] * self._stride,
+            torch.ones_like(side),
+            side,
+            torch.zeros_like(side),
+            torch.nn.functional.normalize(objects.mean(rows)[0, there], dim=1),
+        )
+
+
+def main() -> None:
+    """Run the ablation and print a line for each variant and seed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--report", type=Path, nargs="+", required=True)
+    parser.add_argument("--weights", type=Path, default=SHIPPED)
+    parser.add_argument("--session", default="nadir", help="queries to ask")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--kinds", nargs="+", default=["learned", "slic", "felzenszwalb", "grid"])
+    given = parser.parse_args()
+    network, _ = read_network(given.weights)
+    for kind in given.kinds:
+        finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
+        same_m = ConstellationTraining().same_m
+        taught = [lesson(Scene.open(path), finder, same_m) for path in given.scenes]
+        scenes = [Scene.open(path) for path in given.report]
+        asked = [lesson(scene, finder, same_m) for scene in scenes]
+        for layers in (each for name, each in VARIANTS if name == kind):
+            for seed in range(given.seeds):
+                assert network.detector is not None
+                config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
+                graph = train_graph(taught, config, ConstellationTraining(seed=seed)).eval()
+                ranks = np.concatenate([ranks_of(graph, of, given.session) for of in asked])
+                starts = [
+                    rank
+                    for scene, of in zip(scenes, asked, strict=True)
+                    for rank in _starts(finder, graph, scene, of, given.session)
+                ]
+                total, place = ranks[:, 0].sum(), np.array(starts)
+                print(
+                    f"{kind}, {layers} layers, seed {seed}: top-1 {ranks[:, 1].sum() / total:.3f}, "
+                    f"top-5 {ranks[:, 2].sum() / total:.3f} of {total} objects; start first "
+                    f"{(place == 0).sum()}, among five {(place < 5).sum()} of {len(place)}",
+                    flush=True,
+                )
+
+
+def _starts(
+    finder: ObjectFinder,
+    graph: torch.nn.Module,
+    scene: Scene,
+    of: Lesson,
+    session: str,
+) -> Sequence[int]:
+    """Return the rank of the first right start of each query, 99 for none."""
+    sparse_map = scene.sparse_map()
+    connect = Connector(graph, of.landmarks, map_ground(sparse_map), ConnectOptions())  # type: ignore[arg-type]
+    heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
+    frames, ranks = scene.frames(session), []
+    for row, name in enumerate(frames.names):
+        camera, true = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
+        found = finder(read_rgb(scene.images_root / name), camera)
+        places = connect(found, camera, *headings_around(None, heights))
+        ranks.append(rank_of_right(places, true))
+    return ranks
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Learned objects of a map's photograph and of a query, and which are the same, as one picture.
+
+    python -m experiments.object_figure SCENE SESSION OUT.jpg [ROW]
+
+The query, the ROWth of a session whose camera looks down, is told nothing but its camera. Its place
+is found by its objects alone. Objects that then lie on one landmark of the map have one colour in
+both pictures; white outlines have no landmark there. The map's photograph is the one that sees most
+of the same ground.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.connect import ConnectOptions, Connector
+from objconnect.network.constellation_training import LONGEST
+from objconnect.network.finder import headings_around
+from objconnect.network.landmarks import LandmarkOptions, merged, on_ground
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import ObjConnectNet, read_network
+from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.storage.images import read_rgb
+
+SAME_M = 3.0
+
+
+@torch.inference_mode()
+def main(path: Path, session: str, out: Path, row: int = 0) -> None:
+    """Draw it."""
+    network, _ = read_network(SHIPPED)
+    assert network.detector is not None and network.constellation is not None
+    extract, options = MapExtractor(network, LONGEST, "float32"), LandmarkOptions()
+    finder = ObjectFinder(extract, network.detector, options)
+    scene = Scene.open(path)
+    sparse_map, frames = scene.sparse_map(), scene.frames(session)
+    ground = map_ground(sparse_map)
+    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)
+    name, camera = frames.names[row], frames.cameras[row]
+    rgb = read_rgb(scene.images_root / name)
+    found = finder(rgb, camera)
+    heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
+    connect = Connector(network.constellation, landmarks, ground, ConnectOptions())
+    place = connect(found, camera, *headings_around(None, heights))[0]
+    true = Pose.from_matrix(frames.cam_from_world[row])
+    apart = float(torch.linalg.norm(place.pose.centre() - true.centre()))
+    placed = on_ground(found, camera, place.pose, ground).xyz
+    away = np.linalg.norm(placed[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
+    away = np.where(np.isfinite(away), away, np.inf)
+    nearest = away.argmin(1)
+    mutual = away.argmin(0)[nearest] == np.arange(len(away))
+    same = np.where(mutual & (away.min(1) < SAME_M), nearest, -1)
+
+    overlap = scene.covisibility.of([name, *scene.splits.map]).mutual[0, 1:]
+    mapped = scene.splits.map[int(overlap.argmax())]
+    mine = np.array([each == mapped for each in tracks.name])
+    figure = Figure(figsize=(14, 7), dpi=80, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    of_map = read_rgb(scene.images_root / mapped)
+    shared = set(same.tolist()) & set(tracks.landmark[mine].tolist())
+    _draw(left, network, of_map, tracks.xy[mine], tracks.landmark[mine], shared)
+    _draw(right, network, rgb, found.xy.numpy(), same, shared)
+    left.set_title(f"a photograph of the map, {scene.sessions[mapped.split('/')[0]].condition}")
+    right.set_title(
+        f"a query, {scene.sessions[session].condition}, placed by its objects "
+        f"{apart:.1f} m from the truth:\n"
+        f"{(same >= 0).sum()} of its {len(same)} objects lie on landmarks of the map"
+    )
+    figure.canvas.draw()  # type: ignore[no-untyped-call]
+    figure.savefig(out.with_suffix(".png"))
+    Image.open(out.with_suffix(".png")).convert("RGB").save(out, quality=88)
+    out.with_suffix(".png").unlink()
+
+
+def _draw(
+    axis: Axes,
+    network: ObjConnectNet,
+    rgb: NDArray[np.uint8],
+    xy: NDArray[np.float64],
+    landmark: NDArray[np.int64],
+    shared: set[int],
+) -> None:
+    """Draw outlines of learned objects, and centres coloured by their landmark."""
+    image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
+    labels = network.learned_segments(image)[0].numpy()
+    axis.imshow(rgb)
+    height, width = rgb.shape[:2]
+    rows, columns = (np.linspace(0, n, k) for n, k in zip(rgb.shape, labels.shape, strict=False))
+    for number in range(int(labels.max()) + 1):
+        axis.contour(columns, rows, labels == number, levels=[0.5], colors="white", linewidths=0.8)
+    for place, own in zip(xy, landmark.tolist(), strict=True):
+        if own in shared:
+            colour = colormaps["hsv"]((own * 0.618034) % 1)
+            axis.plot(*place, "o", markersize=9, markerfacecolor="none", markeredgecolor=colour,
+                      markeredgewidth=2.5)  # fmt: skip
+    axis.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), *map(int, sys.argv[4:]))

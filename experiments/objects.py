@@ -1,0 +1,356 @@
+"""How well learned objects repeat and connect: summer's map against the queries of a scene.
+
+    python -m experiments.objects segments SCENE... [--weights FILE]
+    python -m experiments.objects matching TRAINING_SCENE... --report SCENE... [--seeds 3]
+    python -m experiments.objects starts SCENE... [--weights FILE]
+
+``segments``: how well the segments of a map photograph are found again in the query that sees most
+of its ground: the mean intersection over union with the best segment there, beside SLIC,
+Felzenszwalb, squares and the true objects; and the share of objects under 3 m found in both.
+``matching``: graphs with and without neighbours are trained on scenes and asked, on others, which
+landmark each object is. ``starts``: whether the true pose (8 m, 10 degrees) is the first, or among
+the first five, with nothing known but the camera, which is taken to look straight down.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.learning.training.instances import LARGEST_M, LINES
+from objconnect.localization.coarse.search import Candidate
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
+from objconnect.network.connect import ConnectOptions, Connector, described_landmarks
+from objconnect.network.constellation_training import (
+    LONGEST,
+    ConstellationTraining,
+    Lesson,
+    describe_query,
+    lesson,
+    train_graph,
+)
+from objconnect.network.finder import headings_around
+from objconnect.network.landmarks import LandmarkOptions
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import ObjConnectNet, read_network
+from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.segmentation import at_pixels, segment
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.storage.images import read_rgb
+
+SAME_DEPTH = 0.02
+# An object is found where a centre lies within half its side, or this many pixels.
+NEAR_PX = 4.0
+FOUND_M = 2.0
+
+
+def main() -> None:
+    """Run the measurement that was asked for, and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("segments", "matching", "starts"))
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--report", type=Path, nargs="+", default=[])
+    parser.add_argument("--weights", type=Path, default=SHIPPED)
+    parser.add_argument("--session", default="nadir", help="queries to ask")
+    parser.add_argument("--seeds", type=int, default=3)
+    given = parser.parse_args()
+    network, _ = read_network(given.weights)
+    scenes = [Scene.open(path) for path in given.scenes]
+    if given.what == "segments":
+        segments(network, scenes, given.session)
+    elif given.what == "matching":
+        report = [Scene.open(path) for path in given.report]
+        matching(network, scenes, report, given.session, given.seeds)
+    else:
+        starts(network, scenes, given.session)
+
+
+def finder_of(network: ObjConnectNet) -> ObjectFinder:
+    """Return what finds objects with a network."""
+    assert network.detector is not None, "these weights have no detector"
+    extract = MapExtractor(network, LONGEST, "float32")
+    return ObjectFinder(extract, network.detector, LandmarkOptions())
+
+
+# ---- segments
+
+
+def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
+    """Print how well segments repeat, and how many small things are found in both seasons."""
+    kinds: dict[str, list[float]] = {}
+    sizes: dict[str, list[bool]] = {}
+    for scene in scenes:
+        names = scene.splits.queries[session]
+        overlap = scene.covisibility.of([*names, *scene.splits.map]).mutual
+        for row, query in enumerate(names):
+            column = int(overlap[row, len(names) :].argmax())
+            pair = (scene.splits.map[column], query)
+            labels = {kind: [find(network, scene, name) for name in pair] for kind, find in KINDS}
+            a, b, shape = common_pixels(scene, *pair)
+            for kind, (first, second) in labels.items():
+                image = torch.zeros(1, 3, *shape)
+                in_a = at_pixels(first[None], image, a[None])[0].numpy()
+                in_b = at_pixels(second[None], image, b[None])[0].numpy()
+                kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
+            for size, found in found_in_both(network, scene, *pair):
+                sizes.setdefault(size, []).append(found)
+    for kind, values in kinds.items():
+        print(f"{kind}: mean IoU {np.mean(values):.3f} of {len(values)} segments")
+    for size, found_of in sizes.items():
+        print(f"{size}: {np.mean(found_of):.3f} of {len(found_of)} objects found in both")
+
+
+def best_overlaps(
+    in_a: NDArray[np.int64], in_b: NDArray[np.int64], least: int = 12
+) -> NDArray[np.float64]:
+    """Return, for each segment of image a, its intersection over union with the best one of b.
+
+    Args:
+        in_a: (P,) segment of each common pixel in image a, negative for none.
+        in_b: (P,) the same in image b. Pixels of a segment that are none there count as missed.
+        least: segments with fewer common pixels are left out.
+    """
+    names_a, a = np.unique(np.where(in_a < 0, -1, in_a), return_inverse=True)
+    names_b, b = np.unique(np.where(in_b < 0, -1, in_b), return_inverse=True)
+    shared = np.zeros((len(names_a), len(names_b)))
+    np.add.at(shared, (a, b), 1)
+    either = shared.sum(1, keepdims=True) + shared.sum(0) - shared
+    overlap = np.where(names_b[None] >= 0, shared / either, 0.0)
+    counted = (names_a >= 0) & (shared.sum(1) >= least)
+    return np.asarray(overlap.max(1)[counted])
+
+
+def _frame(scene: Scene, name: str) -> tuple[str, int]:
+    """Return the session and the row of a photograph."""
+    session = name.split("/")[0]
+    return session, scene.frames(session).names.index(name)
+
+
+def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, tuple[int, int]]:
+    """Return pixels (P, 2) of a frame and those of another that show the same places."""
+    (session_a, row_a), (session_b, row_b) = _frame(scene, one), _frame(scene, other)
+    frames_a, frames_b = scene.frames(session_a), scene.frames(session_b)
+    with scene.dense(session_a) as dense:
+        depth_a = dense.read("depth", row_a)
+    with scene.dense(session_b) as dense:
+        depth_b = dense.read("depth", row_b)
+    camera = frames_a.cameras[row_a]
+    y, x = np.mgrid[0 : camera.height : 2, 0 : camera.width : 2]
+    xy = torch.from_numpy(np.stack([x.ravel(), y.ravel()], -1) + 0.5)
+    rays, _ = camera.unproject(xy)
+    rays = rays.double() / rays[:, 2:]
+    points = rays * torch.from_numpy(depth_a[y.ravel(), x.ravel()].astype(np.float64))[:, None]
+    b_from_a = frames_b.cam_from_world[row_b] @ np.linalg.inv(frames_a.cam_from_world[row_a])
+    in_b = Pose.from_matrix(b_from_a).transform(points)
+    camera_b = frames_b.cameras[row_b]
+    projected = camera_b.project(in_b)
+    there = projected.valid & camera_b.contains(projected.xy)
+    column, row = projected.xy[there].long().T
+    seen = torch.from_numpy(depth_b)[row, column]
+    same = (seen - in_b[there, 2]).abs() < SAME_DEPTH * in_b[there, 2]
+    return xy[there][same], projected.xy[there][same], (camera.height, camera.width)
+
+
+def learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
+    """Return the label map of the detector."""
+    with torch.inference_mode():
+        return network.learned_segments(_picture(scene, name))[0]
+
+
+def true_objects(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
+    """Return the true label map."""
+    session, row = _frame(scene, name)
+    with scene.dense(session) as dense:
+        ids = dense.read("instance", row).astype(np.int64)
+    centred = [item.id for item in scene.objects.objects if _has_centre(item.class_name, item.size)]
+    number = np.full(int(max(ids.max(), *centred)) + 1, -1)
+    number[centred] = np.arange(len(centred))
+    return torch.from_numpy(number[ids])
+
+
+def _has_centre(class_name: str, size: tuple[float, float, float]) -> bool:
+    return class_name not in LINES and max(size[:2]) <= LARGEST_M
+
+
+def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
+    def find(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
+        config = ObjConnectNetConfig(segmentation=kind)
+        return segment(_picture(scene, name), config)[0]
+
+    return find
+
+
+KINDS = [
+    ("learned", learned),
+    ("slic", _without_learning("slic")),
+    ("felzenszwalb", _without_learning("felzenszwalb")),
+    ("squares", _without_learning("grid")),
+    ("true objects", true_objects),
+]
+
+
+def _picture(scene: Scene, name: str) -> Tensor:
+    rgb = read_rgb(scene.images_root / name)
+    return torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None] / 255
+
+
+def found_in_both(
+    network: ObjConnectNet, scene: Scene, one: str, other: str
+) -> list[tuple[str, bool]]:
+    """Return the size class of each object that both frames show, and whether both find it."""
+    by_id = {item.id: item for item in scene.objects.objects}
+    finder, seen = finder_of(network), []
+    for name in (one, other):
+        session, row = _frame(scene, name)
+        frames = scene.frames(session)
+        with scene.dense(session) as dense:
+            ids, count = np.unique(dense.read("instance", row), return_counts=True)
+        camera, pose = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
+        found = finder(read_rgb(scene.images_root / name), camera).xy.numpy()
+        shown = {}
+        for number in ids[count >= 12].tolist():
+            item = by_id.get(number)
+            if item is None or not _has_centre(item.class_name, item.size):
+                continue
+            middle = pose.transform(torch.tensor([item.centre], dtype=torch.float64))
+            xy = camera.project(middle)
+            if bool(xy.valid) and bool(camera.contains(xy.xy)):
+                side = max(item.size[:2]) * float(np.mean(camera.focal)) / float(middle[0, 2])
+                away = np.linalg.norm(found - xy.xy.numpy(), axis=1).min(initial=np.inf)
+                shown[number] = bool(away <= max(NEAR_PX, side / 2))
+        seen.append(shown)
+    both = sorted(set(seen[0]) & set(seen[1]))
+    return [(by_id[n].size_class, seen[0][n] and seen[1][n]) for n in both]
+
+
+# ---- matching
+
+
+def lessons_of(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[Lesson]:
+    """Find the objects of scenes."""
+    finder, same_m = finder_of(network), ConstellationTraining().same_m
+    return [lesson(scene, finder, same_m) for scene in scenes]
+
+
+def matching(
+    network: ObjConnectNet,
+    scenes: Sequence[Scene],
+    report: Sequence[Scene],
+    session: str,
+    seeds: int,
+) -> None:
+    """Print top-1 and top-5 of objects with and without neighbours, seed by seed, paired."""
+    assert network.detector is not None
+    taught, asked = lessons_of(network, scenes), lessons_of(network, report)
+    for seed in range(seeds):
+        shares = {}
+        for layers in (0, 2):
+            config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
+            graph = train_graph(taught, config, ConstellationTraining(seed=seed))
+            ranks = np.concatenate([ranks_of(graph, of, session) for of in asked])
+            shares[layers] = ranks
+        without, with_ = shares[0], shares[2]
+        for layers, ranks in shares.items():
+            total = ranks[:, 0].sum()
+            print(
+                f"seed {seed}, {layers} layers: top-1 {ranks[:, 1].sum() / total:.3f}, "
+                f"top-5 {ranks[:, 2].sum() / total:.3f} of {total} objects, {len(ranks)} queries"
+            )
+        print(f"seed {seed}: p = {paired_p(with_[:, 1] - without[:, 1]):.2g} over queries")
+
+
+def ranks_of(graph: torch.nn.Module, of: Lesson, session: str) -> NDArray[np.int64]:
+    """Return, for each query, its known objects, and how many come first or in the first 5."""
+    rows = []
+    with torch.inference_mode():
+        theirs = described_landmarks(graph, of.landmarks)  # type: ignore[arg-type]
+        for query in of.queries:
+            known = query.landmark >= 0
+            if query.session != session or not known.any():
+                continue
+            own = describe_query(graph, query, np.arange(len(query.laid)))  # type: ignore[arg-type]
+            best = (own @ theirs.T).topk(5, 1).indices.numpy()
+            away = of.landmarks.xyz[best][..., :2] - query.xyz[:, None, :2]
+            hit = (np.linalg.norm(away, axis=-1) < FOUND_M)[known]
+            rows.append((known.sum(), hit[:, 0].sum(), hit.any(1).sum()))
+    return np.array(rows, np.int64).reshape(-1, 3)
+
+
+def paired_p(differences: NDArray[np.int64], rounds: int = 20_000) -> float:
+    """Return the one-sided p value of a paired permutation test that the mean is above zero."""
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1, 1], (rounds, len(differences)))
+    return float(((signs * differences).mean(1) >= differences.mean()).sum() + 1) / (rounds + 1)
+
+
+# ---- starts
+
+
+def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
+    """Print how often the true pose is found by objects alone, how fast, and the map's size."""
+    assert network.constellation is not None, "these weights have no graph over objects"
+    finder = finder_of(network)
+    ranks: list[int] = []
+    seconds: list[float] = []
+    for scene in scenes:
+        sparse_map = scene.sparse_map()
+        landmarks = finder.landmarks(sparse_map, scene.images_root)
+        ground = map_ground(sparse_map)
+        connect = Connector(network.constellation, landmarks, ground, ConnectOptions())
+        heights = [sparse_map.height_above(c) for c in sparse_map.centres]
+        rows, columns = ground.shape
+        megabytes = landmarks_bytes(landmarks) / 1e6
+        area = rows * columns * ground.cell**2 / 1e6
+        frames = scene.frames(session)
+        here = []
+        for row, name in enumerate(frames.names):
+            began = time.perf_counter()
+            rgb, camera = read_rgb(scene.images_root / name), frames.cameras[row]
+            found = connect(finder(rgb, camera), camera, *headings_around(None, heights))
+            seconds.append(time.perf_counter() - began)
+            true = Pose.from_matrix(frames.cam_from_world[row])
+            here.append(rank_of_right(found, true))
+        ranks += here
+        print(
+            f"{scene.name}: first {np.mean(np.array(here) == 0):.3f}, among five "
+            f"{np.mean(np.array(here) < 5):.3f}; {len(landmarks)} landmarks, "
+            f"{megabytes / area:.2f} MB per square km",
+            flush=True,
+        )
+    all_ranks = np.array(ranks)
+    print(
+        f"all: {(all_ranks == 0).sum()} first and {(all_ranks < 5).sum()} among five of "
+        f"{len(ranks)}; {np.median(seconds):.2f} s a query (median)"
+    )
+
+
+def landmarks_bytes(landmarks: object) -> int:
+    """Return the bytes that landmarks take as they are written."""
+    arrays = [value for value in vars(landmarks).values() if isinstance(value, np.ndarray)]
+    return sum(a.nbytes // 2 if a.dtype == np.float32 else a.nbytes for a in arrays)
+
+
+def rank_of_right(places: Sequence[Candidate], true: Pose) -> int:
+    """Return the rank of the first right start, from 0 on; 99 for none."""
+    right = [is_right(place.pose, true) for place in places]
+    return right.index(True) if True in right else 99
+
+
+def is_right(pose: Pose, true: Pose) -> bool:
+    """Return whether a start is within 8 m, 10 degrees of the truth."""
+    apart = float(torch.linalg.norm(pose.centre() - true.centre()))
+    trace = float((pose.rotation @ true.rotation.T).trace())
+    return apart < 8 and np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))) < 10
+
+
+if __name__ == "__main__":
+    main()

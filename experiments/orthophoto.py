@@ -1,0 +1,62 @@
+"""A scene's queries in the map of an orthophoto, as a scene of its own that ``evaluate`` reads.
+
+    python -m experiments.orthophoto SCENE ORTHOPHOTO DSM --out OUT [--tilt DEGREES]
+        [--altitude METRES] [--overlap SHARE]
+
+The world of the new scene is that of SCENE, so that the queries keep their reference poses. The
+queries, their photographs and their frames are links to those of SCENE.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+
+from objconnect.ingest.virtual.command import photograph_orthophoto
+from objconnect.ingest.virtual.options import ViewOptions
+from objconnect.mapping.build import build_map
+from objconnect.scene.bundle.manifest import Splits, write_json
+from objconnect.scene.bundle.scene import Scene, finish_scene
+
+
+def main() -> None:
+    """Photograph the orthophoto, build the map, and add the queries."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("orthophoto", type=Path)
+    parser.add_argument("dsm", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    for name in ("tilt", "altitude", "overlap"):
+        parser.add_argument(f"--{name}", type=float)
+    given = parser.parse_args()
+    views = {name: getattr(given, name) for name in ("tilt", "altitude", "overlap")}
+    options = ViewOptions.model_validate({k: v for k, v in views.items() if v is not None})
+    scene = Scene.open(given.scene)
+    report = photograph_orthophoto(
+        given.orthophoto, given.dsm, given.out, options=options, origin=scene.manifest.origin
+    )
+    print(report.text())
+    print(build_map(given.out).text())
+    add_queries(given.out, scene)
+
+
+def add_queries(path: Path, scene: Scene) -> None:
+    """Add the sessions of queries of another scene, whose world is the same."""
+    made = Scene.open(path)
+    queries = scene.splits.queries
+    for session in queries:
+        shutil.copytree(
+            scene.images_root / session, made.images_root / session, copy_function=_link
+        )
+    write_json(path / "splits.json", Splits(map=made.splits.map, queries=queries))
+    sessions = {**made.sessions, **{name: scene.sessions[name] for name in queries}}
+    finish_scene(path, made.manifest.model_copy(update={"sessions": sessions}))
+
+
+def _link(source: str, target: str) -> None:
+    Path(target).symlink_to(Path(source).resolve())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""What a query costs pixloc, objconnect and the code of PixLoc's authors: seconds and memory.
+
+``python -m experiments.pixloc_cost [--checkout CHECKOUT] [--scene SCENE --queries 8]`` runs
+each in processes of its own, with one thread and with two, on the same photographs, cameras and
+starts: over made ground 20 m below, or for queries spread over those of a scene that were taken in
+another condition than the map, with starts wrong by 3 m and 5 degrees. CHECKOUT is
+github.com/cvg/pixloc at commit 65a51a7; omegaconf and tqdm must be importable. The methods:
+
+- pixloc, objconnect: as shipped, everything at its default;
+- full: pixloc with the authors' network at full width (untrained), as many iterations as theirs;
+- authors: their code with the same weights, and as many observations of points as ours.
+
+Everything a query takes is counted, preparing the map is not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from time import perf_counter, process_time
+from types import SimpleNamespace
+from typing import Final
+
+import numpy as np
+import torch
+from PIL import Image
+
+from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.starts import moved_prior
+from objconnect.learning.checkpoint import write_weights
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.network.localizer import ObjConnectConfig, ObjConnectLocalizer
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Prior, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.memory import peak_megabytes, reset_peak
+from tests.baselines.pixloc import official
+from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
+
+CAMERA: Final = Camera("PINHOLE", 512, 512, (440.0, 440.0, 256.0, 256.0))
+TRUTH: Final = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
+START: Final = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+METHODS: Final = ("pixloc", "objconnect", "full", "authors")
+_ITERATIONS: Final = 100
+_RUNS: Final = 2
+
+Run = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A map, and a query of the same camera over it.
+
+    Attributes:
+        images: folder of all photographs.
+        sparse_map: the map.
+        queries: to localize, with position and attitude.
+        kept: folder where methods keep what they know of the map.
+    """
+
+    images: Path
+    sparse_map: SparseMap
+    queries: tuple[Query, ...]
+    kept: Path
+
+    @staticmethod
+    def write(folder: Path) -> Ground:
+        """Smooth ground, with the photographs in a folder."""
+        images = folder / "images"
+        sparse_map = write_map(images, CAMERA)
+        image = photograph(TRUTH, CAMERA)
+        Image.fromarray(image).save(images / "query.png")
+        prior = Prior(START.centre().numpy(), None, START.rotation.numpy(), None)
+        return Ground(images, sparse_map, (Query("query.png", image, CAMERA, prior),), folder)
+
+    @staticmethod
+    def of_scene(scene: Path, count: int, kept: Path) -> Ground:
+        """Queries of other conditions than the map's, as far apart as their list allows.
+
+        Of the map the ten photographs nearest to each: more are not looked at, and need not be
+        prepared.
+        """
+        dataset = open_datasets(scene)[0]
+        others = [q for q in dataset.queries if q.condition not in dataset.map_conditions]
+        chosen = [others[k] for k in np.linspace(0, len(others) - 1, count).astype(int)]
+        priors = [moved_prior(q.reference, q.name, 3.0, 5.0) for q in chosen]
+        queries = tuple(q.load(prior) for q, prior in zip(chosen, priors, strict=True))
+        whole = Ground(dataset.images, dataset.load_map(), queries, kept)
+        near = {name for query in queries for name in whole.nearest(query, 10)}
+        some = {name: whole.sparse_map.images[name] for name in sorted(near)}
+        return replace(whole, sparse_map=replace(whole.sparse_map, images=some))
+
+    def nearest(self, query: Query, count: int) -> list[str]:
+        """The photographs nearest to where a query starts."""
+        there = start_of(query).centre()
+
+        def away(name: str) -> float:
+            return float((self.sparse_map.images[name].pose.centre() - there).norm())
+
+        return sorted(self.sparse_map.images, key=away)[:count]
+
+    def references(self, query: Query) -> list[str]:
+        """As many of them as a query of pixloc has."""
+        return self.nearest(query, PixlocConfig().references)
+
+
+def start_of(query: Query) -> Pose:
+    """Where methods begin."""
+    prior = query.prior
+    assert prior is not None and prior.cam_from_world_rotation is not None
+    rotation = torch.from_numpy(prior.cam_from_world_rotation)
+    return Pose(rotation, -rotation @ torch.from_numpy(prior.position))
+
+
+def made(method: str, ground: Ground) -> Run:
+    """A method as a function that localizes every query once."""
+    if method == "authors":
+        return _authors(ground)
+    localizer: FeaturemetricLocalizer
+    if method == "pixloc":
+        localizer = PixlocLocalizer(PixlocConfig())
+    elif method == "objconnect":
+        localizer = ObjConnectLocalizer(ObjConnectConfig())
+    else:
+        path, network = ground.kept / "full.safetensors", official.ours()
+        write_weights(path, network, network.config.model_dump())
+        localizer = PixlocLocalizer(PixlocConfig(weights=path, iterations=_ITERATIONS))
+    localizer.prepare(ground.sparse_map, ground.images, ground.kept)
+
+    def run() -> object:
+        estimates = [localizer.localize(query) for query in ground.queries]
+        assert all(each.status is not Status.FAILED and each.iterations > 0 for each in estimates)
+        return estimates
+
+    return run
+
+
+def lower_bound(ground: Ground) -> Run:
+    """What the authors' code does before it aligns anything: the network, in float32 and
+    contiguous, on each query and on its references."""
+    network = official.ours().to(memory_format=torch.contiguous_format)
+
+    @torch.inference_mode()
+    def run() -> object:
+        for query in ground.queries:
+            image = torch.from_numpy(query.image).permute(2, 0, 1)[None].float().contiguous() / 255
+            for _ in range(1 + len(ground.references(query))):
+                network(image)
+        return None
+
+    return run
+
+
+def _authors(ground: Ground) -> Run:
+    """What ``run_CMU.py`` does with queries, their references chosen."""
+    from pixloc.localization import (  # type: ignore[import-not-found]
+        Model3D,
+        PoseRefiner,
+    )
+    from pixloc.localization.feature_extractor import (  # type: ignore[import-not-found]
+        FeatureExtractor,
+    )
+    from pixloc.pixlib.geometry import Camera as Lens  # type: ignore[import-not-found]
+    from pixloc.pixlib.geometry import Pose as Stance
+    from pixloc.utils.colmap import Image as View  # type: ignore[import-not-found]
+
+    own = ground.queries[0].camera
+    camera = {"model": own.model, "params": np.array(own.params)}
+    camera |= {"width": own.width, "height": own.height}
+    model = Model3D.__new__(Model3D)
+    model.cameras, model.dbs = {1: camera}, {}
+    sparse_map = ground.sparse_map
+    numbers = {name: number for number, name in enumerate(sparse_map.images)}
+    for name, number in numbers.items():
+        image = sparse_map.images[name]
+        quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
+        model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
+
+    def seen_from(query: Query) -> dict[int, set[int]]:
+        seen: dict[int, set[int]] = {}
+        references = ground.references(query)
+        for name in references:
+            rows = sparse_map.images[name].point_rows
+            order = np.random.default_rng(0).permutation(rows[rows >= 0])
+            for row in order[: PixlocConfig().points // len(references)]:
+                seen.setdefault(int(row), set()).add(numbers[name])
+        return seen
+
+    model.points3D = {row: SimpleNamespace(xyz=xyz) for row, xyz in enumerate(sparse_map.xyz)}
+
+    refiner = official.refiner(
+        num_iters=_ITERATIONS, pad=2, dt_stop_criteria=5e-3, grad_stop_criteria=1e-4
+    )
+    cpu = torch.device("cpu")
+    extractor = FeatureExtractor(refiner.extractor, cpu, {})
+    paths = SimpleNamespace(reference_images=ground.images, query_images=ground.images)
+    peer = PoseRefiner(cpu, list(refiner.optimizer), model, extractor, paths, {})
+    lens = Lens.from_colmap(camera)
+    asked = []
+    for query in ground.queries:
+        start = start_of(query)
+        stance = Stance.from_Rt(start.rotation.numpy(), start.translation.numpy())
+        asked.append((query.name, lens, stance, seen_from(query)))
+
+    @torch.no_grad()
+    def run() -> object:
+        answers = [peer.refine_query_pose(*each) for each in asked]
+        assert all(answer["success"] for answer in answers)
+        return answers
+
+    return run
+
+
+def _measure(given: argparse.Namespace) -> None:
+    """Print seconds a query and megabytes of a method as one line of JSON; for a process of its
+    own."""
+    torch.set_num_threads(given.threads)
+    if given.checkout:
+        official.load(given.checkout)
+    kept = given.kept
+    scene = given.scene
+    ground = Ground.of_scene(scene, given.queries, kept) if scene else Ground.write(kept)
+    run = made(given.one, ground)
+    reset_peak()
+    run()
+    processor, wall = process_time(), perf_counter()
+    for _ in range(_RUNS):
+        run()
+    count = _RUNS * len(ground.queries)
+    spent = (process_time() - processor) / count, (perf_counter() - wall) / count
+    print(json.dumps([*spent, peak_megabytes()]))
+
+
+def main() -> None:
+    """Measure all methods and print a table."""
+    words = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    words.add_argument("--checkout", type=Path)
+    words.add_argument("--scene", type=Path)
+    words.add_argument("--queries", type=int, default=8)
+    words.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
+    words.add_argument("--threads", type=int, help=argparse.SUPPRESS)
+    words.add_argument(
+        "--kept", type=Path, help="cache of an evaluation of the scene, to begin with"
+    )
+    given = words.parse_args()
+    if given.one:
+        _measure(given)
+        return
+    print("method      threads  processor s  wall s  peak MB")
+    with tempfile.TemporaryDirectory() as kept:
+        for threads, method in product((1, 2), METHODS if given.checkout else METHODS[:-1]):
+            command = [sys.executable, "-m", "experiments.pixloc_cost", *sys.argv[1:]]
+            command += ["--one", method, "--threads", str(threads), "--kept", kept]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+            processor, wall, peak = json.loads(done.stdout.splitlines()[-1])
+            print(f"{method:12s}{threads:6d}{processor:13.2f}{wall:9.2f}{peak:9.0f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

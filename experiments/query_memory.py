@@ -1,0 +1,87 @@
+"""Memory of the process over many queries, one after the other.
+
+``python -m experiments.query_memory SCENE --method objconnect --cache CACHE``. The queries, or
+those that ``--among FIRST LAST`` picks, are asked again and again. Beside the resident memory stand
+the parts of glibc's heap that are in use and that are free, and what caches hold: resident memory
+that grows alone was freed and is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import gc
+from pathlib import Path
+
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.starts import parse_start
+from objconnect.methods import create
+from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
+from objconnect.scene.storage.lru_cache import LruCache
+
+_MB = 1e6
+
+
+class _Heap(ctypes.Structure):
+    """What glibc's ``mallinfo2`` returns."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
+        )
+    ]
+
+
+def heap() -> tuple[float, float]:
+    """Return what of the heap is in use and what is free, 1e6 bytes."""
+    asked = ctypes.CDLL(None).mallinfo2
+    asked.restype = _Heap
+    said = asked()
+    return (said.uordblks + said.hblkhd) / _MB, said.fordblks / _MB
+
+
+def cached() -> float:
+    """Return what all bounded caches hold, 1e6 bytes."""
+    gc.unfreeze()  # what is frozen is not listed
+    return sum(each.nbytes for each in gc.get_objects() if type(each) is LruCache) / _MB
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--start", default="none")
+    parser.add_argument("--queries", type=int, default=64)
+    parser.add_argument("--among", type=int, nargs=2, default=(0, None))
+    given = parser.parse_args()
+    start = parse_start(given.start)
+    (dataset,) = open_datasets(given.scene)
+    sparse_map = dataset.load_map()
+    method = create(given.method, {})
+    method.prepare(sparse_map, dataset.images, given.cache)
+    load = start.loader(dataset, sparse_map, given.cache)
+    asked = dataset.queries[slice(*given.among)]
+    print("query, MB: resident, most, heap in use, heap free, caches; stages", flush=True)
+    for number in range(given.queries):
+        query = load(asked[number % len(asked)])
+        reset_peak()
+        found = method.localize(query)
+        stages = " ".join(f"{stage} {seconds:.1f}" for stage, seconds in found.seconds.items())
+        del query
+        numbers = (resident_bytes() / _MB, peak_megabytes() or 0.0, *heap(), cached())
+        print(number + 1, *(f"{mb:.0f}" for mb in numbers), found.status, stages, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""Ratios of a run of the benchmarks, kept in one file, and what got worse since an earlier run.
+
+``python -m experiments.ratios write RUN RATIOS`` takes the file of ``--benchmark-json``.
+``python -m experiments.ratios check RATIOS --against EARLIER`` fails where a ratio grew by
+more than its spread. Seconds depend on the machine and on what else it does; ratios less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+from pydantic import Field
+
+from objconnect.scene.bundle.manifest import read_json, write_json
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import parse_json, read_text
+
+# A benchmark with one of these words in its name is what others are measured by: a peer, a lower
+# bound, or another way. Of a group without any it is the first by name: tests run in any order.
+_YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "by_torch", "untracked")
+# Runs on different days differ by this share, though rounds of one run differ less.
+_LEAST_SPREAD: Final = 0.1
+KIND: Final = "file of ratios"
+
+
+class Ratio(Config):
+    """How long one benchmark takes beside another of its group.
+
+    Attributes:
+        group: what both do.
+        name: of the benchmark.
+        over: of the other one, the yardstick.
+        ratio: of their median seconds.
+        spread: of the ratio, from the quartiles of both.
+    """
+
+    group: str
+    name: str
+    over: str
+    ratio: float = Field(gt=0)
+    spread: float = Field(ge=0)
+
+
+class Ratios(Config):
+    """The ratios of one run.
+
+    Attributes:
+        schema_version: of the format.
+        commit: of the code.
+        processor: that they were measured on.
+        ratios: of all groups.
+    """
+
+    schema_version: Literal[1] = 1
+    commit: str
+    processor: str
+    ratios: tuple[Ratio, ...]
+
+
+class Change(NamedTuple):
+    """A ratio that both of two runs have.
+
+    Attributes:
+        before: the ratio of the earlier run.
+        now: that of the later.
+        is_worse: whether it grew by more than the spread of both.
+    """
+
+    before: Ratio
+    now: Ratio
+    is_worse: bool
+
+
+def ratios_of(run: Path) -> Ratios:
+    """Return the ratios of a run.
+
+    Args:
+        run: file that pytest-benchmark wrote.
+
+    Raises:
+        InputError: it is no such file.
+    """
+    groups: dict[str, list[tuple[str, float, float]]] = defaultdict(list)
+    try:
+        read = parse_json(read_text(run, "file of benchmarks"))
+        for each in read["benchmarks"]:
+            stats = each["stats"]
+            row = (str(each["name"]), float(stats["median"]), float(stats["iqr"]))
+            groups[str(each["group"])].append(row)
+        processor = str(read["machine_info"]["cpu"].get("brand_raw", ""))
+        commit = str(read["commit_info"].get("id", ""))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(
+            f"{run} is not a file of pytest-benchmark: write it with --benchmark-json"
+        ) from None
+    found = [ratio for group, rows in sorted(groups.items()) for ratio in _of_group(group, rows)]
+    return Ratios(commit=commit, processor=processor, ratios=tuple(found))
+
+
+def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Ratio]:
+    """Return the ratios of a group, given names, medians and distances of quartiles."""
+    measured = [row for row in rows if row[1] > 0]
+    first = sorted(measured, key=lambda row: _by_number(row[0]))[:1]
+    by = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
+    found = []
+    for name, median, quartiles in (row for row in measured if row not in by):
+        for over, other, of_other in by:
+            spread = math.hypot(quartiles / median, of_other / other)
+            ratio = median / other
+            found.append(
+                Ratio(group=group, name=name, over=over, ratio=ratio, spread=ratio * spread)
+            )
+    return found
+
+
+def _by_number(name: str) -> list[int | str]:
+    """Return a key by which 100 comes before 1000 in names that are the same else."""
+    parts = re.split(r"(\d+)", name)
+    return [int(part) if part.isdigit() else part for part in parts]
+
+
+def changes(now: Ratios, before: Ratios) -> list[Change]:
+    """Return what both runs have measured, in the order of the later one."""
+    known = {(each.group, each.name, each.over): each for each in before.ratios}
+    found = []
+    for each in now.ratios:
+        earlier = known.get((each.group, each.name, each.over))
+        if earlier is not None:
+            spread = max(math.hypot(each.spread, earlier.spread), _LEAST_SPREAD * earlier.ratio)
+            found.append(Change(earlier, each, each.ratio > earlier.ratio + spread))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; return 1 where a ratio got worse, and 2 where a file is at fault."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    write = commands.add_parser("write")
+    write.add_argument("run", type=Path)
+    write.add_argument("ratios", type=Path)
+    check = commands.add_parser("check")
+    check.add_argument("ratios", type=Path)
+    check.add_argument("--against", type=Path, required=True)
+    given = parser.parse_args(arguments)
+    try:
+        if given.command == "write":
+            write_json(given.ratios, ratios_of(given.run))
+            return 0
+        now, before = (read_json(path, Ratios, KIND) for path in (given.ratios, given.against))
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    compared = changes(now, before)
+    if not compared:
+        print(f"error: {given.ratios} and {given.against} share no ratio", file=sys.stderr)
+        return 2
+    if now.processor != before.processor:
+        print(f"measured on another processor: {before.processor}, now {now.processor}")
+    for change in compared:
+        word = "WORSE" if change.is_worse else "ok"
+        print(
+            f"{word:5s} {change.now.group}: {change.now.name} over {change.now.over} "
+            f"{change.now.ratio:.3g} (spread {change.now.spread:.2g}), "
+            f"before {change.before.ratio:.3g} ({change.before.spread:.2g})"
+        )
+    return int(any(change.is_worse for change in compared))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

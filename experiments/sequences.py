@@ -1,0 +1,166 @@
+"""A flight as a video with subtitles, as a sequence and frame by frame, of which GPS is lost.
+
+    python -m experiments.sequences SCENE SESSION --map PLACE --out DIR [--black 50 60]
+
+SCENE is a simulated scene over the place of PLACE, which has the map. The session is exported as a
+video with subtitles, and from ``--lost-after`` seconds on these have no position; with
+``--no-gimbal`` they have no attitude either. ``localize --video`` then runs twice: as a sequence,
+and with ``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone.
+``--black`` blanks the frames of a span of seconds, as fog does, after which the camera is lost.
+Interrupted runs go on, but their seconds are those of the last run: delete DIR to measure again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.localize import open_place
+from objconnect.localization.pipeline.sequence import SequenceInputs, SequenceOutput, localize_video
+from objconnect.localization.pipeline.tracking import SequenceConfig
+from objconnect.methods import create
+from objconnect.scene.exports.export import export
+from objconnect.scene.flights.textfiles import read_poses
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Localizer, Query
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.video import decode_frames, read_video, write_video
+
+LEVELS = ((0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
+QUARTERS = 4
+
+
+@dataclass
+class Timed:
+    """A localizer that counts its queries and the processor seconds that they take."""
+
+    inner: Localizer
+    queries: int = 0
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.name, self.config = self.inner.name, self.inner.config
+        self.weights_sha256 = self.inner.weights_sha256
+
+    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
+        """Prepare, not timed."""
+        self.inner.prepare(sparse_map, images, cache)
+
+    def localize(self, query: Query) -> Estimate:
+        """Localize, timed."""
+        begin = time.process_time()
+        estimate = self.inner.localize(query)
+        self.seconds += time.process_time() - begin
+        self.queries += 1
+        return estimate
+
+
+def without_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
+    """Replace positions by the zeros that a drone writes without a fix."""
+    blocks = srt.read_text("utf-8").split("\n\n")
+    kept = []
+    for block in blocks:
+        start = re.search(r"(\d+):(\d+):(\d+),(\d+) -->", block)
+        if start is not None:
+            hours, minutes, seconds, thousandths = map(int, start.groups())
+            if 3600 * hours + 60 * minutes + seconds + thousandths / 1000 >= lost_after_s:
+                block = re.sub(r"(latitude|longitude): [-\d.]+", r"\1: 0.000000", block)
+                block = re.sub(r"\[rel_alt: [^\]]*\] ?", "", block)
+                block = block if gimbal else re.sub(r"\[gb_yaw: [^\]]*\] ?", "", block)
+        kept.append(block)
+    srt.write_text("\n\n".join(kept), "utf-8")
+
+
+def blank(video: Path, begin_s: float, end_s: float) -> None:
+    """Make the frames of a video black from one time to another."""
+    rate_hz = read_video(video).rate_hz
+    frames = [
+        np.zeros_like(frame.image) if begin_s <= frame.seconds < end_s else frame.image
+        for frame in decode_frames(video)
+    ]
+    write_video(video, frames, rate_hz)
+
+
+def report(
+    name: str, located: list[Located], truth: dict[str, Pose], localizer: Timed
+) -> dict[str, object]:
+    """Return the figures of a run."""
+    errors = np.full((len(located), 2), np.inf)
+    for row, item in enumerate(located):
+        if item.found and item.estimate.cam_from_world is not None:
+            found = item.estimate.cam_from_world.error_to(truth[item.name])
+            errors[row] = [float(part) for part in found]
+    found = np.isfinite(errors[:, 0])
+    recall = {
+        f"{metres:g}m_{degrees:g}deg": round(
+            100 * float(((errors[:, 0] < metres) & (errors[:, 1] < degrees)).mean()), 1
+        )
+        for metres, degrees in LEVELS
+    }
+    false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
+    quarters = np.array_split(errors[:, 0], QUARTERS)
+    return {
+        "run": name,
+        "frames": len(located),
+        "found": int(found.sum()),
+        "recall": recall,
+        "false": int(false.sum()),
+        "median_m": round(float(np.median(errors[found, 0])), 3),
+        "median_deg": round(float(np.median(errors[found, 1])), 3),
+        "worst_m": round(float(errors[found, 0].max()), 3),
+        "median_m_of_quarters": [round(float(np.median(part)), 3) for part in quarters],
+        "queries": localizer.queries,
+        "seconds_a_frame": round(localizer.seconds / len(located), 2),
+        "wrong": [
+            f"{item.name}: {item.estimate.reason or errors[row].round(2).tolist()}"
+            for row, item in enumerate(located)
+            if not (errors[row, 0] < 0.5 and errors[row, 1] < 5)
+        ],
+    }
+
+
+def main() -> None:
+    """Run the measurement and print its figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("session")
+    parser.add_argument("--map", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--cache", type=Path)
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--lost-after", type=float, default=10.0)
+    parser.add_argument("--no-gimbal", action="store_true")
+    parser.add_argument("--black", type=float, nargs=2)
+    parser.add_argument("--runs", nargs="+", default=["sequence", "frames"])
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    flown = given.out / "flown"
+    if not flown.exists():
+        export(given.scene, "video", flown, [given.session])
+        without_gps(flown / f"{given.session}.SRT", given.lost_after, not given.no_gimbal)
+        if given.black is not None:
+            blank(flown / f"{given.session}.MP4", *given.black)
+    truth = read_poses(flown / f"{given.session}-poses.txt")
+    place = open_place(given.map)
+    configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
+    for name in given.runs:
+        localizer = Timed(create(given.method, {}))
+        output = SequenceOutput(given.out / f"{name}.txt", undulation_m=0.0, cache=given.cache)
+        told = SequenceInputs(config=configs[name], gps_sigma_m=3.0)
+        video = flown / f"{given.session}.MP4"
+        located = localize_video(place, video, localizer, output, told)
+        figures = report(name, located, truth, localizer)
+        (given.out / f"{name}-figures.json").write_text(json.dumps(figures, indent=1) + "\n")
+        print(json.dumps(figures, indent=1), flush=True)
+
+
+if __name__ == "__main__":
+    main()

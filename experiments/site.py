@@ -1,0 +1,219 @@
+"""How real a twin is: it is held against the scene that it was made from.
+
+    python -m experiments.site flown FLIGHT --out YAML       # its own flight, in two seasons
+    python -m experiments.site cross MAP QUERIES --out OUT  # queries in the map of another
+    python -m experiments.site compare REAL TWIN             # colours, classes
+    python -m experiments.site features FLIGHT TWIN          # colours, features by class
+    python -m experiments.site strip REAL TWIN --out JPG     # photographs beside each other
+    python -m experiments.site classes REAL                  # classes, without a twin
+
+Both scenes have the same world, and the same sessions where they are compared. The folder of
+``cross`` is a scene that ``evaluate`` reads; its photographs are links.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+
+from benchmark.forecast.views import usual_camera
+from experiments.orthophoto import _link
+from objconnect.scene.bundle.manifest import Splits, write_json
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.storage.images import read_rgb
+from simulate.place.surveyed import load_surveyed
+from simulate.place.world import World
+from simulate.twin.build import build_site
+from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER
+from simulate.twin.options import SiteConfig
+from simulate.twin.report import PLACE
+
+# What the classes of a simulated place are called in a twin; others are things that stand on it.
+_TRUTH = {
+    LOW: ("grass", "field"),
+    PAVED: ("road", "pavement", "parking", "driveway", "path"),
+    WATER: ("water",),
+    ROOF: ("building",),
+    CROWN: ("tree",),
+}
+WHAT = ("flown", "cross", "compare", "features", "strip", "classes")
+_WIDEST = 520  # pixels of a photograph in a strip
+_STEP = 4  # every so many rows and columns of a photograph are compared
+_FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
+
+
+def main() -> None:
+    """Run one of the comparisons."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=WHAT)
+    parser.add_argument("first", type=Path)
+    parser.add_argument("second", type=Path, nargs="?")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--query", type=int, default=0, help="number of the query to draw")
+    parser.add_argument("--size", type=int, default=800, help="longer side of the twin's pictures")
+    given = parser.parse_args()
+    first = Scene.open(given.first)
+    if given.what == "classes":
+        site = SiteConfig(scene=given.first)
+        area_m = first.manifest.config["area"]
+        world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
+        compare_classes(first, world)
+        return
+    if given.what == "flown":
+        write_flown(first, given.size, given.out)
+        return
+    second = Scene.open(given.second)
+    if given.what == "cross":
+        cross(first, second, given.out)
+    elif given.what == "features":
+        compare_features(first, second)
+    elif given.what == "strip":
+        strip(first, second, given.out, given.query)
+    else:
+        compare_colours(first, second)
+        compare_classes(first, load_surveyed(second.path / PLACE, 0))
+
+
+def write_flown(scene: Scene, size: int, out: Path) -> None:
+    """Write the configuration of a twin that is flown as its scene was, in summer and in snow."""
+    flights = {"map": "map", "summer": "queries", "snow": "queries"}
+    sessions = [
+        {
+            "name": name,
+            "condition": "snow-dusk" if name == "snow" else "summer-noon",
+            "role": "map" if name == "map" else "query",
+            "flight": {"kind": "flown", "scene": str(scene.path), "photographs": photographs},
+        }
+        for name, photographs in flights.items()
+    ]
+    config = {
+        "preset": "site",
+        "site": {"scene": str(scene.path)},
+        "camera": usual_camera(scene.sparse_map(), size),
+        "sessions": sessions,
+    }
+    out.write_text(yaml.safe_dump(config, sort_keys=False))
+
+
+def cross(mapped: Scene, queried: Scene, out: Path) -> None:
+    """Make a scene of the map of one scene and the queries of another, in the same world."""
+    owners = {name.split("/")[0]: mapped for name in mapped.splits.map}
+    if both := owners.keys() & queried.splits.queries.keys():
+        raise SystemExit(f"session {min(both)} has the map of one scene and queries of the other")
+    owners |= dict.fromkeys(queried.splits.queries, queried)
+    for session, owner in owners.items():
+        shutil.copytree(
+            owner.images_root / session, out / "sessions" / session, copy_function=_link
+        )
+    shutil.copytree(mapped.map_path, out / "map", copy_function=_link)
+    shutil.copyfile(mapped.path / "objects.json", out / "objects.json")
+    splits = Splits(map=mapped.splits.map, queries=queried.splits.queries)
+    write_json(out / "splits.json", splits)
+    changed = {
+        "sessions": {name: owner.sessions[name] for name, owner in owners.items()},
+        "reference": max(mapped.manifest.reference, queried.manifest.reference),  # "sfm" if any
+        "pixels_sha256": {},
+    }
+    finish_scene(out, mapped.manifest.model_copy(update=changed))
+
+
+def compare_colours(real: Scene, twin: Scene) -> None:
+    """Print mean and deviation of the colours of each session."""
+    for session in real.sessions:
+        for name, scene in (("real", real), ("twin", twin)):
+            pixels = _photographs(scene, session)
+            mean, spread = pixels.mean((0, 1, 2)).round(), pixels.std((0, 1, 2)).round()
+            print(f"{session} {name}: mean {mean.tolist()}, deviation {spread.tolist()}")
+
+
+def compare_classes(real: Scene, world: World) -> None:
+    """Print which share of each true class of surfaces that face up is what in the twin."""
+    count = np.zeros((256, 256), np.int64)
+    for session in {name.split("/")[0] for name in real.splits.map}:
+        frames = real.frames(session)
+        with real.dense(session) as dense:
+            for k, camera in enumerate(frames.cameras):
+                rays = camera.unproject(camera.pixel_grid()[::_STEP, ::_STEP])[0].numpy()
+                depth, label, normal = (
+                    dense.read(layer, k)[::_STEP, ::_STEP]
+                    for layer in ("depth", "semantic", "normal")
+                )
+                pose = frames.cam_from_world[k]
+                points = (rays * depth[..., None] - pose[:3, 3]) @ pose[:3, :3]
+                within = (np.abs(points[..., :2]) < 0.5 * world.area_m).all(-1)
+                up = within & (depth > 0) & (normal[..., 2] > _FACES_UP)
+                found = world.ground.label(points[up][:, 0], points[up][:, 1])
+                np.add.at(count, (label[up], found), 1)
+    classes = real.objects.classes
+    for label, names in _TRUTH.items():
+        row = count[[classes[name] for name in names]].sum(0)
+        if row.sum():
+            shares = {NAMES[k]: f"{100 * row[k] / row.sum():.0f} %" for k in NAMES if row[k]}
+            print(f"{NAMES[label]}: {row.sum()} points, {shares}")
+
+
+def compare_features(flight: Scene, twin: Scene) -> None:
+    """Print colours and SIFT features of a flight's queries and of a twin that was flown as it was.
+
+    A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
+    get the size of the twin's.
+    """
+    (there,) = flight.splits.queries.values()
+    session = next(iter(twin.splits.queries))
+    frames = twin.frames(session)
+    seen = {}
+    with twin.dense(session) as dense:
+        for k, name in enumerate(frames.names):
+            rendered = read_rgb(twin.images_root / name)
+            labels, (height, width) = dense.read("semantic", k), rendered.shape[:2]
+            taken = cv2.resize(
+                read_rgb(flight.images_root / there[k]),
+                (width, height),
+                interpolation=cv2.INTER_AREA,
+            )
+            for source, rgb in (("flight", taken), ("twin", rendered)):
+                points = cv2.SIFT_create().detect(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+                x, y = np.array([point.pt for point in points], int).reshape(-1, 2).T
+                for label in NAMES:
+                    mask = labels == label
+                    kept = seen.setdefault((label, source), ([], []))
+                    kept[0].append(rgb[mask])
+                    kept[1].append(int(mask[y, x].sum()))
+    for (label, source), (pixels, features) in seen.items():
+        colours = np.concatenate(pixels)
+        if len(colours):
+            print(
+                f"{NAMES[label]}, {source}: {len(colours)} pixels, mean "
+                f"{colours.mean(0).round().tolist()}, deviation {colours.std(0).round().tolist()}, "
+                f"{1e4 * sum(features) / len(colours):.1f} features in 10,000 pixels"
+            )
+
+
+def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
+    """Draw one query: real and twin in summer, twin in winter, and real in winter where it is."""
+    there, *later = real.splits.queries
+    summer, winter = list(twin.splits.queries)
+    order = [(real, there), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]
+    names = [(scene, scene.splits.queries[session][query]) for scene, session in order]
+    pictures = [Image.fromarray(read_rgb(scene.images_root / name)) for scene, name in names]
+    width, height = min(picture.size for picture in pictures)
+    size = (min(width, _WIDEST), round(height * min(1, _WIDEST / width)))
+    Image.fromarray(np.hstack([np.asarray(p.resize(size)) for p in pictures])).save(out, quality=80)
+
+
+def _photographs(scene: Scene, session: str) -> NDArray[np.uint8]:
+    """Read the photographs of a session, (N, H, W, 3)."""
+    frames = scene.frames(session)
+    return np.stack([read_rgb(scene.images_root / name) for name in frames.names])
+
+
+if __name__ == "__main__":
+    main()

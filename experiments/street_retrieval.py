@@ -1,0 +1,91 @@
+"""Which photographs of a street look like a query, by the features of which method.
+
+    python -m experiments.street_retrieval SCENE [SCENE ...] [--metres 10] [--degrees 30]
+        [--cache CACHE]
+
+The scenes have maps and queries of other conditions. A photograph is right where it was taken
+within so many metres of the query and looks within so many degrees of its way. Printed is the share
+of the queries whose first, first five and first ten photographs hold a right one: by VLAD of SIFT,
+by VLAD of the coarse features of the learned methods, and by chance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
+from benchmark.scoring.score import wilson
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.matching.structure import StructureLocalizer
+from objconnect.methods import create
+from objconnect.scene.localizer import Localizer
+from objconnect.scene.runtime.progress import progress_bar
+
+_METHODS = ("sift", "pixloc", "objconnect")
+_FIRST = (1, 5, 10)
+
+
+def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]]:
+    """Yield the rows of the photographs most like each query, best first."""
+    with progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance:
+        for done, query in enumerate(dataset.queries, 1):
+            loaded = query.load()
+            if isinstance(localizer, FeaturemetricLocalizer):
+                with torch.inference_mode():
+                    described = localizer.prepared.refine.described(loaded)
+                yield localizer.prepared.refine.retrieval.index.rank(described, max(_FIRST))
+            else:
+                assert isinstance(localizer, StructureLocalizer)
+                yield localizer.similar(loaded, max(_FIRST))
+            advance(done)
+
+
+def _right(dataset: Dataset, metres: float, degrees: float) -> NDArray[np.bool_]:
+    """Return which photographs of the map (N) are right for each query (Q, N)."""
+    sparse_map = dataset.load_map()
+    right = np.zeros((len(dataset.queries), len(sparse_map.names)), bool)
+    for number, query in enumerate(dataset.queries):
+        for row, name in enumerate(sparse_map.names):
+            t, r = sparse_map.images[name].pose.error_to(query.reference)
+            right[number, row] = float(t) < metres and float(r) < degrees
+    return right
+
+
+def main() -> None:
+    """Rank the photographs for each query, and print the shares."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--metres", type=float, default=10.0)
+    parser.add_argument("--degrees", type=float, default=30.0)
+    parser.add_argument("--cache", type=Path)
+    given = parser.parse_args()
+    cache = given.cache or Path(tempfile.mkdtemp())
+    datasets = [dataset for scene in given.scenes for dataset in open_datasets(scene)]
+    rights = [_right(dataset, given.metres, given.degrees) for dataset in datasets]
+    queries = sum(len(right) for right in rights)
+    for method in _METHODS:
+        hits = np.zeros(len(_FIRST), int)
+        for dataset, right in zip(datasets, rights, strict=True):
+            localizer = create(method, {})
+            localizer.prepare(dataset.load_map(), dataset.images, cache)
+            for of_query, rows in zip(right, _ranks(localizer, dataset), strict=True):
+                hits += [bool(of_query[rows[:first]].any()) for first in _FIRST]
+        for first, count in zip(_FIRST, hits, strict=True):
+            low, high = (100 * end for end in wilson(int(count), queries))
+            print(f"{method} first {first}: {100 * count / queries:.1f} [{low:.1f}, {high:.1f}] %")
+    for first in _FIRST:
+        missed = [(~right).mean(1) ** first for right in rights]
+        print(f"chance first {first}: {100 * (1 - np.concatenate(missed).mean()):.1f} %")
+    print(f"{queries} queries, {sum(int((~right.any(1)).sum()) for right in rights)} without any")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""A flight followed as a sequence, beside the same without tracking, frame by frame in turn.
+
+    python -m experiments.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2] [--alone]
+
+PLACE is a simulated scene with a map and a session ``flight``, as of
+``experiments/tracked-place.yaml``, or its map alone where SCENE has the session. A frame is
+read from its JPEG and localized from what the frames before predict; the first is told its position
+to 3 m and its attitude to 3 degrees, the others nothing. Seconds are the medians of a frame, by the
+clock and of the processor; on a machine with other work read the ratio. ``--alone`` only follows
+the sequence: a query without tracking gives back memory, which the next frame must take again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from objconnect.localization.pipeline.localize import open_place
+from objconnect.localization.pipeline.photographs import Place
+from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Prior, Query, Status
+from objconnect.scene.storage.images import read_rgb
+
+BOUNDS = ((0.25, 2.0), (0.5, 5.0))
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of the flight: its file, its camera, its time, and where it was taken."""
+
+    path: Path
+    camera: Camera
+    seconds: float
+    truth: Pose
+
+
+@dataclass
+class Run:
+    """One way to follow the flight, and what it gave: errors, and seconds of each frame."""
+
+    name: str
+    tracker: Tracker
+    errors: list[tuple[float, float]] = field(default_factory=list)
+    clock: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
+
+    def take(self, frame: Frame, told: Prior | None) -> None:
+        """Localize the next frame."""
+        clock, processor = time.perf_counter(), time.process_time()
+        query = Query(frame.path.name, read_rgb(frame.path), frame.camera, told)
+        estimate = self.tracker.localize(query, frame.seconds)
+        self.tracker.take(estimate, frame.seconds)
+        self.clock.append(time.perf_counter() - clock)
+        self.processor.append(time.process_time() - processor)
+        error = (np.inf, np.inf)
+        if estimate.status is Status.OK and estimate.cam_from_world is not None:
+            metres, degrees = estimate.cam_from_world.error_to(frame.truth)
+            error = float(metres), float(degrees)
+        self.errors.append(error)
+
+    def figures(self, beside: Run) -> dict[str, Any]:
+        """Return what is to be said of the run, with ratios over another one's seconds."""
+        errors = np.array(self.errors)
+        found = np.isfinite(errors[:, 0])
+        false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
+        return {
+            "run": self.name,
+            "frames": len(errors),
+            "found": int(found.sum()),
+            "searched": self.tracker.searched,
+            "false": int(false.sum()),
+            "within": {
+                f"{metres:g} m {degrees:g} deg": int((errors < (metres, degrees)).all(1).sum())
+                for metres, degrees in BOUNDS
+            },
+            "median": np.median(errors, 0).round(3).tolist(),
+            "worst_m": round(float(errors[found, 0].max(initial=0)), 3),
+            "clock_s": round(float(np.median(self.clock)), 3),
+            "processor_s": round(float(np.median(self.processor)), 3),
+            "processor_mean_s": round(float(np.mean(self.processor)), 3),
+            "processor_ratio": ratio(self.processor, beside.processor),
+            "clock_ratio": ratio(self.clock, beside.clock),
+        }
+
+
+def ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
+    """Return the median over the frames of how long one took beside the other."""
+    return round(float(np.median(np.array(ours) / np.array(theirs))), 3)
+
+
+def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Frame]:
+    """Return every so many frames of a session that took so many a second."""
+    frames = scene.frames(session)
+    return [
+        Frame(
+            scene.images_root / frames.names[row],
+            frames.cameras[row],
+            row / rate_hz,
+            Pose.from_matrix(frames.cam_from_world[row]),
+        )
+        for row in range(0, len(frames.names), every)
+    ]
+
+
+def told_of(frame: Frame) -> Prior:
+    """Return what is told of the first frame: wrong by a standard deviation or so."""
+    rng = np.random.default_rng(SEED)
+    turn = Pose.exp(torch.from_numpy(np.append(np.radians(rng.normal(0, 3, 3)), np.zeros(3))))
+    rotation = (turn.rotation @ frame.truth.rotation).numpy()
+    position = frame.truth.centre().numpy() + rng.normal(0, 3, 3)
+    return Prior(position, np.full(3, 3.0), rotation, 3.0)
+
+
+def followed(place: Place, cache: Path, method: str, settings: dict[str, Any], name: str) -> Run:
+    """Return a run that is ready for its first frame."""
+    localizer = create(method, settings)
+    localizer.prepare(place.sparse_map, place.images, cache)
+    return Run(name, Tracker(localizer, SequenceConfig()))
+
+
+def main() -> None:
+    """Print the figures of both runs."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("place", type=Path)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--flight", type=Path)
+    parser.add_argument("--session", default="flight")
+    parser.add_argument("--rate", type=float, default=5.0, help="frames that it took a second")
+    parser.add_argument("--every", type=int, default=1, help="take every so many frames")
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--tracking", default="{}", help="options of tracking as JSON")
+    parser.add_argument(
+        "--set", action="append", default=[], help="KEY=VALUE of the method, for both runs"
+    )
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    place, scene = open_place(given.place), Scene.open(given.flight or given.place)
+    frames = frames_of(scene, given.session, given.every, given.rate)
+    both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
+    tracking = both | {"tracking": json.loads(given.tracking)}
+    runs = [followed(place, given.cache, given.method, tracking, "tracked")]
+    if not given.alone:
+        alone = both | {"tracking": None}
+        without = followed(place, given.cache, given.method, alone, "without")
+        runs.insert(0, without)
+    for number, frame in enumerate(frames):
+        told = told_of(frame) if number == 0 else None
+        for run in runs if number % 2 else runs[::-1]:
+            run.take(frame, told)
+    for run in runs:
+        print(json.dumps(run.figures(runs[0])), flush=True)
+    print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+
+
+if __name__ == "__main__":
+    main()

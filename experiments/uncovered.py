@@ -1,0 +1,57 @@
+"""How often a method takes one place for another: queries of a place, asked in the map of another.
+
+    python -m experiments.uncovered SCENE OTHER [--method NAME] [--start START] [--only PREFIX]
+        [--cache CACHE]
+
+Every answer ``ok`` is a false fix. Nothing that a query is told helps it: its prior is that of its
+own place, whose coordinates lie over the other's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.starts import parse_start
+from benchmark.scoring.score import wilson
+from objconnect.methods import create
+from objconnect.scene.localizer import Status
+from objconnect.scene.runtime.progress import progress_bar
+
+
+def main() -> None:
+    """Ask the queries, and print how many were answered and why the others were not."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("other", type=Path)
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--start", default="none", type=parse_start)
+    parser.add_argument("--only", default="", help="queries whose names begin so")
+    parser.add_argument("--cache", type=Path)
+    given = parser.parse_args()
+    (dataset,), (other,) = open_datasets(given.scene), open_datasets(given.other)
+    localizer = create(given.method, {})
+    cache = given.cache or Path(tempfile.mkdtemp())
+    localizer.prepare(other.load_map(), other.images, cache)
+    load = given.start.loader(dataset, dataset.load_map(), cache)
+    queries = [query for query in dataset.queries if query.name.startswith(given.only)]
+    answered = []
+    with progress_bar(f"{dataset.name} in {other.name}", len(queries)) as advance:
+        for done, query in enumerate(queries, 1):
+            if localizer.localize(load(query)).status is Status.OK:
+                answered.append(query.name)
+            advance(done)
+    low, high = wilson(len(answered), len(queries))
+    print(
+        f"{dataset.name} in {other.name}, {given.start.name}: {len(answered)} of {len(queries)} "
+        f"are false fixes, {100 * len(answered) / len(queries):.1f} % "
+        f"[{100 * low:.1f}, {100 * high:.1f}]",
+        *answered,
+        sep="\n  ",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""What a photograph costs once it is rendered: `python -m experiments.unit_cost SCENE`.
+
+Bytes on disk, and processor seconds of one core for what `map` and `evaluate` do with each: medians
+over some photographs and pairs. The scene needs its map.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmark.datasets.simulated import open_scene
+from benchmark.evaluation.starts import PRIOR
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.colmap.options import SiftOptions
+from objconnect.scene.colmap.sift import extract_sift
+from objconnect.scene.maps.features import unit_descriptors
+from objconnect.scene.maps.matching import match
+from simulate.annotations import measure_covisibility, pixel_digests
+
+_SOME = 8
+
+
+def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
+    """What, and how much of it."""
+    photographs = list(scene.images_root.rglob("*.jpg"))
+    root, mapped, count = scene.images_root, scene.splits.map, len(photographs)
+    yield "JPEG of a photograph", _kilobytes(photographs, count)
+    yield "its layers", _kilobytes(root.rglob("*.h5"), count)
+    yield "map, of a photograph", _kilobytes(scene.map_path.rglob("*"), len(mapped))
+    for what, do in (("covisibility", measure_covisibility), ("digests", pixel_digests)):
+        began = time.process_time()
+        do(scene)
+        spent = (time.process_time() - began) / count
+        yield f"{what}, of one of {count}", f"{spent:.3f} cpu-s"
+    options = SiftOptions()
+    found = extract_sift(root, mapped[:_SOME], options, threads=1)
+    names = list(found)
+    descriptors = [unit_descriptors(found[name].descriptors) for name in names]
+    sift = _seconds(lambda k: extract_sift(root, [names[k]], options, threads=1))
+    yield "SIFT of a photograph", sift
+    yield "matching a pair", _seconds(lambda k: match(descriptors[k - 1], descriptors[k], 0.8))
+    dataset = open_scene(scene.path)
+    localizer, sparse_map = create("sift", {}), dataset.load_map()
+    localizer.prepare(sparse_map, dataset.images)
+    ask, queries = PRIOR.loader(dataset, sparse_map), dataset.queries[:_SOME]
+    yield (
+        "a query of sift",
+        _seconds(lambda k: localize_safely(localizer, ask(queries[k % len(queries)]))),
+    )
+
+
+def _kilobytes(files: Iterable[Path], count: int) -> str:
+    total = sum(file.stat().st_size for file in files if file.is_file())
+    return f"{total / count / 1e3:.0f} kB"
+
+
+def _seconds(do: Callable[[int], object]) -> str:
+    spent = []
+    for k in range(_SOME):
+        began = time.process_time()
+        do(k)
+        spent.append(time.process_time() - began)
+    return f"{np.median(spent):.2f} cpu-s"
+
+
+def main() -> None:
+    """Print it."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("scene", type=Path)
+    torch.set_num_threads(1)
+    for what, much in unit_cost(Scene.open(words.parse_args().scene)):
+        print(f"{what:<28}{much}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

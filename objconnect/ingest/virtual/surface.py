@@ -1,0 +1,318 @@
+"""Views of an orthophoto on its surface model, rendered by marching along the rays of pixels.
+
+The world is east-north-up, and the rasters are in coordinates of their own. A ray is a parabola in
+these (``geo.local``), so that rays are followed in the rasters' own pixels and nothing is
+resampled before it is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.scene.geo.local import LocalProjection
+from objconnect.scene.geo.rasters import Box, Patch, Raster
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+
+Array = NDArray[np.float64]
+
+# Bisections of the step in which a ray enters the surface.
+_BISECTIONS = 6
+# Side of the cells whose highest points tell where rays can go fast, pixels.
+_CELL = 8
+# Rays start and end this much beyond the heights of the surface, metres and share of the way.
+_MARGIN_M, _MARGIN = 1.0, 0.01
+# Rays that fall less than this per metre of depth do not meet the ground within sight.
+_LEAST_FALL = 0.05
+
+
+class View(NamedTuple):
+    """A rendered view.
+
+    Attributes:
+        rgb: (H, W, 3) uint8; the mean colour where there is no surface.
+        depth: (H, W) float32 planar depth, metres, 0 where there is no surface.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+
+    @property
+    def seen(self) -> float:
+        """Return the share of pixels that show the surface."""
+        return float((self.depth > 0).mean())
+
+
+class _Rays(NamedTuple):
+    """Rays of pixels with planar depth 1, and the part of each in which the surface may lie.
+
+    Attributes:
+        start: (3,) centre of the camera, world metres.
+        directions: (N, 3).
+        first: (N,) depth where the part begins.
+        last: (N,) depth where it ends; not above ``first`` where a ray meets no ground.
+    """
+
+    start: Array
+    directions: Array
+    first: Array
+    last: Array
+
+    def between(self, above: float, lowest: float, highest: float, farthest: float) -> _Rays:
+        """Return the same rays between two heights; the camera stands at height ``above``."""
+        fall = -self.directions[:, 2]
+        down = np.maximum(fall, _LEAST_FALL)
+        begins = (above - highest) * (1 - _MARGIN) - _MARGIN_M
+        ends = (above - lowest) * (1 + _MARGIN) + _MARGIN_M
+        last = np.where(fall > _LEAST_FALL, np.minimum(ends / down, farthest), 0.0)
+        return self._replace(first=np.maximum(begins / down, 0.0), last=last)
+
+    @property
+    def meet(self) -> NDArray[np.bool_]:
+        """Return which rays may meet the surface, (N,)."""
+        return self.last > self.first
+
+    def ends(self) -> Array:
+        """Return both ends of the parts that may meet the surface, (M, 3) world metres."""
+        rays = self.directions[self.meet]
+        depths = (self.first[self.meet], self.last[self.meet])
+        return np.concatenate([self.start + depth[:, None] * rays for depth in depths])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """An orthophoto and a surface model of one place.
+
+    Attributes:
+        colours: orthophoto.
+        heights: surface model.
+        undulation: height of the geoid above the ellipsoid, metres, which is added to the heights.
+        origin: origin of the world.
+        low: lowest height of the surface model with the undulation, metres.
+        high: highest one.
+    """
+
+    colours: Raster
+    heights: Raster
+    undulation: float
+    origin: Geodetic
+    low: float
+    high: float
+
+    def render(self, camera: Camera, cam_from_world: Array, farthest: float) -> View:
+        """Render a view.
+
+        Args:
+            camera: camera of the view.
+            cam_from_world: (4, 4).
+            farthest: surfaces deeper than this are left out, metres.
+
+        Raises:
+            InputError: a raster is damaged.
+        """
+        start = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
+        local, _ = camera.unproject(camera.pixel_grid().reshape(-1, 2))
+        nothing = np.zeros(len(local))
+        rays = _Rays(start, local.numpy() @ cam_from_world[:3, :3], nothing, nothing)
+        at = geodetic_from_enu(start, self.origin)
+        above = float(self.heights.grid.projection.from_geodetic(at)[2])
+        rays = rays.between(above, self.low, self.high, farthest)
+        depth = self._depth(camera, rays, above, farthest) if rays.meet.any() else nothing
+        rgb = self._paint(camera, rays, depth)
+        shape = (camera.height, camera.width)
+        return View(rgb.reshape(*shape, 3), depth.reshape(shape).astype(np.float32))
+
+    def _depth(self, camera: Camera, rays: _Rays, above: float, farthest: float) -> Array:
+        """Return the depth at which rays meet the surface, (N,), 0 where they do not."""
+        local, box = self._around(self.heights, rays.ends())
+        sharpest = float(np.median(rays.last[rays.meet])) / camera.focal[0]
+        patch = self.heights.patch(box, sharpest)
+        heights = patch.values[np.isfinite(patch.values)] + self.undulation
+        if not heights.size:
+            return np.zeros(len(rays.first))
+        rays = rays.between(above, float(heights.min()), float(heights.max()), farthest)
+        return _march(rays, local, patch, self.undulation)
+
+    def _paint(self, camera: Camera, rays: _Rays, depth: Array) -> NDArray[np.uint8]:
+        """Return the colours (N, 3) where the rays meet the surface; remove depth without one."""
+        colours = np.full((len(depth), 3), np.nan)
+        seen = depth > 0
+        if seen.any():
+            points = rays.start + depth[seen, None] * rays.directions[seen]
+            local, box = self._around(self.colours, points)
+            patch = self.colours.patch(box, float(np.median(depth[seen])) / camera.focal[0])
+            at = local.coordinates(points)
+            image = _Image(patch)
+            x, y = (torch.from_numpy(z).float() for z in image.normal(at[:, 0], at[:, 1]))
+            found = image.sample(x, y, "bicubic")
+            colours[seen] = np.broadcast_to(found.numpy().T, (len(points), 3))
+        known = np.isfinite(colours).all(1)
+        depth[~known] = 0
+        colours[~known] = colours[known].mean(0) if known.any() else 0
+        return np.asarray(np.rint(np.clip(colours, 0, 255)), np.uint8)
+
+    def _around(self, raster: Raster, points: Array) -> tuple[LocalProjection, Box]:
+        """Return the way to a raster's coordinates around points (N, 3), and their rectangle."""
+        low, high = points.min(0) - _MARGIN_M, points.max(0) + _MARGIN_M
+        local = LocalProjection.fit(raster.grid.projection, self.origin, low, high)
+        at = local.coordinates(points)
+        (left, bottom, _), (right, top, _) = at.min(0).tolist(), at.max(0).tolist()
+        return local, Box(left, bottom, right, top)
+
+
+class _Image:
+    """A patch that is interpolated between the centres of its pixels; NaN beyond its edges.
+
+    Attributes:
+        values: (1, bands, H, W) float32, the patch in a frame of NaN; sides are multiples of
+            ``_CELL``.
+    """
+
+    def __init__(self, patch: Patch) -> None:
+        self._grid = patch.grid
+        further = [(1, _CELL - (side + 1) % _CELL) for side in patch.values.shape[1:]]
+        padded = np.pad(patch.values, ((0, 0), *further), constant_values=np.nan)
+        self.values = torch.from_numpy(padded)[None]
+
+    def normal(self, east: Array, north: Array) -> tuple[Array, Array]:
+        """Return coordinates as ``grid_sample`` takes them: -1 to 1 from edge to edge."""
+        columns, rows = self._grid.columns_rows(east, north)
+        height, width = self.values.shape[2:]
+        return (columns + 1) * (2 / width) - 1, (rows + 1) * (2 / height) - 1
+
+    def sample(self, x: Tensor, y: Tensor, mode: str = "bilinear") -> Tensor:
+        """Return values (bands, N) at normal coordinates (N,)."""
+        return _sampled(self.values, x, y, mode)
+
+    def ceiling(self) -> Tensor:
+        """Return the highest value in each cell and the eight around it, (1, bands, h, w)."""
+        high = torch.nan_to_num(self.values, nan=-math.inf)
+        cells = torch.nn.functional.max_pool2d(high, _CELL)
+        return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
+
+
+def _sampled(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
+    at = torch.stack([x, y], -1)[None, None]
+    found: Tensor = torch.nn.functional.grid_sample(
+        values, at, mode=mode, padding_mode="border", align_corners=False
+    )
+    return found[0, :, 0]
+
+
+class _Parabolas(NamedTuple):
+    """Rays in a surface model: the coefficients of what they are at a depth, (3, N) float32 each.
+
+    The rows are normal coordinates x and y, and height in metres above the model's zero.
+    """
+
+    constant: Tensor
+    linear: Tensor
+    quadratic: Tensor
+
+    @staticmethod
+    def of(rays: _Rays, local: LocalProjection, image: _Image, zero: float) -> _Parabolas:
+        """Make the parabolas of rays."""
+        a, b, c = local.along(rays.start, rays.directions)
+        # Normal coordinates are linear in east and north.
+        x, y = image.normal(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+        scale = np.array([x[1] - x[0], y[1] - y[0], 1.0])
+        first = np.array([*(z.item() for z in image.normal(a[0], a[1])), a[2] - zero])
+        constant = np.repeat(first[:, None], len(b), 1)
+        parts = (constant, (b * scale).T, (c * scale).T)
+        return _Parabolas(*(torch.from_numpy(part.astype(np.float32)) for part in parts))
+
+    def chosen(self, which: Tensor) -> _Parabolas:
+        """Return some of them."""
+        return _Parabolas(*(part[:, which] for part in self))
+
+    def at(self, depth: Tensor) -> Tensor:
+        """Return x, y and height at depths (N,), (3, N)."""
+        return self.constant + depth * (self.linear + depth * self.quadratic)
+
+
+def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float) -> Array:
+    """Return the depth (N,) where rays first pass below the surface, 0 where they do not.
+
+    A ray that comes out of a hole of the surface model below the surface meets nothing.
+    """
+    image = _Image(patch)
+    which = np.flatnonzero(rays.meet)
+    zero = undulation + float(np.nanmin(patch.values))
+    image.values -= zero - undulation
+    lines = _Parabolas.of(rays, local, image, zero).chosen(torch.from_numpy(which))
+    first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
+    across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
+    # Depth in which a ray crosses a pixel; upright rays take a pixel of depth.
+    step = min(patch.grid.ground_pixel) / across.clamp_min(0.2)
+    first = _before_surface(lines, image.ceiling(), first, last, step)
+    shallow, deep = _step_of_entry(lines, image, first, last, step)
+    hit = torch.nonzero(deep > 0)[:, 0]
+    depth = np.zeros(len(rays.first))
+    if len(hit):
+        found = _entry(lines.chosen(hit), image, shallow[hit], deep[hit])
+        depth[which[hit.numpy()]] = found.double().numpy()
+    return depth
+
+
+def _clearance(lines: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
+    """Return how far rays are above the surface at a depth, (N,) metres."""
+    at = lines.at(depth)
+    return at[2] - image.sample(at[0], at[1])[0]
+
+
+def _before_surface(
+    lines: _Parabolas, ceiling: Tensor, first: Tensor, last: Tensor, step: Tensor
+) -> Tensor:
+    """Return depths (N,) before the surface, to which rays stay above all that is near them.
+
+    A ray goes from cell to cell while it ends above the highest point around each.
+    """
+    depth = first.clone()
+    stride = (_CELL - 1) * step
+    active = torch.nonzero(depth < last)[:, 0]
+    while len(active):
+        now = lines.chosen(active)
+        x, y, _ = now.at(depth[active])
+        below = now.at(depth[active] + stride[active])[2]
+        free = below > _sampled(ceiling, x, y, "nearest")[0]
+        active = active[free]
+        depth[active] += stride[active]
+        active = active[depth[active] < last[active]]
+    return depth
+
+
+def _step_of_entry(
+    lines: _Parabolas, image: _Image, first: Tensor, last: Tensor, step: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the depths (N,) around the step in which each ray enters the surface, or zeros."""
+    shallow, deep = torch.zeros_like(first), torch.zeros_like(first)
+    active = torch.nonzero(first < last)[:, 0]
+    now, depth = lines.chosen(active), first[active]
+    before = torch.full_like(depth, math.nan)
+    while len(active):
+        clear = _clearance(now, image, depth)
+        entered = (clear <= 0) & (before > 0)
+        met = active[entered]
+        deep[met], shallow[met] = depth[entered], (depth - step[active])[entered]
+        kept = ~(clear <= 0) & (depth < last[active])
+        active, before, now = active[kept], clear[kept], now.chosen(kept)
+        depth = depth[kept] + step[active]
+    return shallow, deep
+
+
+def _entry(lines: _Parabolas, image: _Image, shallow: Tensor, deep: Tensor) -> Tensor:
+    """Return the depth (N,) of the surface between two depths, by bisection and one secant."""
+    for _ in range(_BISECTIONS):
+        middle = (shallow + deep) / 2
+        below = _clearance(lines, image, middle) <= 0
+        deep, shallow = torch.where(below, middle, deep), torch.where(below, shallow, middle)
+    above, beneath = (_clearance(lines, image, depth) for depth in (shallow, deep))
+    share = (above / (above - beneath).clamp_min(1e-9)).clamp(0, 1)
+    return shallow + torch.nan_to_num(share, nan=1.0) * (deep - shallow)

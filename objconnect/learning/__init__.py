@@ -1,0 +1,1 @@
+"""What networks share: encoders, decoder, checkpoints, arithmetic, training."""

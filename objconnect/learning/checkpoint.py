@@ -1,0 +1,162 @@
+"""Files of learned weights: our safetensors, and checkpoints, of which only tensors are read."""
+
+from __future__ import annotations
+
+import json
+import re
+from argparse import Namespace
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.files import parse_json, sha256_of
+
+
+def shipped(path: Path) -> Path:
+    """Return the path of shipped weights, which lie beside the code that reads them.
+
+    Raises:
+        InputError: the file does not exist.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"no weights at {path}: train them (objconnect train {path.stem}), or name a file of "
+            "yours or of the authors with weights=FILE"
+        )
+    return path
+
+
+class _Number:
+    """Replaces NumPy's numbers and types in checkpoints, where training scripts store scores.
+
+    NumPy's own types accept any state from a file and crash on a damaged one.
+    """
+
+    def __init__(self, *_: object) -> None:
+        """Ignore the values of the file, which are not used."""
+
+    def __setstate__(self, _: object) -> None:
+        """Ignore the state of the file, which is not used."""
+
+
+# Types that checkpoints may contain besides tensors: arguments of training scripts and their
+# scores.
+# A score is stored as a call of a NumPy function, whose name differs between versions.
+_PLAIN: Final[list[Any]] = [
+    (_Number, "numpy.core.multiarray.scalar"),
+    (_Number, "numpy._core.multiarray.scalar"),
+    (_Number, "numpy.dtype"),
+    Namespace,
+]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Tensors by name, with the configuration of their network.
+
+    Attributes:
+        tensors: tensors by the names of the network's ``state_dict``.
+        config: configuration of the network; empty where the file has none.
+        sha256: digest of the file.
+    """
+
+    tensors: dict[str, Tensor]
+    config: dict[str, Any]
+    sha256: str
+
+
+def read_weights(path: Path) -> Weights:
+    """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
+
+    Checkpoints may contain only tensors, numbers and plain values. Files that would execute code
+    are refused.
+
+    Raises:
+        InputError: the file does not exist, is damaged, or contains code.
+    """
+    if not path.is_file():
+        raise InputError(f"no weights at {path}")
+    digest = sha256_of(path)
+    if path.suffix == ".safetensors":
+        try:
+            with safe_open(path, "pt") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                config = parse_json((file.metadata() or {}).get("config", "{}"))
+        except (SafetensorError, ValueError, OSError) as error:
+            raise InputError(f"{path} is no safetensors file of weights: {error}") from error
+        if not isinstance(config, dict):
+            raise InputError(f"{path} is no safetensors file of weights: its config is none")
+        return Weights(tensors, config, digest)
+    try:
+        with torch.serialization.safe_globals(_PLAIN):
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # damaged files raise many kinds of exceptions
+        raise InputError(
+            f"{path} cannot be read as tensors and plain values: {fault_of(error)}"
+        ) from error
+    model = content.get("model", content) if isinstance(content, Mapping) else None
+    if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):
+        raise InputError(f"{path} holds no tensors by name")
+    named = {str(name): value for name, value in model.items() if isinstance(value, Tensor)}
+    return Weights(named, {}, digest)
+
+
+def fault_of(error: Exception) -> str:
+    """Describe what is wrong with a checkpoint from the exception that torch raised.
+
+    torch's own message is not used where it explains how to execute the code in the file.
+    """
+    text = str(error)
+    if code := re.search(r"GLOBAL (\S+)", text):
+        return f"it asks for {code[1]}"
+    if "weights_only" in text:
+        return "it holds more than tensors and plain values, or is of a format that could"
+    return next(iter(text.splitlines()), type(error).__name__)
+
+
+def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> None:
+    """Write the tensors of a network and its configuration atomically."""
+    own = network.state_dict()
+    tensors = {name: value.detach().cpu().contiguous() for name, value in own.items()}
+    metadata = {"config": json.dumps(dict(config), sort_keys=True)}
+    with atomic_write(path) as partial:
+        partial.write_bytes(save(tensors, metadata))
+
+
+def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Load tensors into a network.
+
+    Raises:
+        InputError: names, shapes or types are not those of the network, or a value is not finite.
+    """
+    own = network.state_dict()
+    for name, value in own.items():
+        if name not in tensors:
+            raise InputError(f"{path} lacks {name}: it is not of this network")
+        if tensors[name].shape != value.shape:
+            raise InputError(
+                f"{path}: {name} is {tuple(tensors[name].shape)}, the network's is "
+                f"{tuple(value.shape)}"
+            )
+        given = tensors[name]
+        kinds = (given.is_floating_point(), given.is_complex(), given.is_quantized, given.layout)
+        if kinds != (value.is_floating_point(), False, False, torch.strided):
+            raise InputError(
+                f"{path}: {name} holds {str(given.dtype).removeprefix('torch.')}, the network's "
+                f"holds {str(value.dtype).removeprefix('torch.')}"
+            )
+        # A value that is finite in double precision may be infinite in single precision.
+        if not bool(torch.isfinite(given.to(value.dtype)).all()):
+            raise InputError(f"{path}: {name} has values that are not finite")
+    extra = sorted(set(tensors) - set(own))
+    if extra:
+        raise InputError(f"{path} has {extra[0]}, which this network lacks")
+    network.load_state_dict(dict(tensors))

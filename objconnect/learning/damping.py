@@ -1,0 +1,31 @@
+"""Learned damping of the aligner: one factor for each direction of the pose."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+# Range of the decimal logarithm of a factor: part of the model that the weights were trained for.
+_LOG_RANGE = (-6.0, 5.0)
+
+
+class Damping(nn.Module):
+    """Learned damping of one level: a factor per direction, 1e-6 to 1e5, 0.3 untrained.
+
+    Parameters start at zero and change little per step of training: their learning rate is best a
+    hundred times that of the network (as in PixLoc's configuration).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.theta = nn.Parameter(torch.zeros(6))
+
+    def forward(self) -> Tensor:
+        """Return (6,) factors of the Hessian's diagonal: rotation, then translation."""
+        return damping_factors(self.theta)
+
+
+def damping_factors(theta: Tensor) -> Tensor:
+    """Map learned parameters (..., 6) of any size to factors of the Hessian's diagonal."""
+    low, high = _LOG_RANGE
+    return 10 ** (low + (high - low) * torch.sigmoid(theta))

@@ -1,0 +1,234 @@
+"""Networks in integers of eight bits, for processors with units for them (VNNI).
+
+Maps between convolutions are integers 0 to 255, weights are -127 to 127 (Jacob et al., CVPR 2018).
+Every channel has a scale of its own, which is folded into the weights on either side (Nagel et al.,
+ICCV 2019), so that no map is ever rescaled. Scales are those of the largest values that a network
+reaches in some pictures: larger values are cut off. Heads are not quantized.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from objconnect.learning.folding import CellwiseConv, ConvReLU, has_bfloat16_units
+from objconnect.learning.vgg import IMAGENET_MEAN, IMAGENET_STD
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.loops import has_compiler
+
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
+Channelwise = dict[str, Tensor]
+"""A number for each channel (C,) that a convolution returns, by the name of its module."""
+
+
+@contextmanager
+def largest_values(network: nn.Module) -> Iterator[Channelwise]:
+    """Yield the largest values that a folded network reaches in what it sees in the context."""
+    largest: Channelwise = {}
+
+    def watch(name: str, module: ConvReLU) -> torch.utils.hooks.RemovableHandle:
+        def seen(_module: nn.Module, _inputs: tuple[Tensor, ...], maps: Tensor) -> None:
+            here = maps.detach().amax((0, 2, 3)).float()
+            largest[name] = torch.maximum(largest.get(name, here), here)
+
+        return module.register_forward_hook(seen)
+
+    # Whole pictures: at the border of a strip the network sees zeros that no picture has there.
+    encoder = network.get_submodule("encoder").train()
+    named = network.named_modules()
+    handles = [watch(name, module) for name, module in named if isinstance(module, ConvReLU)]
+    try:
+        yield largest
+    finally:
+        encoder.eval()
+        for handle in handles:
+            handle.remove()
+
+
+def require_quantizable(network: nn.Module) -> None:
+    """Refuse a network that ``quantized`` cannot take.
+
+    Raises:
+        InputError: the processor has no units for integers, or the network has another decoder.
+    """
+    if not torch.cpu._is_vnni_supported():
+        raise InputError("quantized=true needs a processor with units for integers (VNNI)")
+    with_objects = any(name.startswith("objects_of.") for name, _ in network.named_modules())
+    if with_objects or not isinstance(network.get_submodule("decoder"), nn.ModuleList):
+        raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
+
+
+def quantized(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
+    """Return a copy of a folded network whose convolutions take and give integers of eight bits.
+
+    Args:
+        network: with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``, and a
+            decoder that is a list of steps, each of which takes the map before it and a block of
+            the encoder.
+        scales: what a step of each channel (C,) that a convolution returns is worth, by the name of
+            its module.
+        strides: of the levels that the heads read.
+
+    Raises:
+        InputError: see ``require_quantizable``.
+    """
+    require_quantizable(network)
+    made = copy.deepcopy(network)
+    blocks = _quantize_encoder(_sequences(made.get_submodule("encoder")), scales)
+    levels = _quantize_decoder(_sequences(made.get_submodule("decoder")), blocks, scales)
+    for name in ("features", "confidence"):
+        heads = made.get_submodule(name)
+        assert isinstance(heads, nn.ModuleList)
+        for number, (head, stride) in enumerate(zip(heads, strides, strict=True)):
+            assert isinstance(head, CellwiseConv)
+            # Level 0 has the stride of the encoder's last block, each further one half of it.
+            heads[number] = _Head(head.convolution, levels[len(blocks) - stride.bit_length()])
+    return made
+
+
+def _sequences(parts: nn.Module) -> list[nn.Sequential]:
+    return [part for part in parts.children() if isinstance(part, nn.Sequential)]
+
+
+def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> list[Tensor]:
+    """Replace the layers of an encoder; return what a step of each block's channels is worth."""
+    pixels = _QuantizedPixels()
+    into, zero, blocks = torch.full((3,), pixels.scale), pixels.zero, []
+    for number, block in enumerate(encoder):
+        for place, layer in enumerate(block):
+            if isinstance(layer, ConvReLU):
+                out = scales[f"encoder.{number}.{place}"]
+                block[place] = _QuantizedConvReLU(layer.convolution, into, out, zero)
+                into, zero = out, 0
+        blocks.append(into)
+    encoder[0].insert(0, pixels)
+    return blocks
+
+
+def _quantize_decoder(
+    decoder: Sequence[nn.Sequential], blocks: Sequence[Tensor], scales: Channelwise
+) -> list[Tensor]:
+    """Replace the layers of a decoder; return what a step of each level's channels is worth.
+
+    Args:
+        decoder: steps from the coarsest level on.
+        blocks: what a step of the channels of the encoder's blocks is worth.
+        scales: the same of all convolutions.
+    """
+    levels = [blocks[-1]]
+    for number, step in enumerate(decoder):
+        (layer,) = step
+        assert isinstance(layer, ConvReLU)
+        # The heads alone read the last map: it need not be rounded.
+        last = number == len(decoder) - 1
+        out = scales[f"decoder.{number}.0"]
+        out = torch.ones_like(out) if last else out
+        joined = torch.cat([levels[-1], blocks[-2 - number]])
+        step[0] = _QuantizedConvReLU(layer.convolution, joined, out, rounded=not last)
+        levels.append(out)
+    return levels
+
+
+def doubled(maps: Tensor) -> Tensor:
+    """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
+    if maps.dtype != torch.uint8:
+        return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
+    if has_compiler():
+        from objconnect.learning.doubling import doubled_integers
+
+        return doubled_integers(maps)
+    # A cell is three parts of the one that it lies in and one part of the next, along either axis.
+    wide = maps.permute(0, 2, 3, 1).to(torch.int16)
+    for axis, shift, half in ((1, 0, 0), (2, 4, 8)):
+        ends = [wide.narrow(axis, 0, 1), wide, wide.narrow(axis, wide.shape[axis] - 1, 1)]
+        padded, threefold = torch.cat(ends, axis), 3 * wide + half
+        count = wide.shape[axis]
+        pair = [(threefold + padded.narrow(axis, first, count)) >> shift for first in (0, 2)]
+        wide = torch.stack(pair, axis + 1).flatten(axis, axis + 1)
+    return wide.to(torch.uint8).permute(0, 3, 1, 2)
+
+
+def _heads_type() -> torch.dtype:
+    """Return the type that heads compute in."""
+    return torch.bfloat16 if has_bfloat16_units() else torch.float32
+
+
+class _QuantizedPixels(nn.Module):
+    """Rounds a normalised picture to integers, which lie as close as those of its file."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        darkest = min(-mean / std for mean, std in zip(IMAGENET_MEAN, IMAGENET_STD, strict=True))
+        brightest = max(
+            (1 - mean) / std for mean, std in zip(IMAGENET_MEAN, IMAGENET_STD, strict=True)
+        )
+        self.scale = (brightest - darkest) / 255
+        self.zero = round(-darkest / self.scale)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        return (maps / self.scale).round_().add_(self.zero).clamp_(0, 255).to(torch.uint8)
+
+
+class _QuantizedConvReLU(nn.Module):
+    """A 3x3 convolution and a ReLU, from integers to integers.
+
+    Args:
+        convolution: in floating point.
+        into: (C_in,) what a step of each channel of the input is worth.
+        out: (C_out,) the same of the output.
+        zero: the integer of the input that stands for 0.
+        rounded: whether the output is an integer; else it is what heads compute in.
+    """
+
+    def __init__(
+        self,
+        convolution: nn.Conv2d,
+        into: Tensor,
+        out: Tensor,
+        zero: int = 0,
+        *,
+        rounded: bool = True,
+    ) -> None:
+        super().__init__()
+        weight = convolution.weight.float() * into[None, :, None, None] / out[:, None, None, None]
+        bias = torch.zeros(len(weight)) if convolution.bias is None else convolution.bias.float()
+        self._bias, self._zero = bias / out, zero
+        self._steps = weight.abs().amax((1, 2, 3)).clamp(min=1e-12) / 127
+        self._zeros = torch.zeros(len(weight), dtype=torch.int64)
+        sides = (convolution.stride, convolution.padding, convolution.dilation)
+        self._where: list[Any] = [*map(list, sides), convolution.groups]
+        integers = (weight / self._steps[:, None, None, None]).round().to(torch.int8)
+        self._weight = torch.ops.onednn.qconv_prepack(
+            integers, self._steps, 1.0, zero, *self._where, None
+        )
+        self._type = torch.uint8 if rounded else _heads_type()
+
+    def forward(self, maps: Tensor) -> Tensor:
+        weight = (self._weight, self._steps, self._zeros, self._bias)
+        result: Tensor = torch.ops.onednn.qconv2d_pointwise(
+            maps, 1.0, self._zero, *weight, *self._where, 1.0, 0, self._type, "relu", [], ""
+        )
+        return result
+
+
+class _Head(CellwiseConv):
+    """A head that reads integers.
+
+    Args:
+        convolution: of single cells.
+        scale: (C_in,) what a step of each channel is worth.
+    """
+
+    def __init__(self, convolution: nn.Conv2d, scale: Tensor) -> None:
+        made = copy.deepcopy(convolution).float().requires_grad_(False)
+        made.weight *= scale[None, :, None, None]
+        super().__init__(made.to(_heads_type()))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        return super().forward(maps.to(self.convolution.weight.dtype))

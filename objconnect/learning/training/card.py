@@ -1,0 +1,65 @@
+"""The card of trained weights: training data, settings and validation figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from objconnect.learning.training.config import TrainConfig
+from objconnect.learning.training.loop import LOG, WEIGHTS
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.files import read_text, sha256_of
+
+CARD: Final = "card.md"
+RESIDUAL: Final = "residual "
+"""Figures of the log that begin so are what a block adds to features, as a share of them."""
+
+
+def write_card(
+    run: Path,
+    method: str,
+    config: TrainConfig,
+    scenes: Sequence[Scene],
+    validation: Sequence[Scene],
+) -> None:
+    """Write the card as Markdown. It contains no recall, which is measured separately.
+
+    Args:
+        run: folder of a finished run, which contains the weights and the log. The card is written
+            into it.
+        method: name of the method.
+        config: configuration of the run.
+        scenes: scenes of the training.
+        validation: scenes of the validation.
+    """
+    weights = run / WEIGHTS
+    rows = [json.loads(line) for line in read_text(run / LOG, "training log").splitlines()]
+    hours = sum(row.get("seconds", 0.0) for row in rows) / 3600
+    changed = config.model_dump(mode="json", exclude_defaults=True)
+    megabytes = weights.stat().st_size / 1e6
+    lines = [
+        f"# Weights of {method}",
+        "",
+        f"- file: {weights.name}, {megabytes:.1f} MB, sha256 {sha256_of(weights)}",
+        f"- trained on: {_places(scenes)}",
+        f"- looked at while training: {_places(validation) or 'nothing'}",
+        f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours",
+        f"- settings beside the defaults: {json.dumps(changed, sort_keys=True)}",
+    ]
+    last = [row for row in rows if any(name.startswith("val/") for name in row)][-1:]
+    for row in last:
+        seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
+        figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
+        lines.append(f"- at the end, on what was looked at: {figures}")
+    residuals = {k: v for row in rows for k, v in row.items() if k.startswith(RESIDUAL)}
+    if residuals:
+        shares = ", ".join(f"{k.removeprefix(RESIDUAL)} {v:.3g}" for k, v in residuals.items())
+        lines.append(f"- what blocks add at the end, as a share of their input: {shares}")
+    write_text(run / CARD, "\n".join(lines) + "\n")
+
+
+def _places(scenes: Sequence[Scene]) -> str:
+    return ", ".join(f"{scene.manifest.preset} {scene.manifest.seed}" for scene in scenes)

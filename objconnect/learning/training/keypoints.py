@@ -1,0 +1,28 @@
+"""The pixels at which features are trained, mostly corners, where maps have points too."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.learning.training.options import PAIRS, PairOptions
+
+
+def keypoints(
+    image: NDArray[np.uint8], count: int, rng: np.random.Generator, options: PairOptions = PAIRS
+) -> NDArray[np.float64]:
+    """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and random places.
+
+    Args:
+        image: (H, W, 3) uint8.
+        count: number of pixels; corners are drawn with equal probability, whatever their strength.
+        rng: generator of the draws.
+        options: threshold of corners, and the share of points at corners.
+    """
+    height, width = image.shape[:2]
+    corners = cv2.FastFeatureDetector.create(options.corner_threshold).detect(image)
+    chosen = rng.permutation(len(corners))[: round(count * options.corner_share)]
+    at_corners = np.array([corners[k].pt for k in chosen], np.float64).reshape(-1, 2) + 0.5
+    anywhere = rng.uniform(0, [width, height], (count - len(chosen), 2))
+    return rng.permutation(np.concatenate([at_corners, anywhere]))

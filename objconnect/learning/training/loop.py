@@ -1,0 +1,393 @@
+"""The training loop for any method, in one or several processes. Interrupted runs continue."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from torch import Tensor, distributed, nn
+from torch.utils.data import DataLoader, Dataset
+
+from objconnect.learning.checkpoint import fault_of, write_weights
+from objconnect.learning.training.config import TrainConfig
+from objconnect.learning.training.curves import draw_curves
+from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
+from objconnect.scene.errors import InputError, WriteError
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import atomic_write, write_text
+from objconnect.scene.storage.files import parse_json, read_text
+from objconnect.scene.storage.resumable import ResumableFolder
+
+WEIGHTS: Final = "weights.safetensors"
+_CHECKPOINT = "checkpoint.pt"
+LOG: Final = "log.jsonl"
+_RUN = "run.json"
+# Settings that may differ when a run goes on, as they do not change what it learns.
+_FREE: Final = ("workers", "save_every", "validate_every")
+_CURVES = "curves.png"
+# What is looked at while training, which changes no weights.
+_VALIDATION_BATCHES = 8
+# The seed of validation pairs, which are the same in all runs.
+_VALIDATION_SEED = 987654321
+
+
+class Trainable(Protocol):
+    """A method that can be trained."""
+
+    @property
+    def network(self) -> nn.Module:
+        """Return the network that is trained and written as weights."""
+        ...
+
+    @property
+    def network_config(self) -> BaseModel:
+        """Return the configuration of the network, which is written with the weights."""
+        ...
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        """Return the loss of a batch, and figures to log by name.
+
+        Args:
+            batch: pairs of images.
+            progress: 0 at the first step, 1 after the last.
+        """
+        ...
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        """Return the parameters with their learning rates, as torch's optimizers take them."""
+        ...
+
+
+class _Drawn(Dataset[Pair]):
+    """The pairs of a run by index. The seed and the index decide a pair."""
+
+    def __init__(self, sources: Sequence[PairSource], shares: Sequence[float], seed: int) -> None:
+        self._sources, self._shares, self._seed = sources, shares, seed
+
+    def __getitem__(self, index: int) -> Pair:
+        rng = np.random.default_rng([self._seed, index])
+        return self._sources[rng.choice(len(self._sources), p=self._shares)].draw(rng)
+
+
+class _Stretch:
+    """The indices of the pairs of some steps, batch by batch, for one of several processes."""
+
+    def __init__(self, first: int, last: int, batch: int, rank: int, world: int) -> None:
+        self._steps, self._batch, self._rank, self._world = range(first, last), batch, rank, world
+
+    def __iter__(self) -> Iterator[list[int]]:
+        for step in self._steps:
+            start = (step * self._world + self._rank) * self._batch
+            yield list(range(start, start + self._batch))
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+
+@dataclass(frozen=True)
+class PairSources:
+    """The sources of the pairs of a run.
+
+    Attributes:
+        rendered: pairs of training scenes.
+        photographs: pairs of plain photographs, or None.
+        validation: pairs of validation scenes, or None for no validation.
+    """
+
+    rendered: PairSource
+    photographs: PairSource | None = None
+    validation: PairSource | None = None
+
+    def drawn(self, photograph_share: float, seed: int) -> _Drawn:
+        """Return the training pairs, of which a share is made of photographs if there are any."""
+        if self.photographs is None:
+            return _Drawn([self.rendered], [1.0], seed)
+        shares = [1 - photograph_share, photograph_share]
+        return _Drawn([self.rendered, self.photographs], shares, seed)
+
+
+def train_loop(
+    method: Trainable,
+    config: TrainConfig,
+    sources: PairSources,
+    out: Path,
+    described: Mapping[str, Any],
+) -> Path:
+    """Train a method, or continue its interrupted training, and write the weights.
+
+    The seed decides every pair, so that an interrupted and resumed run sees the same pairs as an
+    uninterrupted one. Under ``torchrun`` each process takes its share of the pairs.
+
+    Args:
+        method: the method to train.
+        config: configuration of the training.
+        sources: pairs of the training and of the validation.
+        out: folder of the run: checkpoint, log, curves, weights.
+        described: further values that describe the run; a folder of a different run is refused.
+
+    Returns:
+        The file of the weights.
+
+    Raises:
+        InputError: ``out`` belongs to another run or cannot be written, or a process that makes
+            pairs died.
+    """
+    rank, world = join()
+    device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
+    _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
+    method.network.to(device)
+    # torch's annotations do not know this argument.
+    network = method.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.AdamW(method.groups(config.rate), weight_decay=config.decay)
+    peaks = [group["lr"] for group in optimizer.param_groups]
+    first = _restore(out / _CHECKPOINT, network, optimizer, device)
+    borders = sorted({0, round(config.warm_up * config.steps), config.steps})
+    bar = progress_bar("training", config.steps)
+    with _naming_the_dead(), _log(out / LOG, first, rank) as log, bar as advance:
+        for begin, end in pairwise(borders):
+            share = config.photograph_share * (1 if begin == 0 else 0.5)
+            drawn = sources.drawn(share, config.seed)
+            start = max(first, begin)
+            stretch = _Stretch(start, max(start, end), config.batch, rank, world)
+            loader = _loader(drawn, stretch, config.workers)
+            asked = time.perf_counter()
+            for step, batch in enumerate(loader, start):
+                began = time.perf_counter()
+                _schedule(optimizer, peaks, step, config)
+                torch.manual_seed(config.seed * 1_000_003 + step * world + rank)
+                loss, figures = _step(method, batch.to(device), step / config.steps)
+                loss.backward()  # type: ignore[no-untyped-call]
+                _share_gradients(network, world)
+                norm = nn.utils.clip_grad_norm_(network.parameters(), config.clip)
+                if torch.isfinite(norm):
+                    optimizer.step()
+                optimizer.zero_grad()
+                spent = {"waited": began - asked, "seconds": time.perf_counter() - began}
+                log(step, figures | {"norm": float(norm), **spent})
+                done = step + 1
+                looks = done % config.validate_every == 0 or done == config.steps
+                if sources.validation is not None and looks:
+                    progress = done / config.steps
+                    log(step, _validate(method, sources.validation, config, device, progress))
+                if rank == 0 and (done % config.save_every == 0 or done == config.steps):
+                    _save(out / _CHECKPOINT, network, optimizer, done)
+                    draw_curves(out / LOG, out / _CURVES)
+                advance(done)
+                asked = time.perf_counter()
+    if rank == 0:
+        write_weights(out / WEIGHTS, network, method.network_config.model_dump(mode="json"))
+    if world > 1:
+        distributed.barrier()
+    return out / WEIGHTS
+
+
+_CPU: Final = torch.device("cpu")
+
+
+def _gpu() -> bool:
+    return torch.cuda.is_available()
+
+
+class Processes(NamedTuple):
+    """The rank of this process and the number of processes that train together."""
+
+    rank: int
+    world: int
+
+
+def join() -> Processes:
+    """Connect to the other processes of ``torchrun``. Without it, there is one process."""
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    if world > 1 and not distributed.is_initialized():
+        distributed.init_process_group("nccl" if _gpu() else "gloo")
+    return Processes(int(os.environ.get("RANK", "0")), world)
+
+
+def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
+    """Claim the folder for this run, or continue where it already belongs to this run.
+
+    Another length is another run, as the rate falls over all steps.
+    """
+    folder = _resumable(out, run)
+    if folder.resume(
+        lambda difference: (
+            f"{out} holds a run with another {difference}: resume it with the same, or name "
+            "another folder"
+        )
+    ):
+        return
+    if rank == 0:
+        for name in (_CHECKPOINT, LOG, _CURVES, WEIGHTS):
+            if os.path.lexists(out / name):
+                raise WriteError(
+                    f"cannot write {out / name}: another file stands there, and {out} holds no run "
+                    "of ours: name another folder"
+                )
+        folder.begin()
+
+
+def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
+    request = json.dumps(run, indent=2, sort_keys=True) + "\n"
+
+    def difference(record: Path) -> str | None:
+        described = read_text(record, "description of the run")
+        try:
+            before = parse_json(described)
+            # Settings that did not exist when the run began have their defaults.
+            before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+            before["config"] |= {name: run["config"][name] for name in _FREE}
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
+        wanted = json.loads(request)
+        return next((key for key in run if before.get(key) != wanted[key]), None)
+
+    return ResumableFolder(out, out / _RUN, request, difference)
+
+
+def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
+    # A forked worker would inherit the locks of torch's threads, which may be locked.
+    return DataLoader(
+        drawn,
+        batch_sampler=stretch,
+        collate_fn=collate,
+        num_workers=workers,
+        multiprocessing_context="spawn" if workers else None,
+        prefetch_factor=3 if workers else None,
+    )
+
+
+@contextmanager
+def _naming_the_dead() -> Iterator[None]:
+    """Report the death of a process that makes pairs as an error message of one line."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise InputError(
+            f"a process that makes pairs died ({str(error).splitlines()[0]}): the same command "
+            "goes on from the last checkpoint; where memory ran out, with fewer workers"
+        ) from error
+
+
+def _step(method: Trainable, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+    method.network.train()
+    return method.loss(batch, progress)
+
+
+@torch.no_grad()
+def _validate(
+    method: Trainable,
+    source: PairSource,
+    config: TrainConfig,
+    device: torch.device,
+    progress: float,
+) -> dict[str, float]:
+    """Return the mean figures over the validation pairs, which are the same at every call."""
+    method.network.eval()
+    kept = torch.random.get_rng_state()
+    torch.manual_seed(_VALIDATION_SEED)
+    drawn = _Drawn([source], [1.0], _VALIDATION_SEED)
+    total: dict[str, list[float]] = {}
+    for number in range(_VALIDATION_BATCHES):
+        pairs = [drawn[number * config.batch + k] for k in range(config.batch)]
+        for name, value in method.loss(collate(pairs).to(device), progress)[1].items():
+            total.setdefault(name, []).append(value)
+    torch.random.set_rng_state(kept)
+    return {f"val/{name}": float(np.mean(values)) for name, values in total.items()}
+
+
+def _schedule(
+    optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
+) -> None:
+    """Set the learning rates: a linear rise, then a cosine that falls to a hundredth."""
+    rise = min(1.0, (step + 1) / config.rise)
+    fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
+    for group, peak in zip(optimizer.param_groups, peaks, strict=True):
+        group["lr"] = peak * rise * fall
+
+
+def _share_gradients(network: nn.Module, world: int) -> None:
+    """Average gradients over the processes. A parameter without a gradient counts as zero."""
+    if world == 1:
+        return
+    for parameter in network.parameters():
+        if parameter.grad is None:
+            parameter.grad = torch.zeros_like(parameter)
+        distributed.all_reduce(parameter.grad)
+        parameter.grad /= world
+
+
+def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done: int) -> None:
+    state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "done": done}
+    with atomic_write(path) as partial:
+        torch.save(state, partial)
+
+
+def _restore(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, device: torch.device
+) -> int:
+    """Restore a checkpoint, if there is one, and return the number of finished steps."""
+    if not path.is_file():
+        return 0
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        return int(state["done"])
+    except Exception as error:
+        raise InputError(
+            f"{path} is damaged ({fault_of(error)}): remove it to begin again"
+        ) from error
+
+
+_FIGURES: Final = TypeAdapter(dict[str, float])
+
+
+def _logged(path: Path, until: int) -> Iterator[str]:
+    """Yield the lines of a log of steps before ``until``, without incomplete lines."""
+    for number, line in enumerate(read_text(path, "training log").splitlines(), 1):
+        if not line.endswith("}"):
+            continue
+        try:
+            step = _FIGURES.validate_json(line)["step"]
+        except (ValidationError, KeyError):
+            raise InputError(
+                f"line {number} of {path} is damaged: remove the line, or the log to draw curves "
+                "anew from here"
+            ) from None
+        if step < until:
+            yield line
+
+
+class _Logger(Protocol):
+    def __call__(self, step: int, figures: Mapping[str, float]) -> None: ...
+
+
+@contextmanager
+def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
+    """Append one line of figures per step. Lines after the checkpoint are removed first."""
+    if rank > 0:
+        yield lambda step, figures: None
+        return
+    kept = _logged(path, first) if path.is_file() else ()
+    write_text(path, "".join(f"{line}\n" for line in kept))
+    with path.open("a") as file:
+
+        def log(step: int, figures: Mapping[str, float]) -> None:
+            rounded = {name: float(f"{value:.5g}") for name, value in figures.items()}
+            file.write(json.dumps({"step": step, **rounded}) + "\n")
+            file.flush()
+
+        yield log

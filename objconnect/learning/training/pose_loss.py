@@ -1,0 +1,84 @@
+"""The loss of PixLoc: the reprojection error of the poses of an alignment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from objconnect.learning.training.options import LOSSES, LossOptions
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.projection import Intrinsics
+
+
+class Seen(NamedTuple):
+    """Points in the view of a camera, batched (B).
+
+    Attributes:
+        points: points (B, N, 3), world.
+        intrinsics: intrinsics of the camera.
+        valid: points (B, N) to use, bool.
+    """
+
+    points: Tensor
+    intrinsics: Intrinsics
+    valid: Tensor
+
+
+def reprojection_error(
+    pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
+) -> Tensor:
+    """Return the mean pseudo-Huber distance (B,) of projections by two poses; see ``in_pixels``.
+
+    Args:
+        pose: estimated ``camera_from_world``, batch shape (B,).
+        truth: true ``camera_from_world``, batch shape (B,).
+        points: points (B, N, 3), world metres.
+        intrinsics: intrinsics of the cameras, batch shape (B,).
+        valid: (B, N) bool, points to use; points behind a camera are left out too.
+    """
+    ours, true = (
+        intrinsics.project(each.to(dtype=points.dtype).transform(points)) for each in (pose, truth)
+    )
+    used = valid & ours.valid & true.valid
+    squared = torch.where(used[..., None], ours.xy - true.xy, 0).square().sum(-1)
+    # Barron's general loss (CVPR 2019) with shape 1 and scale 2, over 4: quadratic, then linear.
+    robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
+    return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
+
+
+def in_pixels(error: Tensor) -> Tensor:
+    """Return the distance in pixels whose pseudo-Huber function is ``error``."""
+    return 2 * ((error / 2 + 1).square() - 1).sqrt()
+
+
+def pose_loss(
+    by_level: Sequence[Pose],
+    strides: Sequence[int],
+    truth: Pose,
+    seen: Seen,
+    options: LossOptions = LOSSES,
+) -> tuple[Tensor, list[Tensor]]:
+    """Return the loss of a batch, and the error (B,) after each level.
+
+    Each level has the same weight, and errors count up to ``pose_clamp_px``. A level counts only
+    where the coarser one ended within ``near_cells`` of its cells, because finer features cannot
+    correct larger errors. Pairs with fewer than ``min_points`` points are left out.
+
+    Args:
+        by_level: poses after each level, coarse to fine, without gradients between levels.
+        strides: strides of the levels.
+        truth: true poses, as for ``reprojection_error``.
+        seen: the points.
+        options: the limits named above.
+    """
+    errors = [reprojection_error(pose, truth, *seen) for pose in by_level]
+    enough = seen.valid.sum(-1) >= options.min_points
+    counts = enough
+    total = torch.zeros_like(errors[0])
+    for error, stride in zip(errors, strides, strict=True):
+        total = total + torch.where(counts, error.clamp(max=options.pose_clamp_px), 0) / len(errors)
+        counts = enough & (error < options.near_cells * stride)
+    return total.mean(), [error.detach() for error in errors]

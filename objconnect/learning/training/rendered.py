@@ -1,0 +1,228 @@
+"""Training pairs cut from rendered scenes: two frames, often of different seasons and hours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.learning.training.augment import photometric
+from objconnect.learning.training.crops import Crop, crop
+from objconnect.learning.training.instances import objects_of
+from objconnect.learning.training.keypoints import keypoints
+from objconnect.learning.training.objects import PairObjects
+from objconnect.learning.training.options import PAIRS, PairOptions
+from objconnect.learning.training.pairs import Pair, Pinhole, fill, wrong_start
+from objconnect.scene.bundle.frames import DenseLayers
+from objconnect.scene.bundle.manifest import SceneObject
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.views import looks_down, north_angle, upright
+from objconnect.scene.storage.images import read_rgb
+
+# More than a scene has objects, so that ids of several scenes differ.
+_IDS: Final = 1 << 17
+
+
+_Pairs = list[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class _Frame:
+    image: Path
+    camera: Pinhole
+    cam_from_world: NDArray[np.float64]
+    condition: str
+    session: tuple[int, str]
+    index: int
+
+
+class RenderedPairs:
+    """Draws pairs from finished scenes with depth. Implements ``PairSource``.
+
+    Files are opened when the first pair is drawn, so that the object can be sent to workers.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        size: int,
+        points: int,
+        strength: float,
+        options: PairOptions = PAIRS,
+    ) -> None:
+        self._size, self._points, self._strength = size, points, strength
+        self._options = options
+        self._scenes = scenes
+        self._frames: list[_Frame] = []
+        # The pairs of each scene, of one condition and of two.
+        self._pairs: list[tuple[_Pairs, _Pairs]] = []
+        for number, scene in enumerate(self._scenes):
+            first = len(self._frames)
+            self._frames += _frames(scene, number)
+            same, cross = _pairs(scene, self._frames[first:], first, options)
+            if same or cross:
+                self._pairs.append((same or cross, cross or same))
+        if not self._pairs:
+            least = f"{options.min_overlap:.0%}"
+            raise InputError(f"no two frames of {scenes[0].path} overlap by {least}")
+        self._open: dict[tuple[int, str], DenseLayers] | None = None
+        self._by_id: dict[int, dict[int, SceneObject]] = {}
+
+    def draw(self, rng: np.random.Generator) -> Pair:
+        """See ``PairSource``."""
+        while True:
+            # Scenes are drawn alike often: a street has fewer pairs than a survey.
+            same, cross = self._pairs[rng.integers(len(self._pairs))]
+            pairs = cross if rng.uniform() < self._options.cross_share else same
+            a, b = pairs[rng.integers(len(pairs))]
+            if rng.uniform() < 0.5:
+                a, b = b, a
+            pair = self._cut(self._frames[a], self._frames[b], rng)
+            if pair is not None:
+                return pair
+
+    def _depth(self, frame: _Frame) -> NDArray[np.float32]:
+        return np.asarray(self._layers(frame).read("depth", frame.index))
+
+    def _objects(self, frame: _Frame, cut: Crop) -> PairObjects:
+        """Return the objects that a crop of a frame shows."""
+        number = frame.session[0]
+        if number not in self._by_id:
+            listed = self._scenes[number].objects.objects
+            self._by_id[number] = {item.id: item for item in listed}
+        instances = self._layers(frame).read("instance", frame.index)
+        pose = cut.crop_from_camera @ frame.cam_from_world
+        return objects_of(instances, cut, pose, self._by_id[number], number * _IDS)
+
+    def _layers(self, frame: _Frame) -> DenseLayers:
+        if self._open is None:
+            # The files stay open until the process ends.
+            stack = ExitStack()
+            self._open = {
+                (number, session): stack.enter_context(scene.dense(session))
+                for number, scene in enumerate(self._scenes)
+                for session in scene.sessions
+            }
+            self._stack = stack
+        return self._open[frame.session]
+
+    def _cut(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
+        options = self._options
+        photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
+        depth_a, depth_b = self._depth(a), self._depth(b)
+        b_from_a = b.cam_from_world @ np.linalg.inv(a.cam_from_world)
+        xy_a = keypoints(photo_a, 24 * self._points, rng, options)
+        points = a.camera.lift(xy_a, _at(depth_a, xy_a))
+        in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
+        good = (points[:, 2] > 0) & (in_b[:, 2] > 1)
+        xy_a, points, in_b = xy_a[good], points[good], in_b[good]
+        xy_b = b.camera.project(in_b)
+        height, width = photo_b.shape[:2]
+        good = ((xy_b > 0) & (xy_b < [width, height])).all(1)
+        seen = _at(depth_b, np.where(good[:, None], xy_b, 0.5))
+        good &= np.abs(seen - in_b[:, 2]) < options.same_depth * in_b[:, 2]
+        xy_a, xy_b, points = xy_a[good], xy_b[good], points[good]
+        if len(points) < options.min_points:
+            return None
+        zoom = np.exp(rng.uniform(*np.log(options.zoom)))
+        anchor = rng.integers(len(points))
+        jitter = rng.uniform(-0.25, 0.25, (2, 2)) * self._size / zoom
+        match_scale = np.exp(rng.normal(0, 0.08))
+        if rng.uniform() < options.level_share:
+            distance = float(in_b[good][anchor, 2] / points[anchor, 2])
+            match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
+        # Frames from above are both turned by the same quarter turns, because south of the equator
+        # light comes from the north. Along a street the sky is always up.
+        above = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
+        joint = np.pi / 2 * rng.integers(4) if above else 0.0
+        angle_a = joint + north_angle(a.cam_from_world[:3, :3])
+        angle_b = joint + north_angle(b.cam_from_world[:3, :3])
+        angle_b += np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
+        zoom_b = zoom * match_scale
+        cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)
+        cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom_b, self._size, angle_b)
+        b_from_a = cut_b.crop_from_camera @ b_from_a @ cut_a.crop_from_camera.T
+        points = points @ cut_a.crop_from_camera[:3, :3].T
+        xy_a = cut_a.camera.project(points)
+        xy_b = cut_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+        border = options.border_px
+        good = cut_a.contains(xy_a, border) & cut_b.contains(xy_b, border)
+        if good.sum() < options.min_points:
+            return None
+        depth = float(np.median(points[good, 2]))
+        valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
+        return Pair(
+            photometric(cut_a.image, rng, self._strength),
+            photometric(cut_b.image, rng, self._strength),
+            cut_a.camera,
+            cut_b.camera,
+            b_from_a,
+            wrong_start(b_from_a, depth, rng, options),
+            points,
+            xy_a,
+            xy_b,
+            valid,
+            (self._objects(a, cut_a), self._objects(b, cut_b)) if options.objects else None,
+        )
+
+
+def _frames(scene: Scene, number: int) -> list[_Frame]:
+    """Return every frame of a scene, in the order of its covisibility."""
+    frames = []
+    for name, session in scene.sessions.items():
+        stored = scene.frames(name)
+        for index, (image, camera) in enumerate(zip(stored.names, stored.cameras, strict=True)):
+            pinhole = _pinhole(camera, scene.images_root / image)
+            pose = stored.cam_from_world[index]
+            path = scene.images_root / image
+            frames.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
+    return frames
+
+
+def _pinhole(camera: Camera, image: Path) -> Pinhole:
+    if any(camera.distortion) or camera.is_fisheye:
+        raise InputError(f"{image} was taken through a lens with distortion: train on pinholes")
+    return Pinhole(np.array(camera.focal), np.array(camera.principal))
+
+
+def _pairs(
+    scene: Scene, frames: Sequence[_Frame], first: int, options: PairOptions
+) -> tuple[_Pairs, _Pairs]:
+    """Return the pairs of frames that overlap and have about the same heading.
+
+    Args:
+        scene: the scene of the frames.
+        frames: all its frames.
+        first: index of its first frame among those of all scenes.
+        options: the least overlap and the largest turn of a pair.
+
+    Returns:
+        Index pairs (a < b) of frames of one condition, and of two conditions.
+    """
+    names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
+    overlap = scene.covisibility.of(names).mutual
+    rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
+    traces = np.einsum("aij,bij->ab", rotations, rotations)
+    angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    good = (overlap >= options.min_overlap) & (angle <= options.max_turn_deg)
+    same: _Pairs = []
+    cross: _Pairs = []
+    for a, b in np.argwhere(np.triu(good, 1)).tolist():
+        differ = frames[a].condition != frames[b].condition
+        (cross if differ else same).append((a + first, b + first))
+    return same, cross
+
+
+def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the depths (N,) of the pixels that contain ``xy`` (N, 2)."""
+    height, width = depth.shape
+    column = np.clip(xy[:, 0].astype(int), 0, width - 1)
+    row = np.clip(xy[:, 1].astype(int), 0, height - 1)
+    return np.asarray(depth[row, column], np.float64)

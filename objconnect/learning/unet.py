@@ -1,0 +1,216 @@
+"""The decoder of a U-Net on VGG16, which gives maps at several strides, the finest in strips."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import Annotated, Final, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import Tensor, nn
+
+from objconnect.learning.quantization import doubled
+from objconnect.learning.vgg import channels
+
+STRIDES: Final = (16, 8, 4, 2, 1)
+# Rows of a map that are decoded at once: few enough for the processor's cache, and even.
+_ROWS: Final = 64
+# Cells beyond the wanted ones that are decoded too: the convolution and the resizing of the next
+# level need (4 + 1) / 2 + 1 of them, and interpolated slopes two.
+_REACH: Final = 4
+
+
+def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
+    """Check levels; validators of configurations call this.
+
+    Raises:
+        ValueError: no network on VGG16 has such levels.
+    """
+    if any(stride not in STRIDES for stride in strides):
+        raise ValueError(f"strides must be of {STRIDES}")
+    if any(fine >= coarse for coarse, fine in pairwise(strides)):
+        raise ValueError("strides must become finer")
+    if len(dims) != len(strides):
+        raise ValueError("dims must give one number of channels per stride")
+
+
+Level = tuple[Tensor, Tensor]
+"""Features (B, C, h, w) and confidences (B, 1, h, w) of a level."""
+Cellwise = Callable[[Tensor], tuple[Tensor, ...]]
+"""Makes maps (B, _, h, w) of one (B, C, h, w), each cell of them of the same cell alone."""
+Channels = Annotated[int, Field(ge=1, le=2048)]
+"""Number of channels of a layer; the widest of VGG16 has 512."""
+
+
+class Decoder(nn.ModuleList):
+    """The decoder: steps from stride 16 to finer ones, each with the encoder's block as input too.
+
+    Attributes:
+        sizes: channels of each level, coarse to fine.
+    """
+
+    def __init__(self, width: float, steps: Sequence[int], strides: Sequence[int]) -> None:
+        """Build the decoder of an encoder of ``width``; ``steps`` are channels, stride 8 to 1."""
+        skips = channels(width)[::-1]
+        sizes = [skips[0], *steps[: STRIDES.index(strides[-1])]]
+        super().__init__(
+            nn.Sequential(
+                nn.Conv2d(before + skip, after, 3, padding=1, bias=False),
+                nn.BatchNorm2d(after),
+                nn.ReLU(inplace=True),
+            )
+            for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
+        )
+        self._wanted = [STRIDES.index(stride) for stride in strides]
+        self.sizes = [sizes[step] for step in self._wanted]
+
+    def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
+        """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
+
+        Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
+        beyond a multiple of 16 pixels is cut off.
+
+        Args:
+            blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
+        """
+        for (maps,) in self.levels(blocks, [_itself] * len(self._wanted)):
+            yield maps
+
+    def levels(
+        self,
+        blocks: Sequence[Tensor],
+        heads: Sequence[Cellwise],
+        shown: NDArray[np.bool_] | None = None,
+    ) -> Iterator[tuple[Tensor, ...]]:
+        """Yield what a head makes of the map of each level, which ``forward`` describes.
+
+        The map of the finest level, the largest, is made and read a few rows at a time.
+
+        Args:
+            blocks: outputs of the encoder's blocks, as ``forward`` takes them.
+            heads: of each level, coarse to fine.
+            shown: cells (h, w) of the finest level that are wanted; None stands for all. Cells of
+                any level that lie far from them may be zero. The others do not change.
+        """
+        skips = list(blocks)
+        del blocks  # each of them can go once it is decoded
+        wanted = _spans(shown)
+        decoded = skips.pop()
+        if 0 in self._wanted:
+            yield heads[0](decoded)
+        for number, step in enumerate(self, 1):
+            spans = _coarser(wanted, 2 ** (self._wanted[-1] - number))
+            if number == len(self):
+                yield _decode(step, decoded, skips.pop(), heads[-1], spans)
+                return
+            (decoded,) = _decode(step, decoded, skips.pop(), _itself, spans)
+            if number in self._wanted:
+                yield heads[self._wanted.index(number)](decoded)
+
+
+def _itself(maps: Tensor) -> tuple[Tensor]:
+    return (maps,)
+
+
+def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
+    """Return the wanted columns (h, 2) of each row: the first, and one past the last.
+
+    They are w and 0 where none is wanted.
+
+    Args:
+        shown: wanted cells (h, w), or None for all.
+    """
+    if shown is None or not shown.any():
+        return None
+    width, some = shown.shape[1], shown.any(1)
+    first = np.where(some, shown.argmax(1), width)
+    last = np.where(some, width - shown[:, ::-1].argmax(1), 0)
+    spans: NDArray[np.int64] = np.stack([first, last], 1)
+    return spans
+
+
+def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
+    """Return the spans of a level whose cells have so many times the side."""
+    if spans is None:
+        return None
+    begins = np.arange(0, len(spans), times)
+    first = np.minimum.reduceat(spans[:, 0], begins) // times
+    last = -(-np.maximum.reduceat(spans[:, 1], begins) // times)
+    coarse: NDArray[np.int64] = np.stack([first, last], 1)
+    return coarse
+
+
+class _Window(NamedTuple):
+    """Cells ``first`` to ``last``, both even, along one side of a map, and what they are made of.
+
+    Attributes:
+        coarse: cells of the map of half the resolution.
+        fine: cells of the encoder's block, one more at either side where there is one.
+        shift: where those begin in the resized coarse map.
+        before: where the wanted cells begin in those.
+    """
+
+    coarse: slice
+    fine: slice
+    shift: int
+    before: int
+
+    @staticmethod
+    def of(first: int, last: int, size: int) -> _Window:
+        # The convolution sees one cell more at either side, and the resizing one of the coarse map.
+        before, after = int(first > 0), int(last < size)
+        start = max(first // 2 - 2, 0)
+        return _Window(
+            coarse=slice(start, last // 2 + 2 * after),
+            fine=slice(first - before, last + after),
+            shift=first - before - 2 * start,
+            before=before,
+        )
+
+
+def _decode(
+    step: nn.Module,
+    coarse: Tensor,
+    skip: Tensor,
+    head: Cellwise,
+    spans: NDArray[np.int64] | None = None,
+) -> tuple[Tensor, ...]:
+    """Apply a step of the decoder to maps of half its resolution and the encoder's block.
+
+    What goes into the convolution is made for some rows at a time: of a whole picture it would take
+    three times the memory of the result. Of these rows, only columns near the ``spans`` (rows, 2)
+    are made, where there are such, and the others are zero. The ``head`` reads them at once.
+    """
+    rows, columns = (2 * side for side in coarse.shape[-2:])
+    # The statistics of a batch are those of whole maps.
+    count = rows if step.training else _ROWS
+    whole: list[Tensor] = []
+    for top in range(0, rows, count):
+        bottom, left, right = min(top + count, rows), 0, columns
+        if spans is not None:
+            near = spans[max(top - _REACH, 0) : bottom + _REACH]
+            left = max(int(near[:, 0].min()) - _REACH, 0) // 2 * 2
+            right = min((int(near[:, 1].max()) + _REACH + 1) // 2 * 2, columns)
+            if left >= right:
+                continue
+        high, wide = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
+        up = doubled(coarse[..., high.coarse, wide.coarse])
+        fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
+        up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
+        made = head(step(torch.cat([up, fine], 1)))
+        if made[0].shape[-2:] == (rows, columns):
+            return made
+        whole = whole or [_zeros(maps, rows, columns) for maps in made]
+        for maps, part in zip(whole, made, strict=True):
+            part = part[..., high.before :, wide.before :]
+            maps[..., top:bottom, left:right] = part[..., : bottom - top, : right - left]
+    return tuple(whole)
+
+
+def _zeros(like: Tensor, rows: int, columns: int) -> Tensor:
+    """Return maps of zeros, channels-last, of the channels and type of others."""
+    batch, depth = like.shape[:2]
+    return like.new_zeros((batch, rows, columns, depth)).permute(0, 3, 1, 2)

@@ -1,0 +1,95 @@
+"""Minimisation on one level: damped Gauss-Newton over a batch that shrinks as elements converge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from objconnect.localization.align.damping import LEAST_FACTOR, MOST_FACTOR, damped_step, moved
+from objconnect.localization.align.linearise import can_be_compiled, linearise
+from objconnect.localization.align.options import Options
+from objconnect.localization.align.residuals import LevelCost, Linearisation
+from objconnect.localization.align.state import State
+from objconnect.localization.align.trees import choose, rows, tree_map
+from objconnect.scene.geometry.pose import Pose
+
+
+def descend(
+    cost: LevelCost,
+    pose: Pose,
+    alive: Tensor,
+    damping: Tensor,
+    options: Options,
+) -> State:
+    """Minimise the cost of one level.
+
+    Args:
+        cost: the level, laid out for M poses.
+        pose: (M) where to begin.
+        alive: (M,) which elements to move at all.
+        damping: (6,) factors of the Hessian's diagonal.
+        options: how the level is minimised.
+    """
+    if options.careful and can_be_compiled(cost):
+        from objconnect.localization.align.compiled import descended
+
+        return descended(cost, pose, alive, damping, options)
+    around = linearise(cost, pose)
+    none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
+    state = State(pose, around, none, torch.ones_like(none, dtype=torch.float64)[:, None])
+    number = torch.arange(len(alive), device=alive.device)
+    finished: list[tuple[Tensor, State]] = []
+    moving = alive
+    for _ in range(options.iterations):
+        moving = moving & healthy(state.around, options.min_points)
+        if not bool(moving.all()):
+            finished.append((number[~moving], rows(state, ~moving)))
+            number, state, cost = number[moving], rows(state, moving), cost.rows(moving)
+        if not len(number):
+            break
+        step = damped_step(state.around.gradient, state.around.hessian, damping * state.damping)
+        trial_pose = moved(state.pose, step)
+        state = replace(state, iterations=state.iterations + 1)
+        trial = replace(state, pose=trial_pose, around=linearise(cost, trial_pose))
+        if options.careful:
+            better = _falls(state.around, trial.around, options.min_points)
+            state = choose(better, trial, state)
+            change = options.damping_change
+            factor = torch.where(better, 1 / change, change)[:, None]
+            state = replace(
+                state, damping=(state.damping * factor).clamp(LEAST_FACTOR, MOST_FACTOR)
+            )
+            moving = ~_small(step, options)
+        else:
+            state, moving = trial, torch.ones_like(number, dtype=torch.bool)
+    finished.append((number, state))
+    order = torch.cat([numbers for numbers, _ in finished]).argsort()
+    states = [each for _, each in finished]
+    return tree_map(lambda *parts: torch.cat(parts)[order], *states)
+
+
+def healthy(around: Linearisation, min_points: int) -> Tensor:
+    """Return (M,) whether enough points are in view and everything is finite."""
+    return (around.seen.sum(-1) >= min_points) & is_finite(around)
+
+
+def is_finite(around: Linearisation) -> Tensor:
+    """Return (M,) whether a step can be computed."""
+    return around.gradient.isfinite().all(-1) & around.hessian.isfinite().flatten(1).all(-1)
+
+
+def _falls(here: Linearisation, there: Linearisation, min_points: int) -> Tensor:
+    """Return (M,) whether the mean cost falls, over the points in view from both poses."""
+    both = here.seen & there.seen
+    before, after = (replace(each, weight=each.weight * both) for each in (here, there))
+    lower = after.mean_cost() < before.mean_cost()
+    return lower & (both.sum(-1) >= min_points) & is_finite(there)
+
+
+def _small(step: Tensor, options: Options) -> Tensor:
+    """Return (M,) whether steps (M, 6) are small enough to end a level."""
+    turn, shift = step[:, :3].norm(dim=-1), step[:, 3:].norm(dim=-1)
+    small: Tensor = (turn.rad2deg() < options.converged_deg) & (shift < options.converged_m)
+    return small

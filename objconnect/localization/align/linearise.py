@@ -1,0 +1,25 @@
+"""The cost around poses, in compiled loops where these know how, else by torch."""
+
+from __future__ import annotations
+
+import torch
+
+from objconnect.localization.align.residuals import LevelCost, Linearisation
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.runtime.loops import has_compiler
+
+
+def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
+    """Compute a cost around poses (M), ``cam_from_world``, with its derivatives."""
+    if can_be_compiled(cost):
+        from objconnect.localization.align.compiled import around
+
+        return around(cost, cam_from_world)
+    return cost.linearise(cam_from_world)
+
+
+def can_be_compiled(cost: LevelCost) -> bool:
+    """Return whether compiled loops know how: they know no gradients, and one precision."""
+    tensors = (cost.table.cells, cost.points, cost.target)
+    usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
+    return usual and torch.is_inference_mode_enabled() and has_compiler()

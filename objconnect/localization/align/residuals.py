@@ -1,0 +1,232 @@
+"""The cost of a pose, its gradient and its Gauss-Newton Hessian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from objconnect.localization.align.sampling import (
+    VALUE,
+    CellTable,
+    Stride,
+    inside,
+    per_axis,
+    stencil,
+)
+from objconnect.localization.align.trees import rows
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.projection import Intrinsics, Projection
+
+
+@dataclass(frozen=True)
+class Level:
+    """One scale of a batch of B queries, and of the N points they are aligned to.
+
+    Attributes:
+        features: (B, C, h, w) query features; cells outside the picture (padding) cut off.
+            Channels-last in memory is fastest; bfloat16 is fine.
+        stride: pixels of the query's camera per cell.
+        reference: (B, N, C) features of the points.
+        confidence: confidence (B, 1, h, w) of the query's cells, or None.
+        reference_confidence: confidence (B, N) of the points, or None.
+    """
+
+    features: Tensor
+    stride: Stride
+    reference: Tensor
+    confidence: Tensor | None = None
+    reference_confidence: Tensor | None = None
+
+    def first_points(self, count: int) -> Level:
+        """Return the level with the first so many points of every query."""
+        trust = self.reference_confidence
+        trust = trust if trust is None else trust[:, :count]
+        return replace(self, reference=self.reference[:, :count], reference_confidence=trust)
+
+
+def robust_cost(squared: Tensor, scale: float) -> Tensor:
+    """Return the cost of squared residuals: quadratic below ``scale``, logarithmic above.
+
+    Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
+    """
+    return 2 * scale**2 * torch.log1p(squared / (2 * scale**2))
+
+
+def robust_weight(squared: Tensor, scale: float) -> Tensor:
+    """Return the derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
+    return 1 / (1 + squared / (2 * scale**2))
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """A cost around M poses, as seen by N points each.
+
+    Attributes:
+        seen: (M, N) points that count.
+        weight: (M, N) their confidence, zero where not seen.
+        cost: (M, N) robust, without confidence.
+        pull: (M, N, 6) gradient of each point's cost (half of it), weighted.
+        hessian: (M, 6, 6) Gauss-Newton, weighted.
+        cells: (M, N, 2) where the points lie on the level, the first cell's centre being zero.
+    """
+
+    seen: Tensor
+    weight: Tensor
+    cost: Tensor
+    pull: Tensor
+    hessian: Tensor
+    cells: Tensor
+
+    @property
+    def gradient(self) -> Tensor:
+        """Return the gradient of half the summed cost by the tangent of the pose, (M, 6)."""
+        return self.pull.sum(-2)
+
+    def mean_cost(self) -> Tensor:
+        """Return the mean cost (M,) of the visible points, weighted; infinite without points."""
+        total = self.weight.sum(-1)
+        mean = (self.weight * self.cost).sum(-1) / total
+        return torch.where(total > 0, mean, torch.inf)
+
+
+@dataclass(frozen=True)
+class LevelCost:
+    """The cost of one level, laid out for M poses; poses of one query share its features.
+
+    Attributes:
+        table: features of the queries.
+        trust: their confidence, or None.
+        first: (M,) where the maps of each one's query begin in these tables.
+        stride: (2,) pixels per cell, x and y.
+        points: (M, N, 3).
+        mask: (M, N) points to use.
+        target: (M, N, C) features of the points.
+        target_trust: (M, N) confidence of the points, or None.
+        intrinsics: intrinsics (M) of the queries, or one camera.
+        border: cells at the edge of the map in which points do not count; at least 1.
+        scale: scale of the robust cost.
+    """
+
+    table: CellTable
+    trust: CellTable | None
+    first: Tensor
+    stride: Tensor
+    points: Tensor
+    mask: Tensor
+    target: Tensor
+    target_trust: Tensor | None
+    intrinsics: Intrinsics
+    border: float
+    scale: float
+
+    @staticmethod
+    def of(
+        level: Level,
+        points: Tensor,
+        mask: Tensor,
+        intrinsics: Intrinsics,
+        border: float,
+        scale: float,
+    ) -> LevelCost:
+        """Lay out a level for one pose per query.
+
+        Args:
+            level: features of B queries and their points.
+            points: (B, N, 3) in the frame of the poses.
+            mask: (B, N) points to use.
+            intrinsics: intrinsics of the queries, batched (B), or one for all.
+            border: cells at the edge of the map in which points do not count.
+            scale: scale of the robust cost.
+        """
+        exact = level.features.dtype == torch.float64
+        dtype = torch.float64 if exact else torch.float32
+        table = CellTable.of(level.features.to(dtype))
+        return LevelCost(
+            table=table,
+            trust=None if level.confidence is None else CellTable.of(level.confidence),
+            first=table.first(torch.arange(len(points), device=points.device)),
+            stride=per_axis(level.stride, points),
+            points=points,
+            mask=mask,
+            target=level.reference.to(dtype),
+            target_trust=level.reference_confidence,
+            intrinsics=intrinsics,
+            border=max(border, 1.0),
+            scale=scale,
+        )
+
+    def rows(self, which: Tensor) -> LevelCost:
+        """Select poses by number, repeated or not, or by a mask."""
+        trust, cameras = self.target_trust, self.intrinsics
+        return replace(
+            self,
+            first=self.first[which],
+            points=self.points[which],
+            mask=self.mask[which],
+            target=self.target[which],
+            target_trust=None if trust is None else trust[which],
+            intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
+        )
+
+    def sampled(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
+        """Return the query's features (M, N, C) where poses (M) project the points, and their
+        confidence (M, N), zero where the query does not show them."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        cells, seen = self._cells(self.intrinsics.project(in_camera))
+        index, weights = stencil(cells, self.table, self.first)
+        values = self.table.value(index, weights).to(cells)
+        return values, self._trust(seen, index, weights)
+
+    def _projected(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
+        """Return points in the frames of cameras (M, N, 3), and their pixels with derivatives."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        return in_camera, self.intrinsics.project(in_camera, jacobian=True)
+
+    def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
+        """Return where points lie on the level, (M, N, 2), and which of them count, (M, N)."""
+        cells = projected.xy / self.stride - 0.5
+        seen = projected.valid & self.mask
+        seen = seen & inside(cells, self.table.width, self.table.height, self.border)
+        return torch.where(seen[..., None], cells, 1), seen
+
+    def _trust(self, seen: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+        """Return the confidence (M, N) of the query at cells of ``stencil``, zero if not seen."""
+        trust = seen.to(weights)
+        if self.trust is None:
+            return trust
+        near = self.trust.gather(index[..., :VALUE])[..., 0]
+        return trust * (near * weights[..., :VALUE]).sum(-1)
+
+    def linearise(self, cam_from_world: Pose) -> Linearisation:
+        """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
+        in_camera, projected = self._projected(cam_from_world)
+        assert projected.jacobian is not None
+        cells, seen = self._cells(projected)
+        index, weights = stencil(cells, self.table, self.first)
+
+        # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
+        field = self.table.mix(index, weights)
+        field[..., 0, :] -= self.target
+        gram = (field @ field.transpose(-1, -2)).to(cells)
+        squared = gram[..., 0, 0]
+
+        trust = self._trust(seen, index, weights)
+        if self.target_trust is not None:
+            trust = trust * self.target_trust
+        seen = seen & (trust > 0)
+
+        jacobian = projected.jacobian / self.stride[:, None]
+        turn = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
+        jacobian = torch.cat([turn, jacobian], -1)  # (M, N, 2, 6)
+        weight = (trust * robust_weight(squared, self.scale))[..., None, None]
+        chained = (weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
+        return Linearisation(
+            seen=seen,
+            weight=trust,
+            cost=robust_cost(squared, self.scale),
+            pull=chained[..., 0, :],
+            hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
+            cells=cells,
+        )

@@ -1,0 +1,1 @@
+"""What a method keeps per map: arrays in files under keys of what they were made of."""

@@ -1,0 +1,180 @@
+"""Where a query may be: what is known of its pose is kept, and what is not is searched."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.coarse.grid import GroundGrid, ground_grid
+from objconnect.localization.coarse.headings import possible_headings
+from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
+from objconnect.localization.coarse.search import Candidate, Hypotheses, PlaceSearch
+from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
+from objconnect.localization.resolution import metres_per_pixel, observed, of_map, scale_to
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.pose import Pose, so3_exp
+from objconnect.scene.geometry.views import WarpedImage, levelled, map_angle, tilt
+from objconnect.scene.localizer import Prior, Query
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.images import read_rgb
+
+_FORMAT: Final = 2
+_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+# Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
+_FLATTEST: Final = 0.3
+# An altitude of a smaller sigma, in parts of the height above ground, is known.
+_KNOWN_ALTITUDE: Final = 0.1
+
+
+class PlaceOptions(Config):
+    """Options of the search for a place.
+
+    Attributes:
+        candidates: places to return at most; 0 for no search.
+        headings: at which the network looks at the query, spread over the full turn.
+        turns: headings tried with each look of the network, between one look and the next.
+        altitudes: heights above ground tried where none is known, in parts of the height from
+            which the map's photographs were taken.
+        cell_px: side of a cell of the mosaic, pixels of a photograph.
+        channels: principal components of the features that the mosaic keeps.
+        longest: photographs are looked at with a longer side of about so many pixels.
+        least_overlap: share of the query, by confidence, that must lie on known ground.
+        farthest: ground farther away than so many heights above it is left out.
+        most_tilt_deg: a query that looks flatter than this is seen as by a camera that is turned
+            down to it, as nearly all photographs of a map look down.
+        reach_sigmas: places are looked for within so many standard deviations of a position that
+            is not sure, and two cells.
+    """
+
+    candidates: int = Field(16, ge=0)
+    headings: int = Field(12, ge=1)
+    turns: int = Field(5, ge=1)
+    altitudes: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
+    cell_px: int = Field(16, ge=4)
+    channels: int = Field(32, ge=1)
+    longest: int = Field(256, ge=64)
+    least_overlap: float = Field(0.3, gt=0, le=1)
+    farthest: float = Field(2.0, gt=0)
+    most_tilt_deg: float = Field(45.0, ge=0)
+    reach_sigmas: float = Field(3.0, gt=0)
+
+
+class PlaceFinder:
+    """Finds places in a map with the coarsest features of a network.
+
+    Args:
+        extract: of feature maps.
+        options: of the search.
+    """
+
+    def __init__(self, extract: MapExtractor, options: PlaceOptions) -> None:
+        self._extract = extract
+        self._options = options
+
+    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
+        """Make the mosaic of a map, or read it from the cache.
+
+        Args:
+            sparse_map: the map.
+            images: folder that the names of its photographs are relative to.
+            key: of the network.
+            cache: folder of files named by a digest of all that the mosaic depends on.
+
+        Raises:
+            InputError: a photograph is missing, broken or changed meanwhile.
+        """
+        options = self._options
+        kept = MapCache.of(sparse_map, images, cache)
+        posed = [sparse_map.images[name] for name in sparse_map.names]
+        sharpest = of_map(sparse_map, self._extract.largest_scale)
+        sides = [
+            max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
+            for image in posed
+        ]
+        self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)
+        heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
+        self._height = float(np.median(heights))
+        parts = (key, options.cell_px, options.channels, options.longest)
+        path = kept.path("mosaic", _FORMAT, *parts)
+        if not path.is_file():
+            mosaic = self._make(sparse_map, images)
+            kept.require_unchanged()
+            mosaic.write(path)
+        self._mosaic = Mosaic.read(path)
+        self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
+
+    def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
+        def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
+            own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+            largest = self._extract.largest_scale(image.camera)
+            scale = scale_to(self._resolution, own, largest)
+            angle = map_angle(image.cam_from_world[:3, :3])
+            rgb = read_rgb(images / image.name, image.camera)
+            view, levels = self._extract(rgb, image.camera, angle, scale, 1)
+            return view, levels[0]
+
+        if not math.isfinite(self._resolution):
+            return empty_mosaic(ground_grid(sparse_map.xyz[:1], 1.0))
+        grid = ground_grid(sparse_map.xyz, self._options.cell_px * self._resolution)
+        with progress_bar("mosaic of the map", len(sparse_map.names)) as advance:
+            return make_mosaic(sparse_map, grid, self._options.channels, look, advance)
+
+    def find(self, query: Query) -> list[Candidate]:
+        """Return places where the query may be, best first; none where the map was not seen from
+        above, or where the query's picture is of one colour, which nothing can be told from."""
+        if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
+            return []
+
+        def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
+            rotation, turn = pose.rotation.numpy(), None
+            least = math.radians(self._options.most_tilt_deg)
+            if tilt(rotation) > least:
+                turn = levelled(rotation, least) @ rotation.T
+            axis = rotation[2] if turn is None else turn[2] @ rotation
+            down = max(_FLATTEST, -float(axis[2]))
+            own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
+            scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
+            angle = map_angle(rotation)
+            view, levels = self._extract(query.image, query.camera, angle, scale, 1, turn)
+            return view, levels[0]
+
+        tried = hypotheses(query.prior, self._options, self._mosaic.grid, self._height)
+        return self._search(look, tried, self._options.candidates)
+
+
+def hypotheses(
+    prior: Prior | None, options: PlaceOptions, grid: GroundGrid, height: float
+) -> Hypotheses:
+    """Return where a camera may be, given what is known.
+
+    That is its attitude, but not which way it is turned, unless its sigma says so, and its place as
+    far as that sigma says.
+
+    Args:
+        prior: of the query.
+        options: of the search.
+        grid: of the ground.
+        height: of the map's photographs above ground, metres.
+    """
+    step = math.tau / options.headings
+    turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
+    base, headings = possible_headings(prior, options.headings)
+    passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
+    altitudes = [part * height for part in options.altitudes]
+    within = None
+    if prior is not None and prior.position_sigma is not None:
+        east, north_, up = (float(each) for each in prior.position)
+        if (sigma := prior.horizontal_sigma) is not None:
+            within = (east, north_, options.reach_sigmas * sigma + 2 * grid.cell)
+        above = up - grid.height_at(east, north_)
+        if prior.position_sigma[2] < _KNOWN_ALTITUDE * above:
+            altitudes = [above]
+    return Hypotheses(passes, turns, altitudes, within)

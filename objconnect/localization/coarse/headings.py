@@ -1,0 +1,39 @@
+"""Which headings an image may have, by what is known of its attitude."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from objconnect.scene.localizer import Prior
+
+_DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+
+
+def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:
+    """Return an attitude and the headings about it (rad) that lie within two standard deviations.
+
+    Args:
+        prior: what is known; without an attitude the camera is taken to look straight down.
+        count: headings over the full turn.
+
+    Returns:
+        The ``cam_from_world`` rotation (3, 3) at a heading of 0, and the headings.
+    """
+    step = math.tau / count
+    around = [k * step for k in range(count)]
+    if prior is None or prior.cam_from_world_rotation is None:
+        return _DOWN, around
+    attitude = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
+    degrees = prior.heading_sigma_deg
+    degrees = prior.attitude_sigma_deg if degrees is None else degrees
+    if degrees is None:
+        return attitude, around
+    most = math.ceil(min(2 * math.radians(degrees) / step, count))
+    if 2 * most >= count:  # the last one to the left would be the last one to the right
+        return attitude, around
+    return attitude, [k * step for k in range(-most, most + 1)]

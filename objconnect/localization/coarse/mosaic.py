@@ -1,0 +1,159 @@
+"""The mosaic of a map: what every cell of the ground looks like to a network, from above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import h5py
+import torch
+from torch import Tensor
+
+from objconnect.localization.coarse.grid import GroundGrid
+from objconnect.localization.featuremetric.maps import FeatureMap
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import WarpedImage, looks_down
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.storage.hdf5 import array, attribute
+from objconnect.scene.storage.hdf5_writing import hdf5_file
+
+Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
+
+_ARRAYS: Final = ("origin", "heights", "features", "known", "mean", "components")
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """Coarse features on the ground, less what all of the ground has in common.
+
+    Attributes:
+        grid: of the cells.
+        features: (K, H, W) float32 of unit length, 0 where nothing is known.
+        known: (H, W) float32, 1 where a photograph shows the cell, else 0.
+        mean: (C,) the mean feature of all cells.
+        components: (C, K) orthonormal principal components.
+    """
+
+    grid: GroundGrid
+    features: Tensor
+    known: Tensor
+    mean: Tensor
+    components: Tensor
+
+    def reduced_map(self, features: Tensor) -> Tensor:
+        """Return features (1, C, h, w) as the mosaic holds its own, (1, K, h, w)."""
+        cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
+        reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
+        return reduced.permute(2, 0, 1)[None]
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no photograph of the map looks down."""
+        return not bool(self.known.any())
+
+    def write(self, path: Path) -> None:
+        """Write the mosaic as HDF5; features take half precision.
+
+        Raises:
+            WriteError: the folder cannot be written, or the disk is full.
+        """
+        arrays = {
+            "origin": self.grid.origin,
+            "heights": self.grid.heights,
+            "features": self.features.half().numpy(),
+            "known": self.known.numpy(),
+            "mean": self.mean.numpy(),
+            "components": self.components.numpy(),
+        }
+        with hdf5_file(path) as file:
+            for name, values in arrays.items():
+                file[name] = values
+            file.attrs["cell"] = self.grid.cell
+
+    @staticmethod
+    def read(path: Path) -> Mosaic:
+        """Read what ``write`` wrote.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        try:
+            with h5py.File(path) as file:
+                origin, heights, *rest = (array(file, name) for name in _ARRAYS)
+                cell = float(attribute(file, "cell"))
+        except HDF5_DAMAGE as error:
+            raise InputError(f"{path} is damaged ({error}): delete it") from None
+        features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
+        return Mosaic(GroundGrid(origin, cell, heights), features, known, mean, components)
+
+
+def empty_mosaic(grid: GroundGrid) -> Mosaic:
+    """Return the mosaic of ground that no photograph shows from above."""
+    nothing = torch.zeros(grid.shape)
+    return Mosaic(grid, nothing[None], nothing, torch.zeros(1), torch.ones(1, 1))
+
+
+@torch.inference_mode()
+def make_mosaic(
+    sparse_map: SparseMap,
+    grid: GroundGrid,
+    channels: int,
+    look: Look,
+    advance: Callable[[int], None],
+) -> Mosaic:
+    """Average the coarse features of all photographs that look down, cell by cell.
+
+    Args:
+        sparse_map: whose photographs.
+        grid: of the cells.
+        channels: K, principal components to keep.
+        look: gives a photograph's view, north up and at the map's resolution, with the features of
+            the coarsest level.
+        advance: called with the number of photographs done.
+
+    Raises:
+        InputError: a photograph is missing or broken.
+    """
+    cells = torch.from_numpy(grid.centres().reshape(-1, 3))
+    total: Tensor | None = None
+    weight = torch.zeros(len(cells))
+    for done, name in enumerate(sparse_map.names, 1):
+        image = sparse_map.images[name]
+        if looks_down(image.cam_from_world[:3, :3]):
+            view, level = look(image)
+            rows, features, confidence = _shown(view, level, image.pose, cells)
+            if total is None:
+                total = torch.zeros(len(cells), features.shape[1])
+            total[rows] += confidence[:, None] * features
+            weight[rows] += confidence
+        advance(done)
+    known = weight > 0
+    shape = grid.shape
+    if total is None or not bool(known.any()):
+        return empty_mosaic(grid)
+    mean = total.sum(0) / weight.sum()
+    centred = torch.nn.functional.normalize(total[known] / weight[known, None] - mean, dim=1)
+    _, vectors = torch.linalg.eigh(centred.T @ centred)
+    components = vectors.flip(1)[:, :channels].contiguous()
+    features = torch.zeros(len(cells), components.shape[1])
+    features[known] = torch.nn.functional.normalize(centred @ components, dim=1)
+    placed = features.T.reshape(-1, *shape).contiguous()
+    return Mosaic(grid, placed, known.float().reshape(shape), mean, components)
+
+
+def _shown(
+    view: WarpedImage, level: FeatureMap, pose: Pose, cells: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return rows of the cells (M, 3) that a photograph shows, their unit features (N, C) and
+    confidences (N,)."""
+    projected = view.camera.project(view.pose(pose).transform(cells))
+    inside = projected.valid & view.camera.contains(projected.xy)
+    rows = torch.nonzero(inside)[:, 0]
+    xy = projected.xy[rows]
+    shown = torch.from_numpy(view.shows(xy.numpy()))
+    rows, xy = rows[shown], xy[shown]
+    features, confidence = level.sample(xy.float())
+    return rows, features, confidence

@@ -1,0 +1,1 @@
+"""Depth of corners of a photograph of the map, by sweeping planes and windows."""

@@ -1,0 +1,48 @@
+"""A photograph of a map in shades of grey, smaller than it was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+
+
+@dataclass(frozen=True)
+class GreyPhotograph:
+    """A photograph of a map, made smaller.
+
+    Attributes:
+        grey: (H, W) float32.
+        camera: camera of the smaller photograph.
+        pose: ``cam_from_world``.
+        in_photograph: maps its pixels (N, 2) to those of the original.
+    """
+
+    grey: Tensor
+    camera: Camera
+    pose: Pose
+    in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+    def shrunk(self, factor: int) -> GreyPhotograph:
+        """Return the photograph, made smaller by a factor; ``in_photograph`` stays as it is.
+
+        What is left over at its right and lower edge is cut off.
+        """
+        height, width = (side // factor * factor for side in self.grey.shape)
+        size = (width // factor, height // factor)
+        small = cv2.resize(self.grey.numpy()[:height, :width], size, interpolation=cv2.INTER_AREA)
+        camera = replace(self.camera, width=width, height=height).resized(*size)
+        return replace(self, grey=torch.from_numpy(small), camera=camera)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its values."""
+        return self.grey.nbytes

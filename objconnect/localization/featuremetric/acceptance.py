@@ -1,0 +1,153 @@
+"""The probability that a pose is right.
+
+A pose is right within 5 m and 10 degrees; its covariance says how exact it is. Logistic regression
+gives the odds of an aligned pose from three figures of the query alone (``evidence``), and those of
+a pose by matches from the number of inliers. At most one place of a map is right, so the
+probabilities of poses at several places sum to at most 1. ``python -m experiments.acceptance``
+finds the numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from objconnect.localization.featuremetric.evidence import Evidence
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Status
+
+SHIPPED: Final = Path(__file__).with_name("acceptance.yaml")
+"""The model of the networks that come with the project; it serves both of them."""
+RIGHT_M: Final = 5.0
+"""A pose is right that is wrong by less, metres."""
+RIGHT_DEG: Final = 10.0
+"""A pose is right that is wrong by less, degrees."""
+# Beyond these odds no calibration has seen a case: they stand for certainty (e**20 to one).
+_MOST_LOG_ODDS: Final = 20.0
+
+
+class AlignedModel(Config):
+    """Logistic regression of aligned poses: weights of the fields of ``Evidence.terms``.
+
+    Attributes:
+        bias: log odds where all terms are zero.
+        peak: weight of the logarithm of the peak's height.
+        halves: weight of the logarithm of the distance between the halves' poses.
+        curvature: weight of the logarithm of the curvature.
+    """
+
+    bias: float
+    peak: float
+    halves: float
+    curvature: float
+
+
+class MatchedModel(Config):
+    """Logistic regression of poses by matches.
+
+    Attributes:
+        bias: log odds of a pose of one inlier.
+        inliers: weight of the logarithm of their number.
+    """
+
+    bias: float
+    inliers: float
+
+
+class AcceptanceModel(Config):
+    """The probability of poses of one network.
+
+    Attributes:
+        aligned: model of aligned poses.
+        matched: model of poses by matches.
+    """
+
+    aligned: AlignedModel
+    matched: MatchedModel
+
+    def of_alignment(self, evidence: Evidence) -> float:
+        """Return the log odds of an aligned pose."""
+        model = self.aligned
+        terms = evidence.terms()
+        weights = (model.peak, model.halves, model.curvature)
+        return _bounded(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
+
+    def of_matches(self, inliers: int) -> float:
+        """Return the log odds of a pose by matches; minus infinity without an inlier."""
+        if inliers < 1:
+            return -math.inf
+        return _bounded(self.matched.bias + self.matched.inliers * math.log(inliers))
+
+    def rated(self, matched: Estimate) -> Estimate:
+        """Return a pose by matches with the probability that it is right."""
+        if matched.status is not Status.OK:
+            return matched
+        return replace(matched, probability=_probability(self.of_matches(matched.inliers)))
+
+
+def log_odds_of(probability: float | None) -> float:
+    """Return the log odds of a probability; minus infinity of none, or of 0."""
+    if not probability:
+        return -math.inf
+    return _bounded(math.log(probability) - math.log1p(-min(probability, 1 - 1e-12)))
+
+
+def _probability(log_odds: float) -> float:
+    return 1 / (1 + math.exp(-log_odds))
+
+
+def _bounded(log_odds: float) -> float:
+    return min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
+
+
+def acceptance_file(weights: Path) -> Path:
+    """Return the file of the model that stands beside weights."""
+    return weights.with_suffix(".acceptance.yaml")
+
+
+def read_acceptance(weights: Path | None) -> AcceptanceModel:
+    """Read the model beside weights; that of all networks where there is none.
+
+    Args:
+        weights: of a user; None for those that come with a method.
+
+    Raises:
+        InputError: the file is no such model.
+    """
+    own = None if weights is None else acceptance_file(weights)
+    return load_config(AcceptanceModel, own if own is not None and own.exists() else SHIPPED, {})
+
+
+def best_probability(
+    poses: Sequence[tuple[Pose, float]], rivals: Sequence[tuple[Pose, float]] = ()
+) -> tuple[int, float]:
+    """Return which of some poses is likeliest, and the probability that it is right.
+
+    At most one place is right. So where a second place is as likely, each has a half at most.
+    Poses as near to each other as right poses are to the truth are one place, and count once.
+
+    Args:
+        poses: poses with their log odds; one at least.
+        rivals: further poses with their log odds, which are not chosen from.
+    """
+    best = max(range(len(poses)), key=lambda k: poses[k][1])
+    pose, own = poses[best]
+    if own == -math.inf:
+        return best, 0.0
+    distinct = [pose]
+    total = 1.0 + math.exp(own)
+    for other, log_odds in sorted([*poses, *rivals], key=lambda each: -each[1]):
+        if log_odds > -math.inf and not any(is_same(other, each) for each in distinct):
+            distinct.append(other)
+            total += math.exp(log_odds)
+    return best, math.exp(own) / total
+
+
+def is_same(pose: Pose, other: Pose) -> bool:
+    """Return whether two poses are as near to each other as a right pose is to the truth."""
+    metres, degrees = (float(part) for part in pose.error_to(other))
+    return metres < RIGHT_M and degrees < RIGHT_DEG

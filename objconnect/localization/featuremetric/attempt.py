@@ -1,0 +1,189 @@
+"""Poses that the alignment led to from one start each, and the answer that several give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.localization.align.aligner import Alignment
+from objconnect.localization.align.covariance import Spread, spread
+from objconnect.localization.align.problem import Problem
+from objconnect.localization.featuremetric.acceptance import best_probability
+from objconnect.localization.featuremetric.calibration import CovarianceNumbers, calibrated
+from objconnect.localization.featuremetric.evidence import Evidence, evidence
+from objconnect.localization.featuremetric.options import SearchOptions
+from objconnect.localization.featuremetric.problem import fit
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import WarpedImage
+from objconnect.scene.localizer import By, Estimate, Status, Stopwatch
+
+Rivals = Sequence[tuple[Pose, float]]
+"""Poses with their log odds, which attempts share one probability with."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The pose that one start led to.
+
+    Attributes:
+        view: the warped image.
+        problem: what was aligned last.
+        alignment: of the view.
+    """
+
+    view: WarpedImage
+    problem: Problem
+    alignment: Alignment
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The outcome of one start.
+
+    Attributes:
+        view: the warped image.
+        alignment: of the view.
+        spread: how far its pose may be off; None where alignment failed.
+        fit: cost as a share of the cost by chance; infinite where alignment failed.
+        evidence: what tells whether the pose is right; None where alignment failed.
+        log_odds: logarithm of the odds that it is; minus infinity where alignment failed.
+    """
+
+    view: WarpedImage
+    alignment: Alignment
+    spread: Spread | None
+    fit: float
+    evidence: Evidence | None
+    log_odds: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no pose."""
+        return bool(self.alignment.failed[0])
+
+    @property
+    def pose(self) -> Pose:
+        """``cam_from_world`` of the photograph."""
+        return photograph_pose(self.view, self.alignment)
+
+
+def judged(found: Found, options: SearchOptions) -> Attempt:
+    """Measure how far the pose of an alignment may be off, and what tells whether it is right.
+
+    Args:
+        found: what was aligned.
+        options: how evidence is measured, and the model that gives the odds.
+    """
+    assert options.acceptance is not None
+    view, problem, alignment = found.view, found.problem, found.alignment
+    if alignment.failed[0]:
+        return Attempt(view, alignment, None, math.inf, None, -math.inf)
+    around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
+    told = evidence(problem, alignment.pose, float(around.curvature[0]), options.evidence)
+    return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
+
+
+def best_of(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
+    """Return the likeliest of some attempts, and the probability that it is right."""
+    poses = [(each.pose, each.log_odds) for each in attempts]
+    best, probability = best_probability(poses, rivals)
+    return attempts[best], probability
+
+
+def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+    """Return whether the likeliest of some attempts is right with a probability of 1 - risk.
+
+    Args:
+        attempts: what was tried.
+        options: the risk.
+        rivals: poses that were found otherwise.
+    """
+    best, probability = best_of(attempts, rivals)
+    return not best.failed and probability >= 1 - options.risk
+
+
+def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+    """Return whether the likeliest of some attempts is believed, and exact enough."""
+    best, probability = best_of(attempts, rivals)
+    return not _why_not(best, probability, len(attempts), options)
+
+
+def estimated(
+    attempts: Sequence[Attempt],
+    begin: Sequence[Pose],
+    begun: By,
+    options: SearchOptions,
+    clock: Stopwatch,
+    rivals: Rivals = (),
+) -> Estimate:
+    """Return the likeliest of some attempts; where it is not believed, the first start.
+
+    Args:
+        attempts: what was tried.
+        begin: starts, ``cam_from_world``.
+        begun: what gave the first of them.
+        options: the risk, and how covariances are calibrated.
+        clock: the time that was taken.
+        rivals: poses that were found otherwise.
+    """
+    best, probability = best_of(attempts, rivals)
+    answer = Estimate(
+        Status.OK,
+        best.pose,
+        pose_covariance(best, options),
+        inliers=int(best.alignment.seen),
+        iterations=sum(int(each.alignment.iterations) for each in attempts),
+        seconds=clock.seconds,
+        reason=_why_not(best, probability, len(attempts), options),
+        by=By.ALIGNMENT,
+        probability=probability,
+    )
+    if not answer.reason:
+        return answer
+    fallback = replace(answer, status=Status.FALLBACK, covariance=None, by=begun)
+    return replace(fallback, cam_from_world=begin[0])
+
+
+def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
+    """Return the standard deviation of the camera's position, metres; infinite if unknown."""
+    covariance = pose_covariance(attempt, options)
+    return math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
+
+
+def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
+    """Return why the likeliest of some attempts is no answer; empty where it is one."""
+    if best.failed:
+        return best.alignment.reason(0)
+    which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
+    if probability < 1 - options.risk:
+        shown = math.floor(100 * probability) / 100  # never rounded up to the bound
+        return f"{which} is right with a probability of {shown:.2f}, below {1 - options.risk:g}"
+    if (sigma := sigma_m(best, options)) > options.most_sigma_m:
+        return (
+            f"the position of {which} is known to {sigma:.1f} m only, and search.most_sigma_m is "
+            f"{options.most_sigma_m:g}"
+        )
+    return ""
+
+
+def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
+    """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
+
+    Args:
+        attempt: with its pose.
+        options: how the covariance is calibrated.
+    """
+    if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
+        return None
+    of_view = calibrated(attempt.spread, attempt.fit, CovarianceNumbers.of(options))
+    return attempt.view.photograph_covariance(of_view[0])
+
+
+def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
+    """Return ``cam_from_world`` of the photograph of an aligned view."""
+    pose = alignment.pose
+    return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))

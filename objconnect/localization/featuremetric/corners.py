@@ -1,0 +1,148 @@
+"""Corners of a map's photographs as additional 3D points, placed by a plane sweep.
+
+A sparse map has its points where SIFT found texture, in one season: most lie on plain ground, and
+snow hides them. Corners of roofs, roads, walls and crowns remain visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import Tensor
+
+from objconnect.localization.cache.array_store import ArrayStore, written_store
+from objconnect.localization.cache.earlier import key_of
+from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.depth.sweep import Sweeper, SweepOptions
+from objconnect.scene.config import Config
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.runtime.threads import in_threads
+
+_FORMAT: Final = 5
+_PREFIX: Final = "corners"
+
+
+class CornerOptions(Config):
+    """How corners of a map's photographs are found and placed."""
+
+    apart_px: float = Field(4.0, ge=0, description="Least distance between corners (px).")
+    quality: float = Field(
+        1e-3, gt=0, lt=1, description="Least strength of a corner, as a share of the strongest."
+    )
+    blur_px: float = Field(1.0, gt=0, description="Sigma of the blur before corners are found.")
+    border_px: float = Field(
+        8.0, ge=0, description="Pixels at the edge of a photograph in which no corner counts."
+    )
+    sweep: SweepOptions = Field(
+        SweepOptions(), description="How corners are placed by neighbouring photographs."
+    )
+
+
+_DEFAULTS: Final = CornerOptions()
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners of one photograph.
+
+    Attributes:
+        xy: (N, 2) pixels.
+        xyz: (N, 3) world metres.
+    """
+
+    xy: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+
+
+class CornerFinder:
+    """Finds the corners of a map's photographs, one photograph after the other.
+
+    Args:
+        sparse_map: the map; its points tell which photographs see the same.
+        images: folder of the photographs.
+        most: most corners of a photograph.
+        longest: photographs with a longer side (px) are made smaller.
+        options: how corners are found and placed.
+    """
+
+    def __init__(
+        self,
+        sparse_map: SparseMap,
+        images: Path,
+        most: int,
+        longest: int,
+        options: CornerOptions = _DEFAULTS,
+    ) -> None:
+        self._most = most
+        self._options = options
+        self._sweep = Sweeper(sparse_map, images, longest, options.sweep)
+
+    def __call__(self, name: str) -> Corners:
+        """Find the corners of one photograph; none where it has too few neighbours.
+
+        Raises:
+            InputError: a photograph is missing or damaged.
+        """
+        photograph = self._sweep.photograph(name)
+        xy = _corners(photograph.grey, self._most, self._options)
+        swept = self._sweep(name, xy)
+        return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
+
+    def made_of(self, name: str, digests: Mapping[str, str]) -> str:
+        """Return all that decides the corners of a photograph but the options, as a digest.
+
+        Args:
+            name: of the photograph.
+            digests: of the bytes of the map's photographs, by name.
+        """
+        return self._sweep.made_of(name, digests)
+
+
+def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
+    """Return the places (N, 3) of the corners of photographs, kept in a file for all methods.
+
+    Args:
+        find: finds the corners of one photograph.
+        kept: the cache, which names the photographs and their digests.
+        parts: all that decides how corners are found.
+
+    Raises:
+        InputError: a photograph is missing, damaged or changed meanwhile, or the file is damaged.
+    """
+    path = kept.path(_PREFIX, _FORMAT, *parts)
+    if not path.is_file():
+        earlier = kept.earlier(_PREFIX)
+
+        def of_photograph(name: str) -> tuple[Mapping[str, NDArray[np.float64]], str]:
+            key = key_of(_FORMAT, *parts, find.made_of(name, kept.digests))
+            xyz = earlier.read(key, lambda store, row: store.read(row, "xyz"))
+            return {"xyz": find(name).xyz if xyz is None else xyz}, key
+
+        bar = progress_bar("corners of the map", len(kept.names))
+        with written_store(path) as add, bar as advance:
+            for done, (found, key) in enumerate(in_threads(of_photograph, kept.names), 1):
+                add(found, key)
+                advance(done)
+            kept.require_unchanged()
+    store = ArrayStore(path)
+    return [store.read(row, "xyz") for row in range(len(store))]
+
+
+def _corners(grey: Tensor, most: int, options: CornerOptions) -> NDArray[np.float64]:
+    """Find Shi and Tomasi's corners, (N, 2) pixels, the strongest first."""
+    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), options.blur_px)
+    corners = cv2.goodFeaturesToTrack(smooth, most, options.quality, options.apart_px)
+    if corners is None:
+        return np.empty((0, 2))
+    # OpenCV counts from the first pixel's centre.
+    xy = corners[:, 0].astype(np.float64) + 0.5
+    size, border = np.array(grey.shape[::-1]), options.border_px
+    return np.asarray(xy[((xy >= border) & (xy <= size - border)).all(1)])

@@ -1,0 +1,180 @@
+"""What tells a right pose from a wrong one: three figures that compare a query with itself.
+
+A cost says how alike a query and a map are, which light, season and renderer decide. These figures
+depend little on them: how far the gain at a pose stands out from that of the same picture shifted
+aside (the ratio of peak and sidelobes, Bolme et al., CVPR 2010), how far apart the poses are that
+two halves of the picture lead to, and how steeply the cost rises around the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from objconnect.localization.align.aligner import align
+from objconnect.localization.align.problem import Problem
+from objconnect.localization.align.residuals import Level
+from objconnect.localization.align.sampling import per_axis
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.pose import Pose
+
+# Bounds of the terms: beyond them a pose is no surer, and no worse.
+_LEAST_HEIGHT: Final = 0.1
+_LEAST_CURVATURE: Final = 0.03
+_LEAST_CELLS: Final = 0.02
+_MOST_CELLS: Final = 20.0
+# Fewer points, or fewer shifts to compare with, tell nothing.
+_FEWEST: Final = 10
+
+
+class EvidenceOptions(Config):
+    """How a pose is compared with the same picture shifted aside, and how it is halved."""
+
+    points: int = Field(256, ge=10, description="Points that are compared, spread over the image.")
+    reach_cells: float = Field(
+        24.0,
+        gt=0,
+        le=100,
+        description="Farthest shift along an axis, cells of the middle level.",
+    )
+    step_cells: float = Field(3.0, ge=0.5, description="Cells between neighbouring shifts.")
+    core_cells: float = Field(
+        4.0, gt=0, description="Shifts shorter than this belong to the peak of the pose itself."
+    )
+    least_share: float = Field(
+        0.3, gt=0, le=1, description="Share of the points that a shift must leave in the picture."
+    )
+    fields: int = Field(
+        6, ge=2, description="Fields along either axis of the chessboard that halves the picture."
+    )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a query says of an aligned pose.
+
+    Attributes:
+        height: gain over chance at the pose less the mean of shifted pictures, in their standard
+            deviations.
+        halves: median distance between where the poses of two halves of the picture project the
+            points, cells of the finest level; infinite where a half does not give one.
+        curvature: of the cost around the pose, as a share of Gauss and Newton's (``Spread``).
+    """
+
+    height: float
+    halves: float
+    curvature: float
+
+    def terms(self) -> tuple[float, float, float]:
+        """Return the terms of the logistic regression: logarithms of the fields within bounds.
+
+        A field that is no number is as bad as it can be.
+        """
+        halves = _MOST_CELLS if math.isnan(self.halves) else self.halves
+        # In this order, ``max`` leaves out what is no number.
+        return (
+            math.log(max(_LEAST_HEIGHT, self.height)),
+            math.log(min(max(halves, _LEAST_CELLS), _MOST_CELLS)),
+            math.log(max(_LEAST_CURVATURE, self.curvature)),
+        )
+
+
+def evidence(problem: Problem, pose: Pose, curvature: float, options: EvidenceOptions) -> Evidence:
+    """Measure what a query says of an aligned pose.
+
+    Args:
+        problem: what was aligned, of one image.
+        pose: ``cam_from_world``, batched (1).
+        curvature: of the cost around it.
+        options: how it is measured.
+    """
+    height = _height(problem, pose, options)
+    return Evidence(height, _between_halves(problem, pose, options.fields), curvature)
+
+
+def _height(problem: Problem, pose: Pose, options: EvidenceOptions) -> float:
+    """Return the height of the peak, as in ``Evidence``, on the middle level."""
+    few = problem.first_points(options.points)
+    level = few.levels[len(few.levels) // 2]
+    projected = few.intrinsics.project(pose.transform(few.points))
+    cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
+    most = int(options.reach_cells / options.step_cells + 1e-6)
+    side = options.step_cells * torch.arange(-most, most + 1).float()
+    shifts = torch.cartesian_prod(side, side)
+    gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
+    length = shifts.norm(dim=-1)
+    here = int(length.argmin())
+    aside = (length >= options.core_cells) & (share >= options.least_share * share[here])
+    others = gain[aside]
+    if len(others) < _FEWEST or share[here] < _FEWEST:
+        return 0.0
+    return float((gain[here] - others.mean()) / others.std().clamp_min(1e-12))
+
+
+def _shifted_gains(
+    level: Level, cells: Tensor, valid: Tensor, shifts: Tensor, problem: Problem
+) -> tuple[Tensor, Tensor]:
+    """Return mean gains over chance (K,) of points that are all shifted, and how many are in view.
+
+    A point's mean cost over all cells is what it costs by chance, as in
+    ``hypotheses.gain_over_chance``.
+
+    Args:
+        level: features of the image and of N points.
+        cells: (N, 2) where the points lie, the corner of the first cell being zero.
+        valid: (N,) points in front of the camera.
+        shifts: (K, 2) cells.
+        problem: gives the scale of the robust cost.
+    """
+    height, width = level.features.shape[-2:]
+    image, points = level.features[0].flatten(1).float(), level.reference[0].float()
+    # In place, as the costs of all points at all cells do not fit into the processor's cache.
+    cost = torch.addmm((image**2).sum(0), points, image, alpha=-2)
+    cost = cost.add_((points**2).sum(-1)[:, None]).clamp_min_(0)
+    scale = 2 * problem.options.robust_scale**2
+    cost = cost.div_(scale).log1p_().mul_(scale)  # as ``robust_cost``
+    trust = torch.ones_like(cost[0])
+    if level.confidence is not None:
+        trust = level.confidence.flatten().to(cost)
+    shown = (trust > 0).to(cost)
+    chance = cost @ shown / shown.sum().clamp_min(1)
+    gain = cost.neg_().add_(chance[:, None]).mul_(trust).view(-1, 1, height, width)
+    at = cells[:, None] + shifts
+    size = torch.tensor([width, height], dtype=at.dtype)
+    seen = valid[:, None] & ((at > 0.5) & (at < size - 0.5)).all(-1)
+    place = torch.where(seen[..., None], 2 * at / size - 1, 3.0)  # 3 is out of the picture
+    gains = grid_sample(gain, place[:, None], align_corners=False)[:, 0, 0]
+    trusted = grid_sample(trust.view(1, 1, height, width), place[None], align_corners=False)[0, 0]
+    if level.reference_confidence is not None:
+        gains, trusted = (level.reference_confidence[0] @ each for each in (gains, trusted))
+    else:
+        gains, trusted = gains.sum(0), trusted.sum(0)
+    return gains / trusted.clamp_min(1e-12), seen.sum(0)
+
+
+def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:
+    """Return the distance between the halves' poses, as in ``Evidence``.
+
+    The halves are the black and the white fields of a chessboard: both see all of the picture, and
+    no patch of it is in both.
+    """
+    finest = problem.levels[-1]
+    stride = per_axis(finest.stride, problem.points)
+    size = torch.tensor(finest.features.shape[:1:-1], dtype=stride.dtype) * stride
+    projected = problem.intrinsics.project(pose.transform(problem.points))
+    seen = projected.valid & (projected.xy > 0).all(-1) & (projected.xy < size).all(-1)
+    black = (projected.xy / size * fields).floor().sum(-1) % 2 == 0
+    begin = problem.finer() if len(problem.levels) > 2 else problem.at_levels(slice(-1, None))
+    at = []
+    for half in (black, ~black):
+        aligned = align(replace(begin.starting_at(pose), mask=seen & half), with_covariance=False)
+        if aligned.failed[0]:
+            return math.inf
+        at.append(problem.intrinsics.project(aligned.pose.transform(problem.points)).xy)
+    return float((((at[0] - at[1]) / stride).norm(dim=-1))[seen].median())

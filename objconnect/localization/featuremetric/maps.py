@@ -1,0 +1,207 @@
+"""Feature maps of an image: turned north up, resized, through the network, level by level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from objconnect.learning.folding import resolved
+from objconnect.localization.align.sampling import sample
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.views import WarpedImage, level_image, warp_image
+from objconnect.scene.runtime.memory import keep_few_kernels, keep_freed
+from objconnect.scene.storage.lru_cache import MEGABYTE
+
+# Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
+_PASS_BYTES: Final = 320
+# The networks cut off what is left of an image beyond a multiple of this many pixels.
+_COARSEST: Final = 16
+
+
+class Levels(Protocol):
+    """The levels of a network, coarse to fine, which are known before it sees a picture."""
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Pixels per cell."""
+        ...
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        """Channels."""
+        ...
+
+
+class Network(Protocol):
+    """A network whose features are aligned."""
+
+    @property
+    def config(self) -> Levels:
+        """Its levels."""
+        ...
+
+    @property
+    def damping(self) -> nn.ModuleList:
+        """A ``Damping`` of every level, learned with the features."""
+        ...
+
+    def __call__(
+        self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
+    ) -> Iterable[tuple[Tensor, Tensor]]:
+        """Images (B, 3, H, W) of RGB bytes -> features (B, C, h, w), not normalised, and
+        confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all.
+
+        Of the finest level only the cells ``shown`` (h, w) are wanted; None stands for all.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FeatureMap:
+    """One level of one view.
+
+    Attributes:
+        features: (1, C, h, w) float32, not normalised.
+        confidence: (1, 1, h, w) float32 in 0..1; 0 where the view does not show the photograph.
+        stride: pixels of the view per cell.
+    """
+
+    features: Tensor
+    confidence: Tensor
+    stride: int
+
+    def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
+
+        Pixels less than half a cell from the edge of the map take the value there.
+        """
+        height, width = self.features.shape[-2:]
+        half = self.stride / 2
+        most = xy.new_tensor([width, height]) * self.stride - half
+        within = torch.minimum(xy.clamp(min=half), most)
+        features, _ = sample(self.features, within[None], self.stride)
+        confidence, _ = sample(self.confidence, within[None], self.stride)
+        return torch.nn.functional.normalize(features[0], dim=-1), confidence[0, :, 0]
+
+
+class MapExtractor:
+    """Runs a network on photographs of any size.
+
+    Args:
+        network: trained, ready for use.
+        longest: photographs with a longer side (px) are made smaller.
+        precision: of the convolutions, as in ``objconnect.learning.folding.Precision``.
+    """
+
+    def __init__(self, network: Network, longest: int, precision: str) -> None:
+        keep_few_kernels()
+        keep_freed()
+        self.network = network
+        self.longest = longest
+        self._precision = precision
+        self._bfloat16 = resolved(precision) == "bfloat16"
+
+    def of(self, network: Network) -> MapExtractor:
+        """Return an extractor that runs another network in the same way."""
+        return MapExtractor(network, self.longest, self._precision)
+
+    def __call__(
+        self,
+        rgb: NDArray[np.uint8],
+        camera: Camera,
+        angle: float = 0.0,
+        scale: float = 1.0,
+        levels: int | None = None,
+        view_from_camera: NDArray[np.float64] | None = None,
+    ) -> tuple[WarpedImage, list[FeatureMap]]:
+        """Warp a photograph and compute its feature maps.
+
+        Args:
+            rgb: (H, W, 3), resized to a shorter side of 16 pixels at least.
+            camera: of the photograph.
+            angle: radians to turn it by, counter-clockwise.
+            scale: to resize it by.
+            levels: how many levels to compute, from the coarsest; None for all.
+            view_from_camera: (3, 3) how to turn the camera at its place; None turns by ``angle``.
+
+        Returns:
+            The warped photograph and its levels, coarse to fine.
+        """
+        seen = self.warp(rgb, camera, angle, scale, view_from_camera)
+        return seen, self.features(seen, levels)
+
+    def warp(
+        self,
+        rgb: NDArray[np.uint8],
+        camera: Camera,
+        angle: float,
+        scale: float,
+        view_from_camera: NDArray[np.float64] | None = None,
+    ) -> WarpedImage:
+        """Warp a photograph as the call of the extractor does, with the same arguments."""
+        scale = min(scale, self.largest_scale(camera, math.inf))
+        if view_from_camera is None:
+            return warp_image(rgb, camera, angle, scale)
+        return level_image(rgb, camera, view_from_camera, scale)
+
+    @torch.inference_mode()
+    def features(self, seen: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
+        """Compute the feature maps of a warped photograph, coarse to fine.
+
+        Args:
+            seen: the warped photograph.
+            levels: how many levels to compute, from the coarsest; None for all.
+        """
+        strides = self.network.config.strides
+        sides = seen.picture.shape[:2]
+        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in sides)
+        finest = None if seen.whole else _shown(seen, size, strides[-1])
+        made, maps = self._pass(seen, levels, finest), []
+        for stride in strides[:levels]:
+            features, confidence = made.pop(0)  # what the network made can go once it is converted
+            confidence = confidence.float()
+            if finest is not None:
+                last = stride == strides[-1]
+                shown = finest if last else _shown(seen, confidence.shape[-2:], stride)
+                confidence = confidence * torch.from_numpy(shown)
+            maps.append(FeatureMap(features.float(), confidence, stride))
+        return maps
+
+    def _pass(
+        self, seen: WarpedImage, levels: int | None, shown: NDArray[np.bool_] | None
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Run the network; see ``Network.__call__``."""
+        # Rows of pixels of RGB are channels-last as they are.
+        picture = np.require(seen.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
+        image = torch.from_numpy(picture).permute(2, 0, 1)[None]
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            return list(self.network(image, levels=levels, shown=shown))
+
+    def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
+        """Return the largest scale at which photographs of a camera are seen.
+
+        It is at most ``magnification``, and less where the photograph would become too large.
+        """
+        return min(magnification, self.longest / max(camera.width, camera.height))
+
+    def pass_megabytes(self, cameras: Iterable[Camera], magnification: float) -> int:
+        """Return about what a pass takes for photographs of these cameras, turned and magnified."""
+        sides = (
+            self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
+            for camera in cameras
+        )
+        return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)
+
+
+def _shown(seen: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
+    """Return which cells (h, w) of a level show the photograph."""
+    height, width = size
+    x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)
+    return seen.shows(np.stack([x, y], -1))

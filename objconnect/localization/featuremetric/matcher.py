@@ -1,0 +1,39 @@
+"""Poses from matches of SIFT features, as starts of the alignment."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from objconnect.localization.matching.sift import Sift
+from objconnect.localization.matching.structure import (
+    NoKeypointOnPointError,
+    StructureConfig,
+    StructureLocalizer,
+)
+from objconnect.scene.maps.sparse_map import SparseMap
+
+log = logging.getLogger(__name__)
+
+
+def create_matcher(config: StructureConfig) -> StructureLocalizer:
+    """Return the localizer by matches of SIFT features, not yet prepared."""
+    return StructureLocalizer(config, Sift(config.max_features), interpolate=False)
+
+
+def matcher(
+    config: StructureConfig, sparse_map: SparseMap, images: Path, cache: Path
+) -> StructureLocalizer | None:
+    """Return the localizer by matches; None for a map that was not built from its features.
+
+    Raises:
+        InputError: a photograph is missing, damaged or changed meanwhile.
+        WriteError: the cache cannot be written.
+    """
+    localizer = create_matcher(config)
+    try:
+        localizer.prepare(sparse_map, images, cache)
+    except NoKeypointOnPointError as error:
+        log.warning("no starts from matches: %s", error)
+        return None
+    return localizer

@@ -1,0 +1,138 @@
+"""Refinement of one start: warp the image as if it were right, align, and judge the pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.localization.align.aligner import align
+from objconnect.localization.align.hypotheses import align_from_many
+from objconnect.localization.align.options import SearchRadius
+from objconnect.localization.featuremetric.attempt import Attempt, Found, judged, photograph_pose
+from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
+from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchOptions
+from objconnect.localization.featuremetric.priors import default_radius, known_pose, says_where
+from objconnect.localization.featuremetric.problem import ProblemBuilder
+from objconnect.localization.matching.retrieval import References
+from objconnect.localization.matching.structure import StructureLocalizer
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Query, Stopwatch
+from objconnect.scene.runtime.memory import return_freed_above
+
+
+@dataclass(frozen=True)
+class Refiner:
+    """Refines starts of queries in one map.
+
+    Attributes:
+        config: options of the method.
+        extract: computes feature maps.
+        problems: builds alignment problems.
+        retrieval: chooses photographs of the map.
+        matches: tells by SIFT which photographs look like an image; None where the map was not
+            built from its features.
+        kept_bytes: memory above which what was freed is given back before the network sees an
+            image. To take it again costs time.
+        kept_magnified_bytes: the same before it sees a magnified one.
+    """
+
+    config: FeaturemetricConfig
+    extract: MapExtractor
+    problems: ProblemBuilder
+    retrieval: References
+    matches: StructureLocalizer | None
+    kept_bytes: int
+    kept_magnified_bytes: int
+
+    def __call__(
+        self,
+        query: Query,
+        chosen: NDArray[np.int64],
+        start: Pose,
+        clock: Stopwatch,
+        radius: SearchRadius,
+    ) -> Attempt:
+        """Refine a start.
+
+        Args:
+            query: the image.
+            chosen: rows of the photographs of the map to align it to.
+            start: ``cam_from_world``.
+            clock: takes the time.
+            radius: how far to look around the start.
+        """
+        return_freed_above(self.kept_bytes)
+        options, points = self.config.search, self.config.points
+        with clock.stage("features"):
+            view, maps = self.problems.view(query, chosen, start)
+        many = self.config.multistart
+        count = min(options.compared_points, points) if many else points
+        with clock.stage("points"):
+            problem = self.problems.build(view, maps, chosen, start, count)
+        with clock.stage("alignment"):
+            if many:
+                few = problem.at_levels(slice(options.compared_levels))
+                found = Found(view, problem, align_from_many(few, radius, options.hypotheses))
+            else:
+                found = Found(view, problem, align(problem, with_covariance=False))
+        if many and not found.alignment.failed[0]:
+            found = self._realigned(query, maps, found, clock)
+        with clock.stage("alignment"):
+            return judged(found, options)
+
+    def searching(self, options: SearchOptions) -> Refiner:
+        """Return a refiner with other options of the search."""
+        return replace(self, config=self.config.model_copy(update={"search": options}))
+
+    def near(
+        self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
+    ) -> Attempt:
+        """Refine a start that says more than the query's own prior."""
+        near = replace(query, prior=known_pose(start))
+        radius = radius or default_radius(self.config.search)
+        return self(near, self.photographs(near), start, clock, radius)
+
+    def photographs(self, query: Query) -> NDArray[np.int64]:
+        """Return the rows of the photographs to align a query to.
+
+        SIFT features tell which look most like it: those of the network were learned from above.
+        """
+        most = self.config.references
+        if self.matches is not None and query.references is None and not says_where(query.prior):
+            return self.matches.similar(query, most)
+        return self.retrieval.choose(query, most, lambda: self.described(query), tilted=False)
+
+    def described(self, query: Query) -> NDArray[np.float32]:
+        """Return unit features (n, C) of all coarse cells of the image as it was taken."""
+        _, maps = self.extract(query.image, query.camera, levels=1)
+        cells = maps[0].features[0].flatten(1).T.float()
+        return torch.nn.functional.normalize(cells, dim=1).numpy()
+
+    def _realigned(
+        self, query: Query, maps: list[FeatureMap], found: Found, clock: Stopwatch
+    ) -> Found:
+        """Align once more, to all points in view from the aligned pose.
+
+        A start far off saw other points and photographs. Images coarser than these are magnified
+        only now: a search reaches less far in a larger picture, and takes longer.
+        """
+        view, most = found.view, self.config.max_magnification
+        pose = photograph_pose(view, found.alignment)
+        chosen = self.photographs(replace(query, prior=known_pose(pose)))
+        larger = self.problems.magnified(query, chosen, pose, view, most)
+        if larger is not None:
+            return_freed_above(self.kept_magnified_bytes)
+            with clock.stage("features"):
+                view, maps = larger, self.problems.features(larger)
+        with clock.stage("alignment"):
+            after = self.problems.build(view, maps, chosen, pose, self.config.points)
+            # The coarsest level has no more to say of a pose that a finer one of it found.
+            skipped = larger is None and len(after.levels) > 1
+            final = align(after.finer() if skipped else after, with_covariance=False)
+        if final.failed[0]:
+            return found
+        iterations = found.alignment.iterations + final.iterations
+        return Found(view, after, replace(final, iterations=iterations))

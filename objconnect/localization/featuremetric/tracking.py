@@ -1,0 +1,98 @@
+"""An image of a sequence, followed from the pose that the images before predict.
+
+One start, a few photographs of the map, the middle of the picture, and no level coarser than the
+prediction needs. The pose counts only where it is believed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.localization.align.aligner import Alignment, align
+from objconnect.localization.align.problem import Problem
+from objconnect.localization.featuremetric.attempt import Attempt, Found, is_answered, judged
+from objconnect.localization.featuremetric.options import SearchOptions, TrackingOptions
+from objconnect.localization.featuremetric.priors import pose_of
+from objconnect.localization.featuremetric.problem import ProblemBuilder
+from objconnect.scene.localizer import Prior, Query, Stopwatch
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Follows images of a sequence.
+
+    Attributes:
+        problems: builds alignment problems.
+        search: when a pose is believed.
+        options: how an image is followed.
+    """
+
+    problems: ProblemBuilder
+    search: SearchOptions
+    options: TrackingOptions
+
+    def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
+        """Align an image from its prior alone; None where that pose is not believed.
+
+        Args:
+            query: the image; its prior has a position and an attitude.
+            chosen: rows of the photographs of the map that are most like it, best first.
+            clock: takes the time.
+        """
+        prior, options = query.prior, self.options
+        assert prior is not None
+        start, chosen = pose_of(prior), chosen[: options.references]
+        with clock.stage("features"):
+            view = self.problems.warp(query, chosen, start, options.coarser)
+            longer = max(query.camera.width, query.camera.height)
+            view = view.middle(math.ceil(options.side * longer * view.scale))
+            maps = self.problems.features(view)
+        with clock.stage("points"):
+            problem = self.problems.build(view, maps, chosen, start, options.points)
+        with clock.stage("alignment"):
+            first = _first_level(problem, _unsure_px(problem, prior), options.reach_cells)
+            if first is None:
+                return None
+            found = Found(view, problem, _aligned(problem, first, options))
+            attempt = judged(found, self.search)
+        return attempt if is_answered([attempt], self.search) else None
+
+
+def _unsure_px(problem: Problem, prior: Prior) -> float:
+    """Return by how many pixels the points may be off that a prior predicts, one sigma."""
+    depth = float(problem.start.transform(problem.points)[0, :, 2].median())
+    metres = 0.0 if prior.position_sigma is None else float(np.max(prior.position_sigma))
+    radians = math.radians(prior.attitude_sigma_deg or 0.0)
+    focal = float(problem.intrinsics.focal.mean())
+    return focal * (metres / depth + radians) if depth > 0 else math.inf
+
+
+def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int | None:
+    """Return the finest level whose features reach as far as a prediction is unsure."""
+    for number in reversed(range(len(problem.levels))):
+        stride = problem.levels[number].stride
+        if unsure_px < reach_cells * float(np.max(stride)):
+            return number
+    return None
+
+
+def _aligned(problem: Problem, first: int, tracking: TrackingOptions) -> Alignment:
+    """Align from a level on; before the finest only few points, until steps are rather small."""
+    options, iterations = problem.options, torch.zeros(1, dtype=torch.long)
+    rough = options.rougher(tracking.rough_convergence)
+    last = len(problem.levels) - 1
+    for number in range(first, last + 1):
+        level = problem.at_levels(slice(number, number + 1))
+        if number < last:
+            level = level.first_points(tracking.rough_points).with_options(rough)
+        alignment = align(level, with_covariance=False)
+        iterations = iterations + alignment.iterations
+        if alignment.failed[0]:
+            break
+        problem = problem.starting_at(alignment.pose)
+    return replace(alignment, iterations=iterations)

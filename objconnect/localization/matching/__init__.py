@@ -1,0 +1,1 @@
+"""Local features, retrieval, lifting to 3D points, and PnP."""

@@ -1,0 +1,328 @@
+"""Retrieval of photographs of the map for a query: by its pose prior, or by appearance.
+
+Appearance is a VLAD of the map's own descriptors (Jegou et al., "Aggregating local descriptors
+into a compact image representation", CVPR 2010) with the power and intra-normalisation of
+Arandjelovic and Zisserman ("All about VLAD", CVPR 2013): nothing to download and nothing trained
+elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.views import upright
+from objconnect.scene.localizer import Prior, Query
+from objconnect.scene.maps.sparse_map import SparseMap
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class RetrievalOptions(Config):
+    """Options of the retrieval of map photographs for a query."""
+
+    words: int = Field(64, ge=1, description="Visual words of the global descriptor (VLAD).")
+    training_descriptors: int = Field(
+        40_000, ge=1, description="Most descriptors that the visual words are learned from."
+    )
+    landmarks: int = Field(
+        512,
+        ge=1,
+        description="Photographs whose VLADs span the space in which larger maps are described.",
+    )
+    reach_sigmas: float = Field(
+        2.0,
+        gt=0,
+        description="Standard deviations around a query's position: where more photographs than "
+        "are asked for lie within, those that look most like the query are taken, else the "
+        "nearest.",
+    )
+    min_height_m: float = Field(
+        2.0, gt=0, description="Least height above the ground that a camera is assumed to have."
+    )
+    min_drop: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Cosine from the plumb line of the flattest view that is followed to the "
+        "ground.",
+    )
+
+
+_DEFAULTS: Final = RetrievalOptions()
+
+
+class Described(Protocol):
+    """Descriptors (n, D) of unit length of each photograph, in memory or read one by one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, row: int, /) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True)
+class OnDemand:
+    """Descriptors of ``count`` photographs, read when they are asked for."""
+
+    read: Callable[[int], NDArray[np.float32]]
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, row: int) -> NDArray[np.float32]:
+        return self.read(row)
+
+
+@dataclass(frozen=True)
+class VladIndex:
+    """Global descriptors of the photographs of a map.
+
+    Attributes:
+        words: (K, D) visual words.
+        basis: (K*D, L) orthonormal, of the space that the VLADs of L photographs span.
+        vectors: (N, L) VLADs in that space, one per photograph. No photograph's loses anything by
+            it where L is N; beyond it is Nystrom's approximation (Williams and Seeger, NIPS 2000).
+    """
+
+    words: NDArray[np.float32]
+    basis: NDArray[np.float32]
+    vectors: NDArray[np.float32]
+
+    @staticmethod
+    def build(descriptors: Described, options: RetrievalOptions = _DEFAULTS) -> VladIndex:
+        """Cluster the descriptors of all photographs and describe each by its residuals.
+
+        Args:
+            descriptors: descriptors of each photograph; those of one are in memory at a time.
+            options: size of the index.
+
+        Example:
+            Two photographs with two descriptors each; a query like the second finds it:
+
+            >>> first = np.array([[1.0, 0.0], [0.8, 0.6]], np.float32)
+            >>> second = np.array([[0.0, 1.0], [0.6, 0.8]], np.float32)
+            >>> index = VladIndex.build([first, second], RetrievalOptions(words=1))
+            >>> index.rank(second, k=1).tolist()
+            [1]
+        """
+        some = _training_sample(descriptors, options.training_descriptors)
+        # Photographs without a single keypoint have no words, and look alike.
+        words = _cluster(some, min(options.words, len(some))) if len(some) else some
+        count = len(descriptors)
+        rows = np.linspace(0, count - 1, min(count, options.landmarks)).astype(int)
+        landmarks = np.stack([_vlad(descriptors[int(row)], words) for row in rows])
+        basis = np.asarray(np.linalg.qr(landmarks.T)[0], np.float32)
+        vectors = [_vlad(descriptors[row], words) @ basis for row in range(count)]
+        return VladIndex(words, basis, np.stack(vectors))
+
+    def rank(self, descriptors: NDArray[np.float32], k: int, among: Rows | None = None) -> Rows:
+        """Return the rows of the ``k`` most similar photographs, best first.
+
+        Args:
+            descriptors: (n, D) of the query, of unit length.
+            k: number of photographs.
+            among: rows of the photographs to choose from; None for all.
+        """
+        vectors = self.vectors if among is None else self.vectors[among]
+        best = _least(-(vectors @ (_vlad(descriptors, self.words) @ self.basis)), k)
+        return best if among is None else among[best]
+
+
+def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
+    """Return the descriptors that words are learned from: all of them, or a sample of ``most``."""
+    every = range(len(descriptors))
+    ends = np.cumsum([len(descriptors[row]) for row in every])
+    if ends[-1] <= most:
+        return np.concatenate([descriptors[row] for row in every])
+    rows = np.random.default_rng(0).choice(ends[-1], most, replace=False)
+    owner = np.searchsorted(ends, rows, "right")
+    some = np.empty((len(rows), descriptors[int(owner[0])].shape[1]), np.float32)
+    for row in np.unique(owner):
+        taken = np.flatnonzero(owner == row)
+        # Negative: counted from the end of a photograph's own.
+        some[taken] = descriptors[int(row)][rows[taken] - ends[row]]
+    return some
+
+
+def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    if k == len(descriptors):
+        return descriptors  # of which OpenCV would take a single one for many numbers
+    cv2.setRNGSeed(0)
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
+    _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+    return np.asarray(words, np.float32)
+
+
+def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+    if not len(descriptors) or not len(words):
+        return np.zeros(words.size, np.float32)
+    # Nearest word by squared distance; the descriptor's own length does not change the order.
+    nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
+    vlad = np.zeros_like(words)
+    np.add.at(vlad, nearest, descriptors - words[nearest])
+    vlad = np.sign(vlad) * np.sqrt(np.abs(vlad))
+    vlad /= np.maximum(np.linalg.norm(vlad, axis=1, keepdims=True), 1e-12)
+    flat = vlad.ravel()
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-12), np.float32)
+
+
+class Viewpoints:
+    """The positions of a map's photographs, and the ground that they show.
+
+    Args:
+        sparse_map: the map; rows are those of its ``names``.
+        options: how views are followed to the ground.
+    """
+
+    def __init__(self, sparse_map: SparseMap, options: RetrievalOptions = _DEFAULTS) -> None:
+        self._options = options
+        self._map = sparse_map
+        self._nearest = Nearest(sparse_map.centres[:, :2])
+        poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
+        self._upright = np.array([upright(pose[:3, :3]) for pose in poses]).reshape(-1, 3, 3)
+
+    def near(self, position: Vector, k: int) -> Rows:
+        """Return the rows of the ``k`` cameras nearest to a position (3,), horizontally.
+
+        The nearest comes first. Altitude is left out: it says little about what a camera over the
+        same ground sees, and GNSS altitude is the least reliable axis.
+        """
+        return self._nearest(position[:2], k)
+
+    def within(self, position: Vector, metres: float) -> Rows:
+        """Return the rows of the cameras at most so far from a position (3,), horizontally."""
+        return self._nearest.within(position[:2], metres)
+
+    def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
+        """Return rows of the ``k`` cameras whose picture, north up, is most like that of a pose.
+
+        The distance between the centres of two pictures counts in heights above the ground, and
+        the remaining angle between the cameras in radians: a picture is about as wide as its
+        camera is high, and looks about as different when it is tilted by 60 degrees. The best
+        comes first.
+
+        Args:
+            position: (3,) camera centre, world metres.
+            rotation: (3, 3) ``cam_from_world``.
+            k: number of photographs.
+        """
+        rotation = upright(rotation)
+        height = max(self._map.height_above(position), self._options.min_height_m)
+        ground = position[2] - height
+        drop = self._options.min_drop
+        middles = _middle(self._map.centres, self._upright, ground, drop)
+        own = _middle(position[None], rotation[None], ground, drop)
+        shift = np.linalg.norm(middles - own, axis=1)
+        cosine = (self._upright.reshape(-1, 9) @ rotation.ravel() - 1) / 2
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        return _least(shift / height + turn, k)
+
+
+def _least(values: NDArray[Any], k: int) -> Rows:
+    """Return the rows of the ``k`` least values, least first, and the first of equal ones first."""
+    if k >= len(values):
+        return np.argsort(values, kind="stable")
+    rows = np.flatnonzero(values <= np.partition(values, k - 1)[k - 1])
+    return np.asarray(rows[np.argsort(values[rows], kind="stable")][:k])
+
+
+def _middle(
+    centres: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    ground: float,
+    min_drop: float,
+) -> NDArray[np.float64]:
+    """Return where cameras look at level ground, (N, 2), and some way ahead of flat views."""
+    axis = rotations[:, 2]
+    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], min_drop)
+    return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
+
+
+@dataclass(frozen=True)
+class References:
+    """Chooses photographs of a map for a query.
+
+    Attributes:
+        names: names of the photographs.
+        viewpoints: where they were taken from.
+        index: their global descriptors.
+        options: how they are chosen.
+    """
+
+    names: tuple[str, ...]
+    viewpoints: Viewpoints
+    index: VladIndex
+    options: RetrievalOptions = _DEFAULTS
+
+    @staticmethod
+    def build(
+        sparse_map: SparseMap,
+        descriptors: Described,
+        options: RetrievalOptions = _DEFAULTS,
+    ) -> References:
+        """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
+        index = VladIndex.build(descriptors, options)
+        return References(sparse_map.names, Viewpoints(sparse_map, options), index, options)
+
+    def choose(
+        self,
+        query: Query,
+        k: int,
+        describe: Callable[[], NDArray[np.float32]],
+        tilted: bool = True,
+    ) -> NDArray[np.int64]:
+        """Return rows of ``names``, best first.
+
+        They are those the query names; else the ``k`` nearest to its prior; else the ``k`` that
+        look most like it. Of more photographs than ``k`` where an unsure prior may be
+        (``reach_sigmas``), they are those that look most like it, too: the nearest are no better
+        than the others.
+
+        Args:
+            query: the query to choose for.
+            k: number of photographs to choose.
+            describe: descriptors of the query, (n, D) of unit length; called only when needed.
+            tilted: whether features are found again from any side. If not, photographs near the
+                prior that are tilted like it come first.
+
+        Raises:
+            InputError: the query names a photograph that the map does not have.
+        """
+        if query.references is not None:
+            unknown = [name for name in query.references if name not in self._row]
+            if unknown:
+                raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
+            return np.array([self._row[name] for name in query.references], np.int64)
+        if query.prior is not None and query.prior.has_position:
+            rotation = query.prior.cam_from_world_rotation
+            if rotation is not None and query.prior.has_heading and not tilted:
+                return self.viewpoints.alike(query.prior.position, rotation, k)
+            within = self._within_reach(query.prior)
+            if len(within) > k and len(described := describe()):
+                return self.index.rank(described, k, within)
+            return self.viewpoints.near(query.prior.position, k)
+        return self.index.rank(describe(), k)
+
+    def _within_reach(self, prior: Prior) -> Rows:
+        """Return the rows of the photographs taken where a prior may be, as far as it says."""
+        sigma = prior.horizontal_sigma
+        if sigma is None:
+            return np.zeros(0, np.int64)
+        return self.viewpoints.within(prior.position, self.options.reach_sigmas * sigma)
+
+    @cached_property
+    def _row(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}

@@ -1,0 +1,285 @@
+"""Localization by structure: matches to photographs of the map, lifted to 3D points, give a pose.
+
+All local features use this pipeline. A method consists of an extractor and a configuration.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cache as cached
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+
+from objconnect.localization.cache.array_store import ArrayStore, written_store
+from objconnect.localization.matching.features import Extractor, map_features
+from objconnect.localization.matching.lifting import (
+    LiftingOptions,
+    interpolated_points,
+    observed_points,
+)
+from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
+from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
+from objconnect.localization.resolution import (
+    DEFAULT_SAME_RESOLUTION,
+    metres_per_pixel,
+    of_map,
+    scale_to,
+)
+from objconnect.localization.starts import StartOptions, starts
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import north_angle
+from objconnect.scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.features import FeatureFile, Features
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.progress import progress_within
+from objconnect.scene.storage.lru_cache import LruCache, room
+from objconnect.scene.storage.scratch import scratch
+
+# Version in the key of the cache of a map. Another number rebuilds the cache.
+_FORMAT = 1
+
+
+class NoKeypointOnPointError(InputError):
+    """The keypoints of a map's photographs are nowhere at its points: it is not built from them."""
+
+
+class StructureConfig(PnpConfig):
+    """Options of a structure-based localizer."""
+
+    references: int = Field(
+        5, ge=1, description="Photographs of the map that are matched against the query."
+    )
+    ratio: float = Field(
+        0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
+    )
+    max_features: int = Field(8192, ge=100, description="Most features of an image.")
+    memory_mb: int = Field(
+        2048,
+        ge=1,
+        description="Memory of the whole process; features of the map stay in memory as far as "
+        "there is room below it.",
+    )
+    max_magnification: float = Field(
+        2.0,
+        ge=1,
+        description="Images are magnified at most this much to reach the map's resolution, for "
+        "features that depend on it.",
+    )
+    same_resolution: float = Field(
+        DEFAULT_SAME_RESOLUTION,
+        gt=1,
+        description="Images whose ground resolution differs by a smaller ratio are not resized.",
+    )
+    lifting: LiftingOptions = Field(
+        LiftingOptions(), description="How keypoints of the map are given 3D points."
+    )
+    starts: StartOptions = Field(
+        StartOptions(), description="Which starting poses an incomplete prior gives."
+    )
+    retrieval: RetrievalOptions = Field(
+        RetrievalOptions(), description="How photographs are chosen where there is no prior."
+    )
+
+
+class StructureLocalizer:
+    """Localizes images by matches to 3D points. Implements ``Localizer``."""
+
+    def __init__(self, config: StructureConfig, extractor: Extractor, interpolate: bool) -> None:
+        """Keep the configuration and the extractor.
+
+        Args:
+            config: configuration of the method.
+            extractor: extractor of its features.
+            interpolate: whether 3D points of keypoints are interpolated between the map's
+                observations. Features from which the map was not built need this.
+        """
+        self.config = config
+        self._extractor = extractor
+        self._interpolate = interpolate
+
+    @property
+    def name(self) -> str:
+        """Return the name of the features."""
+        return self._extractor.name
+
+    @property
+    def weights_sha256(self) -> str | None:
+        """Return the digest of the features' weights."""
+        return self._extractor.weights_sha256
+
+    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
+        """Extract the features of the map's photographs and associate them with its points."""
+        if cache is None:
+            with scratch() as folder:  # files in it stay open
+                self.prepare(sparse_map, images, folder)
+            return
+        features = map_features(sparse_map, images, self._extractor, cache)
+        name = f"{self.name}-{features.made_of[:16]}.h5" if features.made_of else features.path.name
+        key = f"{_FORMAT} {name} {sparse_map.sha256} {self._interpolate} "
+        key += self.config.lifting.model_dump_json()
+        path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
+        if not path.is_file():
+            self._write_lifted(path, sparse_map, features, images)
+        self._map = sparse_map
+        store, unit = ArrayStore(path), self._extractor.unit
+
+        def lifted(row: int) -> _Lifted:
+            return _Lifted(
+                store.read(row, "point"), store.read(row, "xyz"), store.read(row, "descriptors")
+            )
+
+        def described(row: int) -> NDArray[np.float32]:
+            return unit(features[sparse_map.names[row]].descriptors).numpy()
+
+        self._lifted = LruCache(lifted, room(self.config.memory_mb))
+        self._resolution = of_map(sparse_map, lambda camera: 1.0)
+        self._references = References.build(
+            sparse_map, OnDemand(described, len(store)), self.config.retrieval
+        )
+
+    def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
+        """Compute what the cache is to hold of a part; see ``PreparesParts``."""
+        map_features(sparse_map, images, self._extractor, cache, part)
+
+    def _write_lifted(
+        self, path: Path, sparse_map: SparseMap, features: FeatureFile, images: Path
+    ) -> None:
+        """Keep the keypoints that have a 3D point: only these can vote for a pose.
+
+        Points are those of the map, or one for each keypoint.
+        """
+        options = self.config.lifting
+        end, carried = len(sparse_map.xyz), 0
+        with written_store(path) as add:
+            for name in sparse_map.names:
+                image, keypoints = sparse_map.images[name], features[name]
+                if self._interpolate:
+                    xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz, options)
+                    kept = np.flatnonzero(np.isfinite(xyz).all(1))
+                    points, xyz = np.arange(end, end + len(kept)), xyz[kept]
+                    end += len(kept)
+                else:
+                    rows = observed_points(keypoints.xy, image, options)
+                    kept = np.flatnonzero(rows >= 0)
+                    points, xyz = rows[kept], sparse_map.xyz[rows[kept]]
+                carried += len(kept)
+                descriptors = keypoints.descriptors[kept]
+                add({"point": points, "xyz": xyz, "descriptors": descriptors})
+            if not carried and _is_observed(sparse_map):
+                raise NoKeypointOnPointError(
+                    f"no keypoint of the photographs in {images} lies where the map has a point: "
+                    "they are not the photographs the map was built from, or were resized since"
+                )
+
+    def localize(self, query: Query) -> Estimate:
+        """Extract features, choose references, match, lift and solve for the pose.
+
+        Features that are not invariant to rotation are extracted from the image turned by each
+        likely start. The estimate with the most inliers is returned.
+        """
+        if reason := query_error(query):
+            return Estimate(Status.FAILED, reason=reason)
+        clock = Stopwatch()
+
+        @cached
+        def as_taken() -> Features:
+            with clock.stage("features"):
+                return self._extractor(query.image)
+
+        turned = self._extractor.turned
+        if turned:
+            as_taken()
+        with clock.stage("retrieval"):
+            chosen = self._references.choose(
+                query,
+                self.config.references,
+                lambda: self._extractor.unit(as_taken().descriptors).numpy(),
+            )
+        if not len(chosen):
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
+        if turned:
+            return self._solved(query, as_taken(), chosen, clock)
+        estimates: list[Estimate] = []
+        begin = starts(query.prior, self._map, chosen, self.config.starts)
+        with progress_within("starts matched", len(begin)) as advance:
+            for start in begin:
+                with clock.stage("features"):
+                    features = self._seen(query, chosen, start)
+                estimates.append(self._solved(query, features, chosen, clock))
+                advance(len(estimates))
+        return max(estimates, key=lambda estimate: estimate.inliers)
+
+    def similar(self, query: Query, count: int) -> NDArray[np.int64]:
+        """Return rows of the ``count`` photographs that look most like a query, best first."""
+        described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
+        return self._references.index.rank(described, count)
+
+    def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
+        """Extract features of the query, turned and scaled as a start suggests."""
+        around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
+        own = metres_per_pixel(start, query.camera, around)
+        config = self.config
+        scale = scale_to(self._resolution, own, config.max_magnification, config.same_resolution)
+        angle = north_angle(start.rotation.numpy())
+        return self._extractor.seen(query.image, query.camera, angle, scale)
+
+    def _solved(
+        self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
+    ) -> Estimate:
+        """Match features to the chosen photographs and solve for the pose."""
+        with clock.stage("matching"):
+            unit = self._extractor.unit(features.descriptors)
+            keypoints, xyz = self._correspondences(unit, chosen)
+        return solve_pose(query, features.xy[keypoints].astype(np.float64), xyz, self.config, clock)
+
+    def _correspondences(
+        self, descriptors: torch.Tensor, references: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Match descriptors to all references.
+
+        Returns:
+            Unique pairs: rows of the query's keypoints (K,) and their points (K, 3).
+        """
+        matches, places = [], []
+        for reference in references:
+            lifted = self._lifted(int(reference))
+            unit = self._extractor.unit(lifted.descriptors)
+            pairs = self._extractor.match(descriptors, unit, self.config.ratio)
+            matches.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
+            places.append(lifted.xyz[pairs[:, 1]])
+        unique, first = np.unique(np.concatenate(matches), axis=0, return_index=True)
+        return unique[:, 0], np.concatenate(places)[first]
+
+
+@dataclass(frozen=True)
+class _Lifted:
+    """Keypoints of a photograph of the map that have a 3D point, N of them.
+
+    Attributes:
+        points: (N,) numbers of their points; one may be seen in several photographs.
+        xyz: (N, 3) the points, world metres.
+        descriptors: (N, D) as they were extracted: of unit length, in float32, they take two to
+            thirty-two times the memory.
+    """
+
+    points: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    descriptors: NDArray[Any]
+
+    @property
+    def nbytes(self) -> int:
+        return self.points.nbytes + self.xyz.nbytes + self.descriptors.nbytes
+
+
+def _is_observed(sparse_map: SparseMap) -> bool:
+    """Return whether the photographs of a map see enough of its points for a pose."""
+    seen = [image.point_rows for image in sparse_map.images.values()]
+    rows = np.unique(np.concatenate(seen))
+    return int((rows >= 0).sum()) >= MIN_MATCHES

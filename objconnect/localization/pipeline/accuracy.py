@@ -1,0 +1,51 @@
+"""How exact an answer is on earth: its covariance in the map, and the map's place on earth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.georeference import Georeference
+
+
+@dataclass(frozen=True)
+class EarthAccuracy:
+    """The uncertainty of a position on earth.
+
+    Attributes:
+        eph_m: horizontal standard deviation, metres: the root of the sum of the variances to the
+            east and north; None if unknown.
+        epv_m: vertical standard deviation, metres; None if unknown.
+        covariance: (3, 3) of the position to the east, north and up, m^2; None where one of the
+            above is unknown.
+    """
+
+    eph_m: float | None = None
+    epv_m: float | None = None
+    covariance: NDArray[np.float64] | None = None
+
+
+def combine_accuracies(
+    within_map: NDArray[np.float64] | None, georeference: Georeference | None
+) -> EarthAccuracy:
+    """Return how exact a position is on earth.
+
+    The error of an answer within the map and that of the map on earth are independent, so that
+    their variances add up.
+
+    Args:
+        within_map: covariance (6, 6) of an answer, ``Estimate.world_covariance``; None if unknown.
+        georeference: how exactly the map is placed; None if unknown.
+    """
+    if within_map is None or georeference is None:
+        return EarthAccuracy()
+    total = within_map[:3, :3] + np.diag(
+        [georeference.axis_m**2, georeference.axis_m**2, (georeference.vertical_m or 0.0) ** 2]
+    )
+    eph = math.sqrt(total[0, 0] + total[1, 1])
+    if georeference.vertical_m is None:
+        return EarthAccuracy(eph_m=eph)
+    return EarthAccuracy(eph, math.sqrt(total[2, 2]), total)

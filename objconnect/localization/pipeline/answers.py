@@ -1,0 +1,360 @@
+"""What ``localize`` writes of the photographs: poses, a table, and files of other tools."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingest.attitude import gimbal_angles
+from objconnect.localization.pipeline.accuracy import EarthAccuracy, combine_accuracies
+from objconnect.localization.pipeline.cameras import CameraSource
+from objconnect.localization.pipeline.fixes import Fix
+from objconnect.localization.pipeline.mavlink import dialect, telemetry_log
+from objconnect.localization.pipeline.ros import bag, library
+from objconnect.scene.bundle.georeference import Georeference
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.textfiles import pose_line
+from objconnect.scene.geo.crs import Projection
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.localizer import Estimate, Prior, Status
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.names import quote_cell
+from objconnect.scene.storage.outputs import OutputFile
+
+# By these a file of this command is recognized. The columns after the first ones came later.
+_HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
+_WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
+_FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
+_LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
+_LAST: Final = ("camera", "focal_px", "seconds", "by", "probability")
+_COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
+_COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
+_MARK: Final = "poses by objconnect localize"
+_TABLE: Final = ".csv"
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Geography:
+    """What a place is said in beside WGS84.
+
+    Attributes:
+        undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
+        projection: a coordinate reference system; None for none.
+        georeference: how exactly the map is placed on earth; None if unknown.
+    """
+
+    undulation_m: float | None = None
+    projection: Projection | None = None
+    georeference: Georeference | None = None
+
+    def values(self, place: Geodetic) -> dict[str, str | float]:
+        """Return the height above sea level and the coordinates of a place."""
+        known: dict[str, str | float] = {}
+        if self.undulation_m is not None:
+            known["sea_level_m"] = round(place.altitude - self.undulation_m, 3)
+        if self.projection is not None:
+            digits = 8 if self.projection.is_geographic else 4
+            x, y, h = self.projection.from_geodetic(place).tolist()
+            known |= {"x": round(x, digits), "y": round(y, digits), "h": round(h, 4)}
+            known |= {"crs": self.projection.name, "h_above": self.projection.heights}
+        return known
+
+
+@dataclass(frozen=True)
+class Located:
+    """A photograph with its estimate.
+
+    Attributes:
+        name: file name.
+        estimate: pose, in the frame of the map.
+        place: the camera on earth; None if unknown.
+        time: when it was taken; None if the photograph does not say.
+        camera: its camera; None if it cannot be read.
+        source: where the camera comes from.
+        seconds: time from the start of its sequence; None outside one.
+        gps: position that a receiver measured, in the map's frame; None without one.
+        doubts: what the photograph does not say for sure, of what was taken from it.
+    """
+
+    name: str
+    estimate: Estimate
+    place: Geodetic | None
+    time: datetime | None = None
+    camera: Camera | None = None
+    source: CameraSource | None = None
+    seconds: float | None = None
+    gps: Prior | None = None
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """Return the reason of the estimate, then what the photograph does not say for sure."""
+        own = self.estimate.reason
+        more = (doubt for doubt in self.doubts if doubt not in own)
+        return "; ".join(each for each in (own, *more) if each)
+
+    @property
+    def found(self) -> bool:
+        """Return whether the photograph was localized; a fallback pose does not count."""
+        return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
+
+    @property
+    def centre(self) -> NDArray[np.float64] | None:
+        """Return the camera centre (3,) in the map's frame, metres; None without a pose."""
+        pose = self.estimate.cam_from_world
+        return None if pose is None else np.asarray(pose.centre().numpy())
+
+    @property
+    def covariance(self) -> NDArray[np.float64] | None:
+        """Return the covariance (6, 6) of centre and attitude, as ``Estimate.world_covariance``."""
+        return self.estimate.world_covariance()
+
+    @property
+    def sigmas(self) -> tuple[float, float] | None:
+        """Return the horizontal and the vertical standard deviation within the map, metres.
+
+        None if they are unknown.
+        """
+        if self.covariance is None:
+            return None
+        east, north, up = self.covariance.diagonal()[:3].tolist()
+        return math.sqrt(east + north), math.sqrt(up)
+
+    def accuracy(self, geography: Geography) -> EarthAccuracy:
+        """Return how exact the position on earth is."""
+        return combine_accuracies(self.covariance, geography.georeference)
+
+    def fix(self, geography: Geography) -> Fix | None:
+        """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
+        pose, centre = self.estimate.cam_from_world, self.centre
+        if not self.found or pose is None or centre is None or self.place is None:
+            return None
+        if self.time is None or (time := self.time.replace(tzinfo=UTC)) < _EPOCH:
+            return None
+        since = (time - _EPOCH) // timedelta(microseconds=1)
+        rotation = pose.rotation.numpy().T
+        return Fix(since, self.place, centre, rotation, self.covariance, self.accuracy(geography))
+
+    def values(self, geography: Geography) -> dict[str, str | float]:
+        """Return what is known of time, heights, coordinates, attitude, uncertainty, camera and
+        method."""
+        known: dict[str, str | float] = {}
+        if self.time is not None:
+            known["time"] = _stamp(self.time)
+        if self.seconds is not None:
+            known["seconds"] = round(self.seconds, 6)
+        if self.place is not None:
+            known |= geography.values(self.place)
+        pose = self.estimate.cam_from_world
+        if pose is not None:
+            angles = gimbal_angles(pose)
+            known |= dict(zip(_LATER[2:5], (round(angle, 4) for angle in angles), strict=True))
+        accuracy = self.accuracy(geography)
+        if accuracy.eph_m is not None:
+            known["eph_m"] = round(accuracy.eph_m, 4)
+        if accuracy.epv_m is not None:
+            known["epv_m"] = round(accuracy.epv_m, 4)
+        if self.camera is not None and self.source is not None:
+            known["camera"] = self.source.value
+            # A prior says nothing of a focal length that is to be estimated.
+            estimated = self.found and self.estimate.inliers > 0
+            if estimated or self.source is not CameraSource.ESTIMATED:
+                known["focal_px"] = round(self.camera.focal[0], 2)
+        if self.estimate.by is not None:
+            known["by"] = self.estimate.by.value
+        if self.estimate.probability is not None:
+            known["probability"] = round(self.estimate.probability, 6)
+        return known
+
+
+def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
+    """Return the files that ``write_answers`` writes: poses, the table beside, and further ones.
+
+    Raises:
+        InputError: the name of the poses is that of a table, or a further file has an ending that
+            is not one of ``FURTHER``, or needs a package that is not installed.
+    """
+    if not poses.name or poses.suffix.lower() == _TABLE:
+        raise InputError(
+            f"{poses} cannot name the poses, for a table lies beside: let it end in .txt"
+        )
+    for path in also:
+        if path.suffix.lower() not in FURTHER:
+            raise InputError(f"{path} must end in {' or '.join(FURTHER)}")
+        _PACKAGES.get(path.suffix.lower(), lambda: None)()
+    table = poses.with_suffix(_TABLE)
+    return [
+        OutputFile(poses, _HEADER.encode()),
+        OutputFile(table, ",".join(_FIRST).encode()),
+        *(OutputFile(path, _MARK.encode()) for path in also),
+    ]
+
+
+def contents(
+    located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
+) -> Iterator[tuple[Path, bytes]]:
+    """Yield the files that ``outputs`` named, with their texts."""
+    poses, table, *also = (file.path for file in files)
+    yield poses, _pose_lines(located).encode()
+    yield table, _table(located, geography).encode()
+    for path in also:
+        yield path, FURTHER[path.suffix.lower()](located, geography)
+
+
+def _pose_lines(located: Sequence[Located]) -> str:
+    lines = [_HEADER]
+    for item in located:
+        pose = item.estimate.cam_from_world
+        if item.found and pose is not None:
+            lines.append(pose_line(item.name, pose, 9))
+    return "\n".join(lines) + "\n"
+
+
+def _table(located: Sequence[Located], geography: Geography) -> str:
+    text = io.StringIO()
+    columns = _COLUMNS if geography.projection is None else (*_COLUMNS, *_COORDINATES)
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(_row(item, geography) for item in located)
+    return text.getvalue()
+
+
+def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
+    """Return the row of a photograph; columns that are unknown are missing."""
+    estimate = item.estimate
+    row = {"name": quote_cell(item.name), "status": estimate.status.value}
+    row |= {"inliers": str(estimate.inliers), "reason": for_terminal(item.reason)}
+    if item.centre is not None:
+        row |= {k: f"{x:.4f}" for k, x in zip("enu", item.centre, strict=True)}
+        sigma = estimate.sigma_position()
+        row["sigma_m"] = "" if sigma is None else f"{sigma:.4f}"
+    if item.place is not None:
+        row |= {
+            "latitude": f"{item.place.latitude:.8f}",
+            "longitude": f"{item.place.longitude:.8f}",
+            "altitude": f"{item.place.altitude:.3f}",
+        }
+    row |= {name: str(value) for name, value in item.values(geography).items()}
+    if item.covariance is not None:
+        row["covariance"] = " ".join(f"{number:.6g}" for number in item.covariance.ravel())
+    return row
+
+
+def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
+    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not found.
+
+    Altitudes are above the ellipsoid, as the standard has them.
+    """
+    features = []
+    for item in located:
+        place = item.place if item.found else None
+        values: dict[str, Any] = {"name": for_terminal(item.name)}
+        values["status"] = item.estimate.status.value
+        if item.reason:
+            values["reason"] = for_terminal(item.reason)
+        if place is not None:
+            sigma = item.estimate.sigma_position()
+            values |= {} if sigma is None else {"sigma_m": round(sigma, 4)}
+            values |= item.values(geography)
+        at = None if place is None else [place.longitude, place.latitude, place.altitude]
+        geometry = None if at is None else {"type": "Point", "coordinates": at}
+        features.append({"type": "Feature", "geometry": geometry, "properties": values})
+    whole = {"type": "FeatureCollection", "generator": _MARK, "features": features}
+    return (json.dumps(whole, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _kml(located: Sequence[Located], geography: Geography) -> bytes:
+    """Return KML 2.2: a placemark for each photograph that was found, and their path.
+
+    Its altitudes are above sea level. Where that is not known, the marks lie on the ground.
+    """
+    root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = ElementTree.SubElement(root, "Document")
+    ElementTree.SubElement(document, "name").text = _MARK
+    undulation_m = geography.undulation_m
+    mode = "clampToGround" if undulation_m is None else "absolute"
+    found = [item for item in located if item.found and item.place is not None]
+    for item in found:
+        mark = ElementTree.SubElement(document, "Placemark")
+        ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
+        if item.time is not None:
+            stamp = ElementTree.SubElement(mark, "TimeStamp")
+            ElementTree.SubElement(stamp, "when").text = f"{_stamp(item.time)}Z"
+        _geometry(mark, "Point", [item], mode, undulation_m)
+    if len(found) > 1:
+        mark = ElementTree.SubElement(document, "Placemark")
+        ElementTree.SubElement(mark, "name").text = "path"
+        _geometry(mark, "LineString", found, mode, undulation_m)
+    ElementTree.indent(root, " ")
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+
+
+def _stamp(time: datetime) -> str:
+    """Return a time as a photograph has it, to the millisecond."""
+    return time.replace(tzinfo=None).isoformat(timespec="milliseconds")
+
+
+def _geometry(
+    mark: ElementTree.Element,
+    kind: str,
+    located: Sequence[Located],
+    mode: str,
+    undulation_m: float | None,
+) -> None:
+    geometry = ElementTree.SubElement(mark, kind)
+    ElementTree.SubElement(geometry, "altitudeMode").text = mode
+    places = [item.place for item in located if item.place is not None]
+    ElementTree.SubElement(geometry, "coordinates").text = " ".join(
+        f"{place.longitude:.8f},{place.latitude:.8f},{place.altitude - (undulation_m or 0.0):.3f}"
+        for place in places
+    )
+
+
+def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
+    return telemetry_log(_fixes(located, geography), geography.undulation_m, _MARK)
+
+
+def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
+    return bag(_fixes(located, geography), _MARK)
+
+
+def _fixes(located: Sequence[Located], geography: Geography) -> list[Fix]:
+    """Return what was found, sorted by time."""
+    found = [item for item in located if item.found]
+    fixes = [fix for item in found if (fix := item.fix(geography)) is not None]
+    if len(fixes) < len(found):
+        log.warning(
+            "%d of %d photographs have no time: logs and bags lack them",
+            len(found) - len(fixes),
+            len(found),
+        )
+    return sorted(fixes, key=lambda fix: fix.microseconds)
+
+
+FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {
+    ".geojson": _geojson,
+    ".kml": _kml,
+    ".tlog": _tlog,
+    ".mcap": _mcap,
+}
+"""Formats of further files by their ending."""
+
+# What looks, before any work, whether the package of a format is installed.
+_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {".tlog": dialect, ".mcap": library}

@@ -1,0 +1,241 @@
+"""The camera of a photograph: that of the map, of the maker, of EXIF, or an estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.localizer import Estimate, Query, Status
+from objconnect.scene.storage.images import Exif
+
+# Aspect ratios of one picture in two sizes, which are whole pixels, differ by less than this share.
+_SAME_ASPECT: Final = 0.01
+# Focal lengths of one lens differ by less than this share: equivalent focal lengths are whole
+# millimetres, and some makers refer them to the width instead of the diagonal.
+_SAME_LENS: Final = 0.15
+# Focal lengths that are tried where nothing is known, in longest sides of the picture: from 90 to
+# 37 degrees of view.
+_TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
+# Standard deviation of an estimated focal length, as a share of it: that of a pinhole, which was
+# measured (docs/evidence/localize.md), and that of a camera of the map.
+_FOCAL_SHARE: Final = 0.06
+_MAP_SHARE: Final = 0.005
+# Most points of a map from which the distance of the ground is taken.
+_POINTS: Final = 20_000
+# A focal length with which a photograph is not found counts as this much worse than the worst one.
+_NOT_FOUND: Final = 2.0
+
+
+class CameraSource(StrEnum):
+    """Where the camera of a photograph comes from."""
+
+    GIVEN = "given"
+    MAP = "map"
+    CALIBRATED = "calibrated"
+    SCALED = "scaled"
+    EXIF = "exif"
+    ESTIMATED = "estimated"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The camera of a photograph.
+
+    Attributes:
+        camera: the camera.
+        source: where it comes from.
+        others: cameras to try beside it where it is to be estimated.
+    """
+
+    camera: Camera
+    source: CameraSource
+    others: tuple[Camera, ...] = ()
+
+
+def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera]) -> Calibration:
+    """Return the camera of a photograph for which none is given.
+
+    It is, in this order: the map's camera of the photograph's size; the calibration in XMP; the
+    map's camera of another size, scaled; a pinhole of the focal length in EXIF. A camera of the map
+    counts where its focal length is that of EXIF; one of the photograph's size also where EXIF has
+    none. If all of them are missing, the camera is to be estimated. So it is where fields of EXIF
+    contradict each other: the map decides between what they say.
+
+    Args:
+        size: width and height of the photograph, pixels.
+        exif: what the photograph says of itself.
+        cameras: cameras of the map.
+    """
+    if exif.focals:
+        return _candidates(size, exif.focals, cameras)
+    alike = [camera for camera in cameras if _same_aspect((camera.width, camera.height), size)]
+    alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
+    same = [camera for camera in alike if (camera.width, camera.height) == size]
+    if same and (
+        _unlike(same[0], exif) < _SAME_LENS
+        or (exif.focal_in_longest_sides is None and len(same) == 1)
+    ):
+        return Calibration(same[0], CameraSource.MAP)
+    made = exif.xmp.camera
+    if made is not None and _same_aspect((made.width, made.height), size):
+        return Calibration(_fitted(made, size), CameraSource.CALIBRATED)
+    if alike and _unlike(alike[0], exif) < _SAME_LENS:
+        return Calibration(_fitted(alike[0], size), CameraSource.SCALED)
+    focal = exif.focal_in_longest_sides
+    if focal is not None:
+        return Calibration(_pinhole(size, focal), CameraSource.EXIF)
+    tried = [_fitted(camera, size) for camera in alike]
+    tried += [_pinhole(size, focal) for focal in _TRIED]
+    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+
+
+def _candidates(
+    size: tuple[int, int], focals: Sequence[float], cameras: Collection[Camera]
+) -> Calibration:
+    """Return cameras to try of a photograph whose fields contradict each other.
+
+    A focal length that is the map's has its camera. The likeliest one comes first.
+    """
+    alike = sorted(
+        (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
+    )
+    tried: list[Camera] = []
+    for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
+        camera = _nearest(focal, alike)
+        tried += [] if camera is None else [_fitted(camera, size)]
+        tried.append(_pinhole(size, focal))
+    tried = list(dict.fromkeys(tried))
+    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+
+
+def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
+    """Return the camera whose focal length is nearest; None where none is of such a lens."""
+    off = {camera: _off(camera, focal) for camera in cameras}
+    best = min(off, key=lambda camera: off[camera], default=None)
+    return best if best is not None and off[best] < _SAME_LENS else None
+
+
+def _off(camera: Camera, focal: float) -> float:
+    """Return by which share a camera's focal length differs from one in longest sides."""
+    ratio = camera.focal[0] / max(camera.width, camera.height) / focal
+    return max(ratio, 1 / ratio) - 1
+
+
+def estimate_camera(
+    cameras: Sequence[Camera], queries: Iterable[Query], localize: Callable[[Query], Estimate]
+) -> Camera:
+    """Return the camera with which photographs of one lens fit a map best.
+
+    The misfit of a photograph is the standard deviation of its rotation about the optical axis,
+    which grows with the residuals of its inliers and, unlike that of the position, not with the
+    focal length. The logarithms are added, weighted by the numbers of inliers, as those of
+    likelihoods are. Between pinholes that were tried, the focal length is that of a parabola.
+
+    Args:
+        cameras: cameras to try (``calibration_of``). Pinholes of a range come last, shortest first.
+        queries: photographs of the lens.
+        localize: answers a query.
+    """
+    misfit = np.zeros(len(cameras))
+    for query in queries:
+        estimates = [localize(replace(query, camera=camera)) for camera in cameras]
+        sigmas = np.array([_rotation_sigma(estimate) for estimate in estimates])
+        found = np.isfinite(sigmas)
+        if found.any():
+            sigmas[~found] = _NOT_FOUND * sigmas[found].max()
+            misfit += max(estimate.inliers for estimate in estimates) * np.log(sigmas)
+    best = int(misfit.argmin())
+    first = len(cameras) - len(_TRIED)
+    size = cameras[0].width, cameras[0].height
+    row = first >= 0 and cameras[first] == _pinhole(size, _TRIED[0])
+    if not row or not first < best < len(cameras) - 1:
+        return cameras[best]
+    near = slice(best - 1, best + 2)
+    focals = np.log([camera.focal[0] for camera in cameras[near]])
+    curve, slope, _ = np.polyfit(focals - focals[1], misfit[near], 2)
+    camera = cameras[best]
+    factor = math.exp(-slope / (2 * curve)) if curve > 0 else 1.0
+    return _changed(camera, (camera.width, camera.height), factor, 1.0, 0.0)
+
+
+def with_focal_error(
+    estimate: Estimate, camera: Camera, cameras: Collection[Camera], xyz: NDArray[np.float64]
+) -> Estimate:
+    """Return an estimate whose covariance has the error of an estimated focal length, too.
+
+    A focal length that is too long by a share puts the camera too far away by that share of its
+    distance from the ground.
+
+    Args:
+        estimate: an answer with an estimated camera.
+        camera: the camera.
+        cameras: cameras of the map; the error of one of them is smaller.
+        xyz: points (N, 3) of the map.
+    """
+    pose, covariance = estimate.cam_from_world, estimate.covariance
+    if pose is None or covariance is None:
+        return estimate
+    size = (camera.width, camera.height)
+    of_map = any(
+        _same_aspect((c.width, c.height), size) and _fitted(c, size) == camera for c in cameras
+    )
+    rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
+    some = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
+    half = np.array(size) / 2 / camera.focal[0]
+    seen = (some[:, 2] > 0) & (np.abs(some[:, :2]) <= half * some[:, 2:]).all(1)
+    if not seen.any():
+        return estimate
+    sigma = (_MAP_SHARE if of_map else _FOCAL_SHARE) * float(np.median(some[seen, 2]))
+    wider = covariance.copy()
+    wider[5, 5] += sigma**2
+    return replace(estimate, covariance=wider)
+
+
+def _rotation_sigma(estimate: Estimate) -> float:
+    """Return the standard deviation of the rotation about the optical axis, rad; infinite where the
+    photograph was not found."""
+    if estimate.status is not Status.OK:
+        return math.inf
+    variance = math.nan if estimate.covariance is None else float(estimate.covariance[2, 2])
+    # A method without covariance tells at least how many points agree.
+    return math.sqrt(variance if variance > 0 else 1 / max(estimate.inliers, 1))
+
+
+def _unlike(camera: Camera, exif: Exif) -> float:
+    """Return by which share a camera's focal length differs from that of EXIF."""
+    focal = exif.focal_in_longest_sides
+    return math.inf if focal is None else _off(camera, focal)
+
+
+def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
+    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) < _SAME_ASPECT
+
+
+def _fitted(camera: Camera, size: tuple[int, int]) -> Camera:
+    """Return the camera of a picture that was resized; its aspect ratio may be off by a little."""
+    scale = size[0] / camera.width
+    return _changed(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
+
+
+def _changed(
+    camera: Camera, size: tuple[int, int], focal: float, centre: float, lower: float
+) -> Camera:
+    """Return a camera whose focal length and principal point were scaled, and the latter moved."""
+    scales = {"f": focal, "fx": focal, "fy": focal, "cx": centre, "cy": centre}
+    params = tuple(
+        value * scales.get(name, 1.0) + (lower if name == "cy" else 0.0)
+        for name, value in zip(MODELS[camera.model], camera.params, strict=True)
+    )
+    return Camera(camera.model, *size, params)
+
+
+def _pinhole(size: tuple[int, int], focal: float) -> Camera:
+    """Return the pinhole of a focal length in longest sides of the picture."""
+    return Camera("SIMPLE_PINHOLE", *size, (focal * max(size), size[0] / 2, size[1] / 2))

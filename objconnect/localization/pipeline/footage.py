@@ -1,0 +1,291 @@
+"""A video with the telemetry of its subtitles: which camera and which words a frame has."""
+
+from __future__ import annotations
+
+import logging
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+from objconnect.ingest.telemetry import Telemetry, at_time, read_telemetry
+from objconnect.localization.pipeline.cameras import Calibration, CameraSource, calibration_of
+from objconnect.localization.pipeline.photographs import Place
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.quantities.coordinate_order import Pair
+from objconnect.scene.quantities.film_lens import SAME_LENS
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.video import Video, VideoFrame, read_video
+
+log = logging.getLogger(__name__)
+
+_SIDECARS: Final = (".SRT", ".srt", ".Srt")
+_FILM_MM: Final = 36.0
+# Rates and numbers of frames that agree differ by less than this share.
+_SAME_RATE: Final = 0.05
+# Pixels are square up to this share.
+_SQUARE: Final = 0.005
+# A focal length changed where it differs by more than this share.
+_ZOOMED: Final = 0.005
+
+
+@dataclass(frozen=True)
+class Footage:
+    """A video with its telemetry, to be localized.
+
+    Attributes:
+        path: file of the video.
+        video: what the file says of itself.
+        srt: subtitles with telemetry; None without.
+        flight: what they say; empty without.
+        rate_hz: frames a second to localize.
+    """
+
+    path: Path
+    video: Video
+    srt: Path | None
+    flight: Sequence[Telemetry]
+    rate_hz: float
+
+    @staticmethod
+    def open(path: Path, srt: Path | None, rate_hz: float, place: Place | None = None) -> Footage:
+        """Read what a video and its subtitles say.
+
+        Args:
+            path: file of the video.
+            srt: its subtitles; None takes those of the same name beside it, if there are any.
+            rate_hz: frames a second to localize.
+            place: the map, which tells what telemetry leaves open.
+
+        Raises:
+            InputError: the video or the subtitles cannot be read.
+        """
+        video = read_video(path)
+        if srt is None:
+            beside = (path.with_suffix(ending) for ending in _SIDECARS)
+            srt = next((file for file in beside if file.is_file()), None)
+        if srt is None and video.unread:
+            log.warning(
+                "%s has subtitles or data (%s) that are not read: give --srt if they are telemetry",
+                path,
+                ", ".join(map(for_terminal, video.unread)),
+            )
+        flight = [] if srt is None else read_telemetry(srt, _near(place), _lenses(place, video))
+        return Footage(path, video, srt, flight, rate_hz)
+
+    @property
+    def count(self) -> int:
+        """Return about how many frames are localized."""
+        rate_hz = min(self.rate_hz, self.video.rate_hz)
+        return max(1, round((self.video.duration_s or 0.0) * rate_hz))
+
+
+def _near(place: Place | None) -> Pair | None:
+    """Return latitude and longitude of a map, degrees."""
+    if place is None or place.origin is None:
+        return None
+    return place.origin.latitude, place.origin.longitude
+
+
+def _lenses(place: Place | None, video: Video) -> list[float]:
+    """Return the focal lengths of the map's cameras of a video's shape on 35 mm film, mm."""
+    cameras: Collection[Camera] = () if place is None else place.cameras
+    shape = video.width / video.height
+    return [
+        _on_film(camera)
+        for camera in cameras
+        if abs(camera.width / camera.height / shape - 1) < SAME_LENS
+    ]
+
+
+def _on_film(camera: Camera) -> float:
+    return _FILM_MM * camera.focal[0] / max(camera.width, camera.height)
+
+
+@dataclass(frozen=True)
+class FrameCameras:
+    """The cameras of a video's frames, which zoom changes.
+
+    Attributes:
+        base: camera without digital zoom.
+        focal_mm: focal length of the base in telemetry, mm on 35 mm film; None where telemetry does
+            not tell.
+        steady: the one zoom of all frames, a ratio to the base; None where it changes or is not
+            known.
+        is_given: whether the camera is that of all frames, whatever telemetry says.
+    """
+
+    base: Calibration
+    focal_mm: float | None = None
+    steady: float | None = 1.0
+    is_given: bool = False
+
+    def of(self, said: Telemetry | None) -> Calibration | None:
+        """Return the camera of a frame; None where its focal length is not known."""
+        if self.is_given:
+            return self.base
+        scale = self.steady
+        if said is not None and self.steady is None:
+            scale = _scale(said, self.focal_mm)
+        if scale is None or abs(scale - 1) < 1e-9:
+            return None if scale is None else self.base
+        source = self.base.source
+        source = CameraSource.SCALED if source is CameraSource.MAP else source
+        return Calibration(_zoomed(self.base.camera, scale), source)
+
+
+def cameras_of_frames(footage: Footage, camera: Camera | None, place: Place) -> FrameCameras:
+    """Return the cameras of a video's frames.
+
+    Without a given one it is the map's camera of their size and focal length, else one of the focal
+    length in the telemetry, scaled from the map's where that has such a lens. Zoom in the telemetry
+    multiplies the focal length.
+
+    Raises:
+        InputError: the given camera has another size, or nothing tells the focal length.
+    """
+    size = (footage.video.width, footage.video.height)
+    shape = f"{footage.path} is {size[0]} x {size[1]} pixels and "
+    hint = ": give its calibration with --camera 'MODEL width height params...'"
+    if camera is not None:
+        if (camera.width, camera.height) != size:
+            raise InputError(f"{shape}its camera {camera.width} x {camera.height}{hint}")
+        _warn_of_zoom(footage)
+        return FrameCameras(Calibration(camera, CameraSource.GIVEN), is_given=True)
+    aspect = footage.video.pixel_aspect
+    if abs(aspect - 1) > _SQUARE:
+        raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
+    focal = _reference_focal(footage.flight, _lenses(place, footage.video))
+    base = calibration_of(size, Exif(None, None, focal_35mm=focal), place.cameras)
+    if base.source is CameraSource.ESTIMATED:
+        told = [said.zoom for said in footage.flight]
+        what = "focal length" if all(told) else "focal length and zoom (dzoom_ratio)"
+        raise InputError(f"{shape}nothing tells the {what} of its frames{hint}")
+    scales = {_scale(said, focal) for said in footage.flight} or {1.0}
+    if scales == {None} and all(said.zoom is None for said in footage.flight):
+        if base.source is not CameraSource.MAP:
+            raise InputError(f"{shape}nothing tells the zoom (dzoom_ratio) of its frames{hint}")
+        log.warning("%s: the zoom is unknown, and the map's camera is taken without", footage.srt)
+        scales = {1.0}
+    _warn_of_another_lens(footage, focal, base, place)
+    return FrameCameras(base, focal, scales.pop() if len(scales) == 1 else None)
+
+
+def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
+    """Return the focal length of a flight that is most like the map's, else the most frequent."""
+    focals = Counter(said.focal_mm for said in flight if said.focal_mm is not None)
+    if not focals:
+        return None
+
+    def unlike(focal: float) -> float:
+        least = min((max(focal / lens, lens / focal) - 1 for lens in lenses), default=SAME_LENS)
+        return min(least, SAME_LENS)
+
+    return min(focals, key=lambda focal: (unlike(focal), -focals[focal]))
+
+
+def _scale(said: Telemetry, focal_mm: float | None) -> float | None:
+    """Return by what a frame's focal length is to be multiplied; None where that is not known."""
+    if focal_mm is None or said.zoom is None:
+        return said.zoom
+    return None if said.focal_mm is None else said.zoom * said.focal_mm / focal_mm
+
+
+def _zoomed(camera: Camera, scale: float) -> Camera:
+    """Return the camera of the middle of its picture, enlarged by a scale."""
+    middle = {"cx": camera.width / 2, "cy": camera.height / 2}
+    params = []
+    for name, value in zip(MODELS[camera.model], camera.params, strict=True):
+        if name in middle:
+            value = middle[name] + scale * (value - middle[name])
+        params.append(scale * value if name in ("f", "fx", "fy") else value)
+    return replace(camera, params=tuple(params))
+
+
+def _warn_of_zoom(footage: Footage) -> None:
+    """Warn where one camera is given for frames of several focal lengths."""
+    focals = [said.zoomed_mm for said in footage.flight if said.zoomed_mm is not None]
+    if focals and max(focals) > (1 + _ZOOMED) * min(focals):
+        log.warning(
+            "%s tells a zoom from %.1f to %.1f mm, and --camera is taken for all frames",
+            footage.srt,
+            min(focals),
+            max(focals),
+        )
+
+
+def _warn_of_another_lens(
+    footage: Footage, focal: float | None, base: Calibration, place: Place
+) -> None:
+    """Warn where the map has a camera of the frames' size, and telemetry tells another lens."""
+    same = [
+        camera
+        for camera in place.cameras
+        if (camera.width, camera.height) == (footage.video.width, footage.video.height)
+    ]
+    if focal is not None and same and base.source is not CameraSource.MAP:
+        log.warning(
+            "%s tells a focal length of %.1f mm, which is taken, and the map's camera of this size "
+            "has %.1f mm: --camera gives another",
+            footage.srt,
+            focal,
+            _on_film(same[0]),
+        )
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How frames of a video and subtitles belong together.
+
+    Attributes:
+        by_frame: whether by the number of the frame, as where slow motion stretches times.
+        is_known: whether they are known to belong together.
+    """
+
+    by_frame: bool = False
+    is_known: bool = True
+
+    @staticmethod
+    def of(flight: Sequence[Telemetry], video: Video) -> Timing:
+        """Compare the subtitles' times and numbers of frames with those of the video.
+
+        Where they advance at another rate than the video's frames, either the numbers of frames or
+        the times reach to the end of the video; else none is believed, and a warning says so.
+        """
+        numbered = [(said.frame, said.start_s) for said in flight if said.frame is not None]
+        ascending = all(first[0] < second[0] for first, second in pairwise(numbered))
+        if len(numbered) < max(2, len(flight)) or not ascending or video.duration_s is None:
+            return Timing()
+        frames, seconds = numbered[-1][0] - numbered[0][0], numbered[-1][1] - numbered[0][1]
+        # Times of subtitles are whole milliseconds.
+        if frames <= 0 or seconds < 0.1 or _alike(frames / seconds, video.rate_hz):
+            return Timing()
+        if _alike(numbered[-1][0], video.duration_s * video.rate_hz):
+            return Timing(by_frame=True)
+        if _alike(flight[-1].end_s, video.duration_s):
+            return Timing()
+        log.warning(
+            "the subtitles have %.1f frames a second and the video %.1f: what they say of a frame "
+            "is unknown, and is not used",
+            frames / seconds,
+            video.rate_hz,
+        )
+        return Timing(is_known=False)
+
+    def said(self, flight: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
+        """Return what subtitles say of a frame; None where they say nothing, or it is unknown."""
+        if not self.is_known:
+            return None
+        if not self.by_frame:
+            return at_time(flight, frame.seconds)
+        row = bisect_right(flight, frame.index + 1, key=lambda item: item.frame or 0) - 1
+        return flight[row] if row >= 0 else None
+
+
+def _alike(first: float, second: float) -> bool:
+    return abs(first / second - 1) < _SAME_RATE if second else False

@@ -1,0 +1,169 @@
+"""A journal of the finished queries of a run, so that an interruption loses none of them."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Generic, TypeVar
+
+from pydantic import ValidationError
+
+from objconnect.scene.errors import WriteError
+from objconnect.scene.storage.answers import Named
+from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
+from objconnect.scene.storage.files import parse_json
+from objconnect.scene.storage.locks import hold_lock
+
+Entry = TypeVar("Entry", bound=Named)
+
+
+def journal_path(results: Path) -> Path:
+    """Return the path of the journal of a results file."""
+    return results.with_name(f"{TEMPORARY_PREFIX}{results.stem}.journal")
+
+
+class Journal(Generic[Entry]):
+    """A file with one line per finished query, which is removed when the run is complete.
+
+    A run with another key (other data, method, configuration, start or version) starts over. The
+    journal is a context manager; while it is open, no second run can write the same results.
+
+    Attributes:
+        done: finished queries by name.
+        dropped: parts of the data set of an earlier run whose queries were not taken, because its
+            key differs; None where there is no such run, or its parts are unknown.
+    """
+
+    def __init__(
+        self, path: Path, key: str, model: type[Entry], parts: Mapping[str, str] | None = None
+    ) -> None:
+        """Describe a journal; entering its context opens the file.
+
+        Args:
+            path: path of the file.
+            key: digest of everything that decides the results.
+            model: class of the entries.
+            parts: digests of the parts of the data set, which tell a later run what changed.
+        """
+        self.path = path
+        self.done: dict[str, Entry] = {}
+        self.dropped: dict[str, str] | None = None
+        self._key, self._model, self._parts = key, model, dict(parts or {})
+
+    def __enter__(self) -> Journal[Entry]:
+        """Open the file and read the entries of an earlier run.
+
+        Raises:
+            InputError: the file cannot be written, or another run is writing it.
+        """
+        above = (self.path.parent, self.path.parent.parent)
+        self._made = [folder for folder in above if not folder.exists()]
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
+        with ExitStack() as opened:
+            lock = self.path.with_name(f"{TEMPORARY_PREFIX}lock-{self.path.name}")
+            opened.enter_context(hold_lock(lock, self.path))
+            try:
+                # A damaged byte makes its line invalid, and lines after it are dropped.
+                self._file = opened.enter_context(
+                    self.path.open("a+", encoding="utf-8", errors="surrogateescape", newline="\n")
+                )
+            except OSError as error:
+                raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
+            self._begin()
+            self._opened = opened.pop_all()
+        return self
+
+    def _begin(self) -> None:
+        """Take over the entries of an earlier run with the same key, and drop everything else."""
+        self._file.seek(0)
+        # str.splitlines would also split at characters that names may contain.
+        lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
+        good = 0
+        header = _header(lines[0]) if lines else {}
+        if header.get("key") != self._key:
+            self.dropped = _parts(header) if _finished(lines[1:], self._model) else None
+        else:
+            entries = _finished(lines[1:], self._model)
+            self.done = {entry.name: entry for entry in entries}
+            good = sum(
+                len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
+            )
+        # The rest was cut short by a crash, or belongs to another run.
+        self._file.truncate(good)
+        if not good:
+            self._put(json.dumps({"key": self._key, "parts": self._parts}))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file, and remove it unless the run failed after its first query."""
+        if kind is None or not self.done:
+            self.path.unlink(missing_ok=True)
+        self._opened.close()
+        for folder in self._made:
+            with suppress(OSError):  # the folder is not empty
+                folder.rmdir()
+
+    def add(self, result: Entry) -> None:
+        """Append a finished query.
+
+        Raises:
+            WriteError: the disk is full.
+        """
+        self.done[result.name] = result
+        self._put(result.model_dump_json())
+
+    def _put(self, line: str) -> None:
+        data = (line + "\n").encode()
+        try:
+            # A buffered write that failed would be tried again when the file is closed.
+            if os.write(self._file.fileno(), data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
+
+
+def _header(line: str) -> dict[str, object]:
+    """Return the first line of a journal as a dictionary; empty where it is damaged."""
+    try:
+        header = parse_json(line)
+    except ValueError:
+        return {}
+    return header if isinstance(header, dict) else {}
+
+
+def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
+    """Return the parts of the data set in a header; None where they are missing or damaged."""
+    parts = header.get("parts")
+    if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
+        return None
+    return parts
+
+
+def _finished(lines: list[str], model: type[Entry]) -> list[Entry]:
+    """Return the entries up to the first line that is incomplete or invalid.
+
+    Of two entries of one name the later one replaces the earlier one.
+    """
+    done: list[Entry] = []
+    for line in lines:
+        try:
+            result = model.model_validate_json(line)
+        except ValidationError:
+            break
+        if not line.endswith("\n"):
+            break
+        done.append(result)
+    return done

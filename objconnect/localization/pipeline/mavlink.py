@@ -1,0 +1,116 @@
+"""Answers as MAVLink messages, in the telemetry logs (.tlog) that ground stations write.
+
+This is the one module that imports pymavlink, which the extra ``[robot]`` installs.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Final
+
+import numpy as np
+import torch
+
+from objconnect.localization.pipeline.fixes import Fix
+from objconnect.scene.geometry.pose import quaternion_from_rotation
+from objconnect.scene.runtime.extras import import_extra
+
+# The axes of MAVLink, which point north, east and down, from those of a map.
+_NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# Forward is the optical axis, right and down are those of the picture.
+_CAM_FROM_FRD: Final = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+_VEHICLE: Final = 1
+
+
+def dialect() -> ModuleType:
+    """Return the dialect ``common`` of MAVLink 2.
+
+    Raises:
+        InputError: pymavlink is not installed.
+    """
+    return import_extra("pymavlink.dialects.v20.common", "robot", "a telemetry log (.tlog)")
+
+
+def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -> bytes:
+    """Return a telemetry log: every message behind its time, 8 bytes of microseconds.
+
+    Each fix is a GLOBAL_POSITION_SENSOR, which PX4 takes as auxiliary global position, and an
+    ODOMETRY, the local position from the map's origin in MAV_FRAME_LOCAL_NED. Its attitude is that
+    of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle, and
+    its covariance is about the axes of the local frame and within the map. ``eph`` and ``epv`` are
+    those on earth, and NaN where the map's place on earth is not known as exactly as that.
+
+    Args:
+        fixes: sorted by time.
+        undulation_m: height of the geoid above the ellipsoid; altitudes above sea level are NaN,
+            which MAVLink has for unknown values, without it.
+        mark: text that says which program made the log.
+
+    Raises:
+        InputError: pymavlink is not installed.
+    """
+    common = dialect()
+    link = common.MAVLink(None, _VEHICLE, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
+    first = fixes[0].microseconds if fixes else 0
+    text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())
+    messages = [(first, text)]
+    for fix in fixes:
+        messages.append((fix.microseconds, _global_position(common, fix, undulation_m)))
+        messages.append((fix.microseconds, _odometry(common, fix)))
+    log = bytearray()
+    for number, (microseconds, message) in enumerate(messages):
+        link.seq = number % 256
+        log += struct.pack(">Q", microseconds) + message.pack(link)
+    return bytes(log)
+
+
+def _global_position(common: ModuleType, fix: Fix, undulation_m: float | None) -> object:
+    eph_m, epv_m = fix.accuracy.eph_m, fix.accuracy.epv_m
+    return common.MAVLink_global_position_sensor_message(
+        target_system=0,  # everyone
+        target_component=0,
+        id=0,
+        time_usec=fix.microseconds,
+        processing_time=0,
+        source=common.GLOBAL_POSITION_SRC_VISION,
+        flags=0,
+        lat=round(fix.place.latitude * 1e7),
+        lon=round(fix.place.longitude * 1e7),
+        alt_ellipsoid=fix.place.altitude,
+        alt=math.nan if undulation_m is None else fix.place.altitude - undulation_m,
+        eph=math.nan if eph_m is None else eph_m,
+        epv=math.nan if epv_m is None else epv_m,
+    )
+
+
+def _odometry(common: ModuleType, fix: Fix) -> object:
+    ned_from_frd = _NED_FROM_ENU @ fix.world_from_cam @ _CAM_FROM_FRD
+    x, y, z = (_NED_FROM_ENU @ fix.centre).tolist()
+    upper = np.full(21, math.nan)
+    if fix.covariance is not None:
+        turn = np.kron(np.eye(2), _NED_FROM_ENU)
+        upper = (turn @ fix.covariance @ turn.T)[np.triu_indices(6)]
+    unknown = math.nan
+    return common.MAVLink_odometry_message(
+        time_usec=fix.microseconds,
+        frame_id=common.MAV_FRAME_LOCAL_NED,
+        child_frame_id=common.MAV_FRAME_BODY_FRD,
+        x=x,
+        y=y,
+        z=z,
+        q=quaternion_from_rotation(torch.from_numpy(ned_from_frd)).tolist(),
+        vx=unknown,
+        vy=unknown,
+        vz=unknown,
+        rollspeed=unknown,
+        pitchspeed=unknown,
+        yawspeed=unknown,
+        pose_covariance=upper.tolist(),
+        velocity_covariance=[unknown] * 21,
+        reset_counter=0,
+        estimator_type=common.MAV_ESTIMATOR_TYPE_VISION,
+        quality=0,  # unknown
+    )

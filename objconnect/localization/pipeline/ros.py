@@ -1,0 +1,122 @@
+"""Answers as messages of ROS 2, in a bag of one MCAP file.
+
+This is the one module that imports rosbags, which the extra ``[robot]`` installs.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from objconnect.localization.pipeline.fixes import Fix
+from objconnect.scene.geometry.pose import quaternion_from_rotation
+from objconnect.scene.runtime.extras import import_extra
+
+# REP 103: the axes of a body point forward (here the optical axis), left and up.
+_CAM_FROM_BODY: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_TOPIC: Final = "/objconnect"
+_MAP: Final = "map"
+_CAMERA: Final = "camera_link"
+
+
+def library() -> tuple[ModuleType, ModuleType]:
+    """Return the modules of rosbags that write bags and that know messages.
+
+    Raises:
+        InputError: rosbags is not installed.
+    """
+    purpose = "a ROS 2 bag (.mcap)"
+    bags = import_extra("rosbags.rosbag2", "robot", purpose)
+    return bags, import_extra("rosbags.typesys", "robot", purpose)
+
+
+def bag(fixes: Sequence[Fix], mark: str) -> bytes:
+    """Return a bag (MCAP), for ``ros2 bag play``.
+
+    Each fix is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid and whose
+    covariance is that on earth, of type unknown where the map's place on earth is not known so
+    exactly. Where the covariance within the map is known, it is a
+    ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``, too: metres east, north and up
+    from the map's origin, turned as REP 103 has bodies (x forward along the optical axis, y left, z
+    up), with rotations about the fixed axes of the map.
+
+    Args:
+        fixes: sorted by time.
+        mark: text that says which program made the bag.
+
+    Raises:
+        InputError: rosbags is not installed.
+    """
+    bags, typesys = library()
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bag"
+        with bags.Writer(path, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
+            _write(writer, store, fixes, mark)
+        (file,) = path.glob("*.mcap")
+        return file.read_bytes()
+
+
+def _write(writer: Any, store: Any, fixes: Sequence[Fix], mark: str) -> None:
+    def topic(name: str, kind: str) -> Any:
+        return writer.add_connection(f"{_TOPIC}/{name}", kind, typestore=store)
+
+    def put(connection: Any, microseconds: int, message: Any) -> None:
+        data = store.serialize_cdr(message, connection.msgtype)
+        writer.write(connection, microseconds * 1000, data)
+
+    # It comes first, so that the beginning of the file tells whose it is.
+    text = store.types["std_msgs/msg/String"](data=mark)
+    put(topic("made_by", "std_msgs/msg/String"), fixes[0].microseconds if fixes else 0, text)
+    position = topic("fix", "sensor_msgs/msg/NavSatFix")
+    pose = topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    for fix in fixes:
+        put(position, fix.microseconds, _position(store.types, fix))
+        # A filter would take a covariance of zeros for certainty.
+        if fix.covariance is not None:
+            put(pose, fix.microseconds, _pose(store.types, fix))
+
+
+def _header(types: Any, fix: Fix, frame: str) -> Any:
+    seconds, rest = divmod(fix.microseconds, 1_000_000)
+    time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 1000)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def _position(types: Any, fix: Fix) -> Any:
+    kind = types["sensor_msgs/msg/NavSatFix"]
+    status = types["sensor_msgs/msg/NavSatStatus"]
+    covariance = fix.accuracy.covariance
+    return kind(
+        header=_header(types, fix, _CAMERA),
+        status=status(status=status.STATUS_FIX, service=0),  # no satellites
+        latitude=fix.place.latitude,
+        longitude=fix.place.longitude,
+        altitude=fix.place.altitude,
+        position_covariance=np.zeros(9) if covariance is None else covariance.ravel(),
+        position_covariance_type=kind.COVARIANCE_TYPE_UNKNOWN
+        if covariance is None
+        else kind.COVARIANCE_TYPE_KNOWN,
+    )
+
+
+def _pose(types: Any, fix: Fix) -> Any:
+    assert fix.covariance is not None
+    x, y, z = fix.centre.tolist()
+    turned = torch.from_numpy(fix.world_from_cam @ _CAM_FROM_BODY)
+    qw, qx, qy, qz = quaternion_from_rotation(turned).tolist()
+    pose = types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
+    )
+    covariance = np.ascontiguousarray(fix.covariance).ravel()
+    return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
+        header=_header(types, fix, _MAP),
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance),
+    )

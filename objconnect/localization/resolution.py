@@ -1,0 +1,97 @@
+"""Ground resolution of photographs, and the scale at which two of them can be compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+
+# Fewer points in view do not determine the resolution of a photograph.
+_MIN_POINTS: Final = 10
+# Sine of the least angle below the horizon. A camera that looks more flatly, as from a car, sees
+# near and far things side by side: its picture has no one resolution.
+_LEAST_DOWN: Final = math.sin(math.radians(20))
+DEFAULT_SAME_RESOLUTION: Final = 1.25
+"""Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and
+street-level views have no single resolution."""
+
+
+def metres_per_pixel(
+    pose: Pose,
+    camera: Camera,
+    xyz: NDArray[np.float64],
+    view_from_camera: NDArray[np.float64] | None = None,
+) -> float:
+    """Return the ground resolution of a photograph at the median depth of the points it shows.
+
+    It is NaN where these are too few, and where the camera looks nearly along the ground.
+
+    Args:
+        pose: ``cam_from_world``.
+        camera: camera of the photograph.
+        xyz: (N, 3) points that may be in view.
+        view_from_camera: (3, 3) how the camera is then turned; None for not at all.
+    """
+    axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
+    if -float(axis @ pose.rotation.numpy()[:, 2]) < _LEAST_DOWN:
+        return math.nan
+    in_camera = pose.transform(torch.from_numpy(xyz))
+    projected = camera.project(in_camera)
+    shown = projected.valid & camera.contains(projected.xy)
+    if int(shown.sum()) < _MIN_POINTS:
+        return math.nan
+    depth = in_camera[shown] @ torch.from_numpy(np.asarray(axis, np.float64))
+    return float(depth.median()) / float(np.mean(camera.focal))
+
+
+def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
+    """Return the median metres per pixel at which photographs of a map are seen, NaN if unknown.
+
+    Args:
+        sparse_map: the map.
+        shrunk: gives the pixels seen per pixel of a camera's photographs.
+    """
+    resolutions = [
+        metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+        / shrunk(image.camera)
+        for image in sparse_map.images.values()
+    ]
+    known = [each for each in resolutions if math.isfinite(each)]
+    return float(np.median(known)) if known else math.nan
+
+
+def observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+    """Return the points that a photograph of a map observes, (N, 3)."""
+    return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
+
+
+def scale_to(
+    wanted: float, own: float, largest: float, same_resolution: float = DEFAULT_SAME_RESOLUTION
+) -> float:
+    """Return the scale at which to look at a photograph so that it has a wanted resolution.
+
+    Args:
+        wanted: metres per pixel to see it at; NaN where unknown.
+        own: metres per pixel of the photograph; NaN where unknown.
+        largest: the largest scale; beyond 1 it is used only to reach ``wanted``.
+        same_resolution: resolutions whose ratio is below this are left as they are.
+
+    Example:
+        >>> scale_to(wanted=0.2, own=0.1, largest=1.0)
+        0.5
+        >>> scale_to(wanted=0.11, own=0.1, largest=1.0)
+        1.0
+    """
+    plain = min(1.0, largest)
+    matching = own / wanted
+    if math.isfinite(matching) and not 1 / same_resolution < matching / plain < same_resolution:
+        return min(matching, largest)
+    return plain

@@ -1,0 +1,122 @@
+"""Starting poses of a query: its prior, completed from photographs of the map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import north_angle
+from objconnect.scene.localizer import By, Prior
+from objconnect.scene.maps.sparse_map import SparseMap
+
+
+class StartOptions(Config):
+    """Which starting poses are tried where the prior leaves altitude or attitude open."""
+
+    unknown_altitude_share: float = Field(
+        0.2,
+        gt=0,
+        description="An altitude whose sigma exceeds this share of the height above ground counts "
+        "as unknown.",
+    )
+    same_height_ratio: float = Field(
+        1.15,
+        gt=1,
+        description="Heights above ground whose ratio is below this share one starting altitude.",
+    )
+    same_heading_deg: float = Field(
+        45.0,
+        gt=0,
+        description="Photographs turned less than this against each other share one heading.",
+    )
+    same_place_m: float | None = Field(
+        None,
+        gt=0,
+        description="Where nothing is known, photographs farther apart than this (metres) are "
+        "starts of their own, though they share a heading; None for never.",
+    )
+
+
+_DEFAULTS: Final = StartOptions()
+
+
+def starts(
+    prior: Prior | None,
+    sparse_map: SparseMap,
+    chosen: NDArray[np.int64],
+    options: StartOptions = _DEFAULTS,
+) -> list[Pose]:
+    """Return poses (``cam_from_world``, float64) at which a query may be, the likeliest first.
+
+    Where the altitude is not known, each altitude of the photographs gives a start: a drone also
+    climbs and descends. Where no attitude is known, each distinct heading of the photographs gives
+    one: a survey flies half of its lines the other way round. Without a prior these are the
+    photographs' own poses, and without a position the photographs' places.
+
+    Args:
+        prior: of the query, finite.
+        sparse_map: the map.
+        chosen: rows of ``sparse_map.names`` to take it from, best first; one at least.
+        options: what counts as unknown, and as the same.
+    """
+    posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
+    if prior is None or not (prior.has_position or prior.has_heading):
+        return _distinct_headings(posed, options, options.same_place_m)
+    rotations = [pose.rotation for pose in _distinct_headings(posed, options)]
+    if prior.has_heading:
+        rotations = [torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))]
+    if not prior.has_position:
+        return [Pose(rotations[0], -rotations[0] @ pose.centre()) for pose in posed]
+    position = np.array(prior.position, np.float64)
+    beside = [pose.centre().numpy() for pose in posed]
+    altitudes = [position[2]]
+    unknown = options.unknown_altitude_share * sparse_map.height_above(beside[0])
+    if prior.position_sigma is not None and prior.position_sigma[2] > unknown:
+        heights = [sparse_map.height_above(centre) for centre in beside]
+        rows = _distinct_heights(heights, options.same_height_ratio)
+        altitudes = [beside[row][2] for row in rows]
+    centres = [
+        torch.tensor([*position[:2], altitude], dtype=torch.float64) for altitude in altitudes
+    ]
+    return [Pose(rotation, -rotation @ centre) for centre in centres for rotation in rotations]
+
+
+def start_of(prior: Prior | None) -> By:
+    """Return what ``starts`` takes the place of a query from: its prior or photographs."""
+    return By.PRIOR if prior is not None and prior.has_position else By.RETRIEVAL
+
+
+def _distinct_heights(heights: Sequence[float], same_ratio: float) -> list[int]:
+    """Return the rows from whose height the ground looks larger or smaller than from all before."""
+    kept: list[int] = []
+    for row, height in enumerate(heights):
+        ratios = (height / max(heights[other], 1e-9) for other in kept)
+        if all(not 1 / same_ratio < ratio < same_ratio for ratio in ratios):
+            kept.append(row)
+    return kept
+
+
+def _distinct_headings(
+    posed: Sequence[Pose], options: StartOptions, same_place_m: float | None = None
+) -> list[Pose]:
+    """Return the poses whose heading differs from that of all kept before, within a distance."""
+    same_heading = math.radians(options.same_heading_deg)
+    same_place = math.inf if same_place_m is None else same_place_m
+    kept: list[Pose] = []
+    for pose in posed:
+        heading = north_angle(pose.rotation.numpy())
+        beside = [
+            other for other in kept if float((other.centre() - pose.centre()).norm()) < same_place
+        ]
+        turns = (heading - north_angle(other.rotation.numpy()) for other in beside)
+        if all(abs(math.remainder(turn, math.tau)) > same_heading for turn in turns):
+            kept.append(pose)
+    return kept

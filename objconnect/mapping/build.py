@@ -1,0 +1,177 @@
+"""The sparse map of a scene, with its known poses or by structure from motion."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.mapping.class_coverage import class_coverage
+from objconnect.mapping.options import MapOptions, PairOptions
+from objconnect.mapping.report import MapReport, ObjectTruth, report
+from objconnect.scene.bundle.object_points import objects_of_points
+from objconnect.scene.bundle.pictures import draw_pictures
+from objconnect.scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
+from objconnect.scene.bundle.supplement import SUPPLEMENT
+from objconnect.scene.colmap.database import MappingJob
+from objconnect.scene.colmap.native import VERSION
+from objconnect.scene.colmap.options import MatchOptions, SiftOptions
+from objconnect.scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
+from objconnect.scene.colmap.triangulation import triangulate
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.features import features_key, write_features
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder
+from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.leftovers import remove_partial
+from objconnect.scene.storage.locks import resumable_file, write_lock
+
+_KEPT = f"{TEMPORARY_PREFIX}mapping"
+_SIFT = SiftOptions()
+Method = Literal["triangulate", "sfm"]
+_DEFAULTS: Final = MapOptions()
+
+log = logging.getLogger(__name__)
+
+
+def build_map(
+    path: Path,
+    method: Method = "triangulate",
+    cluster: str | None = None,
+    options: MapOptions = _DEFAULTS,
+) -> MapReport:
+    """Build the map of a finished scene from its map frames and record it in the manifest.
+
+    The model is in world metres, and its features are stored beside it. An older map is replaced
+    when the new one is complete. After an interruption, a second call continues with the finished
+    features and matches and builds the same map.
+
+    Args:
+        path: folder of the scene.
+        method: triangulation with the exact poses, or structure from motion, whose own poses are
+            then aligned to them.
+        cluster: cluster that extracts the features, see ``worker_pool``. Its nodes must see the
+            scene at the same path.
+        options: options of pairs, of matches and of outliers.
+
+    Returns:
+        The map's figures against the truth.
+
+    Raises:
+        InputError: the scene is not finished, is being written by another run, has a damaged
+            photograph, or gives no map.
+    """
+    scene = Scene.open(path)
+    with write_lock(path):
+        return _build(scene, method, cluster, options)
+
+
+def _build(scene: Scene, method: Method, cluster: str | None, options: MapOptions) -> MapReport:
+    path = scene.path
+    images, seen = _map_frames(scene)
+    names = [image.name for image in images]
+    flights = [name.partition("/")[0] for name in names]
+    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights, options.pairs)
+    pairs = [(names[i], names[j]) for i, j in chosen]
+    if not pairs:
+        raise InputError(f"the map frames of {path} do not overlap: fly more of them")
+    build, steps = {
+        "triangulate": (triangulate, len(images) + len(pairs)),
+        "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
+    }[method]
+    remove_partial(path)
+    supplemented = (scene.map_path / SUPPLEMENT).exists()
+    digest = _digest(scene.images_root, images, pairs, options.matching)
+    with resumable_file(path / _KEPT, f"{digest}.db") as database:
+        with (
+            atomic_folder(scene.map_path, MAP_FILES) as folder,
+            progress_bar("map", steps) as advance,
+        ):
+            job = MappingJob(
+                scene.images_root,
+                pairs,
+                _SIFT,
+                cluster,
+                options.matching,
+                images=images,
+                database=database,
+                adjustment=options.adjustment,
+            )
+            sparse_map, features = build(job, folder, advance)
+            photographs = digests(scene.images_root / name for name in sparse_map.names)
+            named = list(zip(sparse_map.names, photographs, strict=True))
+            write_features(folder / FEATURES, features, features_key(named, str(_SIFT)))
+        scene = finish_scene(path, scene.manifest)
+        if supplemented:
+            log.warning("the new map of %s lacks the points that 'supplement' had added", path)
+        rendered = scene.manifest.preset is not None
+        if rendered:
+            draw_pictures(scene)
+    instances = scene.mapped_layers(sparse_map, "instance")
+    owners = objects_of_points(
+        len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
+    )
+    kinds = class_coverage(scene, sparse_map, features) if rendered else {}
+    in_view = [item for item in scene.objects.objects if item.id in seen]
+    objects = ObjectTruth(in_view, owners)
+    return report(sparse_map, images, objects, len(pairs), kinds, options.model_dump(mode="json"))
+
+
+def _digest(
+    root: Path,
+    images: Sequence[PosedImage],
+    pairs: Sequence[tuple[str, str]],
+    matching: MatchOptions,
+) -> str:
+    """Return a digest of all that features and matches depend on."""
+    digest = hashlib.sha256(f"{VERSION} {_SIFT} {matching!r} {pairs}".encode())
+    for image in images:
+        photograph = root / image.name
+        content = sha256_of(photograph) if photograph.is_file() else "missing"
+        digest.update(f"{image.name} {image.camera} {content}".encode())
+    return digest.hexdigest()[:16]
+
+
+def choose_pairs(
+    overlap: NDArray[np.float64], flights: Sequence[str], options: PairOptions = _DEFAULTS.pairs
+) -> list[tuple[int, int]]:
+    """Choose the pairs of frames to match, each once: neighbours in space and in time.
+
+    Args:
+        overlap: symmetric (N, N) share of each other's surface that frames see.
+        flights: flight of each frame; frames of one flight are in the order of time.
+        options: least overlap, and number of frames with which each one is matched.
+    """
+    pairs = set()
+    for i, shares in enumerate(overlap):
+        best = np.argsort(-shares, kind="stable")[: options.max_neighbours].tolist()
+        pairs |= {(min(i, j), max(i, j)) for j in best if shares[j] > options.min_overlap}
+        following = range(i + 1, min(i + 1 + options.following, len(flights)))
+        pairs |= {(i, j) for j in following if flights[j] == flights[i] and shares[j] > 0}
+    return sorted(pairs)
+
+
+def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
+    """Return the map's photographs and the identifiers of the objects they show."""
+    wanted = set(scene.splits.map)
+    images = []
+    seen: set[int] = set()
+    for session in scene.sessions:
+        frames = scene.frames(session)
+        with scene.dense(session) as dense:
+            for k, name in enumerate(frames.names):
+                if name in wanted:
+                    camera, pose = frames.cameras[k], frames.cam_from_world[k]
+                    images.append(PosedImage(name, camera, pose))
+                    if dense.has("instance"):
+                        seen |= set(np.unique(dense.read("instance", k)).tolist())
+    if not images:
+        raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
+    return images, seen

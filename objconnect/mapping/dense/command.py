@@ -1,0 +1,392 @@
+"""Depth maps and a dense cloud for the photographs of a scene's map."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+import time
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.mapping.dense.consistency import agreeing
+from objconnect.mapping.dense.options import DEFAULTS, DenseOptions
+from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
+from objconnect.mapping.dense.pictures import draw_cloud, draw_maps
+from objconnect.mapping.dense.planes import normals_of, planes_of
+from objconnect.mapping.dense.report import DenseReport, Fused, read_truth, report
+from objconnect.mapping.dense.sources import choose_all, seeds_in
+from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from objconnect.mapping.dense.warp import StereoView
+from objconnect.mapping.dense.workspace import KINDS, Stage, Workspace
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.cluster import worker_pool
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import (
+    TEMPORARY_PREFIX,
+    atomic_folder,
+    link_or_copy,
+    replace_folder,
+)
+from objconnect.scene.storage.digests import digests, require_unchanged
+from objconnect.scene.storage.files import read_text, require_disk_space
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.locks import write_lock
+from objconnect.scene.storage.lru_cache import LruCache
+from objconnect.scene.storage.resumable import ResumableFolder
+
+DENSE = "dense"
+UNFINISHED = f"{TEMPORARY_PREFIX}dense"
+KEY = "dense.json"
+Stereo = Literal["own", "colmap"]
+
+# Of a depth map: every one alone, then each against its sources.
+_STAGES: tuple[Stage, ...] = ("photometric", "geometric")
+
+# Bytes of a point of the fused cloud with the count of its list, and of a pixel listed there.
+_POINT_BYTES, _LISTED_BYTES = 31, 4
+# Depth maps of the picture for people.
+_SHOWN = 3
+# Seconds are told for a map of so many pixels.
+_UNIT = 512 * 512
+# Photographs, and maps, of the largest size for which there is room in a cache.
+_CACHED = 64
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
+
+logger = logging.getLogger(__name__)
+
+
+# More than six parameters: they are the options of the command ``dense``.
+def dense(
+    path: Path,
+    *,
+    size: int = 1024,
+    sources: int = 6,
+    stereo: Stereo = "own",
+    seed: int = 0,
+    cluster: str | None = None,
+    options: DenseOptions = DEFAULTS,
+) -> DenseReport:
+    """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
+
+    The result is the folder ``dense/`` of the scene, in the layout of COLMAP's workspaces. It is
+    made map by map in a hidden folder. An interrupted run continues with the next map, and gives
+    the same bytes.
+
+    Args:
+        path: path of a finished scene with its map.
+        size: longest side of the depth maps, pixels; photographs are never enlarged.
+        sources: largest number of photographs with which each is matched.
+        stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
+        seed: seed of every random choice; the same seed makes the same files.
+        cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
+            must see the scene at the same path and write to it.
+        options: options of the depth maps, and of their agreement.
+
+    Returns:
+        Its figures, against the truth where the scene has depth.
+
+    Raises:
+        InputError: not a finished scene, one that another run is writing, no map, no photograph
+            with enough others that see the same, a damaged photograph, or a folder that cannot be
+            written.
+    """
+    scene = Scene.open(path)
+    asked = _Request(size, sources, stereo, seed, options)
+    with write_lock(path):
+        return _make(scene, asked, cluster)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for; see ``dense``."""
+
+    size: int
+    sources: int
+    stereo: Stereo
+    seed: int
+    options: DenseOptions
+
+
+def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
+    path = scene.path
+    scene.require_lists()
+    sparse_map = scene.sparse_map()
+    cameras = {i.camera: pinhole_of(i.camera, asked.size) for i in sparse_map.images.values()}
+    pinhole_map = undistorted_map(sparse_map, cameras)
+    agreement = asked.options.agreement
+    enough = agreement.confirmed
+    pairs = choose_all(pinhole_map, asked.sources, enough, asked.options.sources)
+    if not pairs:
+        raise InputError(
+            f"no photograph of the map of {path} has {enough} others that see enough of the same: "
+            "fly with more overlap"
+        )
+    skipped = sorted(set(sparse_map.names) - set(pairs))
+    if skipped:
+        logger.warning(
+            "%d of %d photographs share too little with others for a depth map, as %s",
+            len(skipped), len(sparse_map.names), skipped[0],
+        )  # fmt: skip
+    files = [scene.images_root / name for name in sparse_map.names]
+    photographs = digests(files)
+    key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": asked.size,
+           "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
+           "options": asked.options.model_dump(mode="json")}  # fmt: skip
+    workspace = _open_workspace(scene, key)
+    _write_photographs(scene, sparse_map, cameras, workspace)
+    try:
+        require_unchanged(files, photographs)
+    except InputError:
+        shutil.rmtree(workspace.path)  # it may contain some of the changed files
+        raise
+    _write_model(pinhole_map, workspace)
+    workspace.write_lists(pairs)
+    maps = _Maps(pinhole_map, workspace, pairs, asked)
+    seconds = None
+    if asked.stereo == "own":
+        seconds = _make_maps(maps, cluster)
+    else:
+        patch_match_stereo(workspace.path)
+    known = 0
+    for name in pairs:  # COLMAP would end the process where we say what is damaged
+        known += np.count_nonzero(workspace.depth(name, "geometric"))
+        workspace.normals(name, "geometric")
+    # Nor does it say that the disk is full. A point is of so many pixels or more, each listed once.
+    fused_bytes = known // agreement.fused * _POINT_BYTES + known * _LISTED_BYTES
+    require_disk_space(workspace.cloud, fused_bytes)
+    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, agreement.fused)
+    truth = read_truth(scene, pinhole_map)
+    shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
+    confirmations = {name: maps.confirmations(name) for name in shown}
+    draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
+    draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
+    fused = Fused(workspace, tuple(pairs), len(xyz), seconds)
+    result = report(scene, len(pinhole_map.names), fused, truth)
+    _finish(scene, workspace)
+    return result
+
+
+def _one(several: Sequence[str]) -> str:
+    """Digest of digests."""
+    return hashlib.sha256(" ".join(several).encode()).hexdigest()
+
+
+def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
+    """Return the unfinished folder: what an earlier run with the same key left, or an empty one.
+
+    The record stays in the folder when it is finished: the next run with the same key begins with
+    what is whole, under second names.
+    """
+    unfinished, whole = (_resumable(scene.path / name, key) for name in (UNFINISHED, DENSE))
+    try:
+        if not unfinished.is_same():
+            shutil.rmtree(unfinished.path, ignore_errors=True)
+            if whole.is_same():
+                _link_finished(whole.path, unfinished.path)
+    except OSError as error:
+        raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
+    unfinished.begin()
+    return Workspace(unfinished.path)
+
+
+def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
+    request = json.dumps(key, indent=1) + "\n"
+
+    def difference(record: Path) -> str | None:
+        try:
+            recorded = json.loads(read_text(record, "dense key"))
+        except ValueError:
+            return "key"
+        # Options that came later than the folder had the effect of their defaults.
+        before = {"options": DEFAULTS.model_dump(mode="json")}
+        same = isinstance(recorded, dict) and before | recorded == json.loads(request)
+        return None if same else "key"
+
+    return ResumableFolder(folder, folder / KEY, request, difference)
+
+
+def owned(workspace: Workspace) -> set[str]:
+    """Return the files of a workspace that we wrote, as ``atomic_folder`` takes them."""
+    lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
+    files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
+    for name in workspace.names():
+        files.add(f"images/{name}")
+        files |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
+    return files
+
+
+def _link_finished(whole: Path, unfinished: Path) -> None:
+    """Link finished files into the unfinished folder. The old folder stays unchanged."""
+    cloud, ours = Workspace(whole).cloud.name, owned(Workspace(whole))
+    for path in sorted(whole.rglob("*")):
+        name = path.relative_to(whole).as_posix()
+        # COLMAP writes the cloud anew, in place.
+        if path.is_file() and name in ours and not name.startswith(cloud):
+            (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
+            link_or_copy(path, unfinished / name)
+
+
+def _finish(scene: Scene, workspace: Workspace) -> None:
+    """Put the finished folder in its place, and into the scene's manifest."""
+    whole = scene.path / DENSE
+    try:
+        replace_folder(whole, workspace.path, owned(Workspace(whole)))
+    except OSError as error:
+        raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
+    finish_scene(scene.path, scene.manifest)
+
+
+def _write_photographs(
+    scene: Scene,
+    sparse_map: SparseMap,
+    cameras: Mapping[Camera, Camera],
+    workspace: Workspace,
+) -> None:
+    with progress_bar("undistorted photographs", len(sparse_map.names)) as advance:
+        for done, name in enumerate(sparse_map.names, 1):
+            camera, out = sparse_map.images[name].camera, workspace.images / name
+            if not out.is_file():
+                write_undistorted(scene.images_root / name, camera, cameras[camera], out)
+            advance(done)
+
+
+def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
+    images = [sparse_map.images[name] for name in sparse_map.names]
+    posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
+    with atomic_folder(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
+        write_posed(posed, sparse_map, folder)
+
+
+def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
+    """Make those that are missing; seconds per ``_UNIT`` pixels, None when none was."""
+    finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
+    pixels, seconds = 0, 0.0
+    with (
+        worker_pool(cluster, maps) as workers,
+        progress_bar("depth maps", len(maps)) as advance,
+    ):
+        advance(finished)
+        for stage in _STAGES:
+            with closing(workers.map(maps.missing(stage))) as made:
+                for size, took in made:
+                    pixels, seconds, finished = pixels + size, seconds + took, finished + 1
+                    advance(finished)
+    # Both maps of a photograph count as one.
+    return 2 * seconds / pixels * _UNIT if pixels else None
+
+
+class _Maps:
+    """Makes the depth maps of a workspace that are not there yet."""
+
+    def __init__(
+        self,
+        sparse_map: SparseMap,
+        workspace: Workspace,
+        pairs: dict[str, list[str]],
+        asked: _Request,
+    ) -> None:
+        self._map = sparse_map
+        self._workspace = workspace
+        self._pairs = pairs
+        self._asked = asked
+        self._options = asked.options
+        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        images = sparse_map.images.values()
+        pixels = max(image.camera.width * image.camera.height for image in images)
+        floats = _CACHED * pixels * np.dtype(np.float32).itemsize
+        self.view = LruCache(self._read_view, floats)
+        # Inverse depth and two slopes.
+        self.first = LruCache(self._read_first, 3 * floats)
+
+    def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
+        """Pickle for a worker of a cluster, without the caches."""
+        return _Maps, (self._map, self._workspace, self._pairs, self._asked)
+
+    def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
+        """List the maps to make at a stage; the second stage needs all maps of the first."""
+        return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
+
+    def __len__(self) -> int:
+        """Count the maps of both stages."""
+        return 2 * len(self._pairs)
+
+    @torch.inference_mode()
+    def __call__(self, unit: tuple[Stage, str]) -> Iterator[tuple[int, float]]:
+        """Make one map: its pixels, and seconds of processor time."""
+        began = time.process_time()
+        stage, name = unit
+        planes, depth = self._first(name) if stage == "photometric" else self._last(name)
+        normals = normals_of(planes, self.view(name).camera)
+        self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
+        yield depth.numel(), time.process_time() - began
+
+    @torch.inference_mode()
+    def confirmations(self, name: str) -> NDArray[np.int64]:
+        """Return how many sources confirm each pixel of a finished depth map, (H, W)."""
+        depth = torch.from_numpy(self._workspace.depth(name, "geometric")).to(self._device)
+        inverse = torch.where(depth > 0, 1 / depth, 0)
+        return self._confirmations(name, inverse).cpu().numpy()
+
+    def _confirmations(self, name: str, inverse: Tensor) -> Tensor:
+        others = self._pairs[name]
+        return agreeing(
+            self.view(name),
+            [self.view(other) for other in others],
+            inverse,
+            [self.first(other)[0] for other in others],
+            self._options.agreement,
+        )
+
+    def _first(self, name: str) -> tuple[Tensor, Tensor]:
+        sources = [self.view(other) for other in self._pairs[name]]
+        seeds = seeds_in(self._map, name)
+        planes, _ = first_estimate(
+            self.view(name), sources, seeds, self._generator(name), self._options.search
+        )
+        return planes, 1 / planes[0]
+
+    def _last(self, name: str) -> tuple[Tensor, Tensor]:
+        others = self._pairs[name]
+        planes, _ = consistent_estimate(
+            self.view(name),
+            [self.view(other) for other in others],
+            self.first(name),
+            [self.first(other)[0] for other in others],
+            self._generator(name),
+            self._options.search,
+        )
+        confirmed = self._confirmations(name, planes[0]) >= self._options.agreement.confirmed
+        return planes, torch.where(confirmed, 1 / planes[0], 0)
+
+    def _generator(self, name: str) -> torch.Generator:
+        """Seed by photograph, so that the order in which maps are made does not matter."""
+        return torch.Generator().manual_seed(zlib.crc32(f"{self._asked.seed} {name}".encode()))
+
+    def _read_view(self, name: str) -> StereoView:
+        image = self._map.images[name]
+        rgb = read_rgb(self._workspace.images / name, image.camera)
+        grey = torch.from_numpy(rgb.astype(np.float32) @ _LUMA)
+        return StereoView(grey.to(self._device), image.camera, image.cam_from_world)
+
+    def _read_first(self, name: str) -> Tensor:
+        depth = torch.from_numpy(self._workspace.depth(name, "photometric")).to(self._device)
+        normals = torch.from_numpy(self._workspace.normals(name, "photometric")).to(self._device)
+        return planes_of(depth, normals, self._map.images[name].camera)

@@ -1,0 +1,296 @@
+"""The cost of ``objconnect.mapping.dense.photometry`` in compiled loops, for processors.
+
+A pixel is finished before the next begins, so that nothing but its cost is written, and sources are
+left out as soon as a plane cannot be the best any more. Costs differ by rounding alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.mapping.dense.options import DEFAULTS, CostOptions
+from objconnect.mapping.dense.photometry import NOISE, STEPS, WORST, Visibility
+from objconnect.mapping.dense.warp import MIN_DEPTH, StereoView, Warp
+from objconnect.scene.runtime.loops import OPTIONS
+
+_F = np.float32
+# Offsets (S,) of the samples around a pixel. Compiled code takes them as constants.
+_DX = np.tile(np.array(STEPS, np.float32), len(STEPS))
+_DY = np.repeat(np.array(STEPS, np.float32), len(STEPS))
+_SAMPLES = len(_DX)
+# Sources have a row more, so that every pixel has a next one, and so many columns more: with rows
+# of a power of two, windows of several sources would take turns in the same lines of a cache.
+_MORE = 17
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
+_NOISE, _WORST, _MIN_DEPTH = _F(NOISE), _F(WORST), _F(MIN_DEPTH)
+# The options allow infinite costs, which are compared.
+_compiled = njit(**OPTIONS)
+
+
+class CompiledWindow(NamedTuple):
+    """Surroundings of n pixels of the reference view, S samples each.
+
+    Attributes:
+        rows: row (n,) of the pixel.
+        columns: column (n,) of the pixel.
+        weights: weights (n, S) of the samples, whose sum is one.
+        correlators: factors (n, S), see ``objconnect.mapping.dense.photometry.Samples``.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    correlators: NDArray[np.float32]
+
+    def part(self, some: slice) -> CompiledWindow:
+        """Return the windows around some of the pixels."""
+        return CompiledWindow(
+            self.rows[some], self.columns[some], self.weights[some], self.correlators[some]
+        )
+
+
+class _Sources(NamedTuple):
+    """What compiled code has to know of K sources.
+
+    Attributes:
+        seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
+        best: how many of the sources count, (H, W), see ``Visibility``.
+        grey: the pixels of all pictures, see ``_joined``.
+        inverse_depths: those of their maps likewise; empty without maps.
+        begins: where each picture begins in them, (K,).
+        shapes: height and width of each picture, (K, 2).
+        there: warps to them, (K, 3, 4).
+        back: warps from them, (K, 3, 4).
+        geometric_weight: the option.
+        limit_px: the option ``geometric_limit_px``.
+    """
+
+    seen: NDArray[np.bool_]
+    best: NDArray[np.int64]
+    grey: NDArray[np.float32]
+    inverse_depths: NDArray[np.float32]
+    begins: NDArray[np.int64]
+    shapes: NDArray[np.int64]
+    there: NDArray[np.float32]
+    back: NDArray[np.float32]
+    geometric_weight: np.float32
+    limit_px: np.float32
+
+
+class CompiledPhotometry:
+    """Costs of planes at pixels, as ``Photometry``, whose arguments it takes."""
+
+    def __init__(
+        self,
+        reference: StereoView,
+        sources: Sequence[StereoView],
+        expected: Tensor,
+        inverse_depths: Sequence[Tensor] | None = None,
+        options: CostOptions = DEFAULTS.search.cost,
+    ) -> None:
+        # What is left for torch is so little that its threads would wait more than compute.
+        self.torch_threads = 1
+        self._threads = torch.get_num_threads()
+        self._pool = ThreadPoolExecutor(self._threads)
+        self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")
+        self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * options.sigma_px**2))
+        self._sigma_grey = _F(options.sigma_grey)
+        there = [Warp.between(reference, source) for source in sources]
+        visible = Visibility.of(reference, there, expected)
+        shapes = np.array([source.grey.shape for source in sources])
+        sizes = (shapes + np.array([1, _MORE])).prod(1)
+        self._sources = _Sources(
+            visible.seen.numpy(),
+            visible.best.numpy(),
+            _joined([source.grey for source in sources]),
+            _joined(inverse_depths or ()),
+            np.cumsum(sizes) - sizes,
+            shapes,
+            _matrices(there),
+            _matrices([Warp.between(source, reference) for source in sources]),
+            _F(options.geometric_weight),
+            _F(options.geometric_limit_px),
+        )
+
+    def window(self, rows: Tensor, columns: Tensor) -> CompiledWindow:
+        """Return the windows around pixels (n,) of the reference."""
+        weights = np.empty((len(rows), _SAMPLES), np.float32)
+        window = CompiledWindow(rows.numpy(), columns.numpy(), weights, np.empty_like(weights))
+
+        def fill(part: slice) -> None:
+            _fill_windows(window.part(part), self._padded, self._near, self._sigma_grey)
+
+        self._in_parts(fill, len(rows))
+        return window
+
+    def cost(self, window: CompiledWindow, planes: Tensor, below: Tensor | None = None) -> Tensor:
+        """Return the cost of a plane at each pixel; see ``PlaneCosts``."""
+        costs = torch.empty(planes.shape[1:])
+        values, out = planes.contiguous().numpy(), costs.numpy()
+        least = np.full(len(out), np.inf, np.float32) if below is None else below.numpy()
+
+        def fill(part: slice) -> None:
+            _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
+
+        self._in_parts(fill, len(out))
+        return costs
+
+    def _in_parts(self, fill: Callable[[slice], None], count: int) -> None:
+        """Call a function with parts of a count, as many at once as torch has threads."""
+        ends = np.linspace(0, count, self._threads + 1).astype(int)
+        parts = [slice(begin, end) for begin, end in pairwise(ends)]
+        if len(parts) == 1:
+            fill(parts[0])
+        else:
+            list(self._pool.map(fill, parts))
+
+
+def _matrices(warps: Sequence[Warp]) -> NDArray[np.float32]:
+    """Return rotations and translations (K, 3, 4) of warps."""
+    return np.array([np.column_stack([w.rotation, w.translation]) for w in warps], np.float32)
+
+
+def _joined(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
+    """Return the pixels of pictures of several sizes, one after the other, with ``_MORE``."""
+    larger = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
+    return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in larger)])
+
+
+@_compiled
+def _fill_windows(window, padded, near, sigma_grey):  # type: ignore[no-untyped-def]
+    """Write the weights and correlators of the windows around pixels."""
+    reach = STEPS[-1]
+    weights, correlators = window.weights, window.correlators
+    for i in range(len(window.rows)):
+        row, column = window.rows[i] + reach, window.columns[i] + reach
+        middle = padded[row, column]
+        total = mean = _ZERO
+        for s in range(_SAMPLES):
+            grey = padded[row + int(_DY[s]), column + int(_DX[s])]
+            weight = near[s] * np.exp(-abs(grey - middle) / sigma_grey)
+            weights[i, s] = weight
+            correlators[i, s] = grey
+            total += weight
+            mean += weight * grey
+        mean /= total
+        variance = _ZERO
+        for s in range(_SAMPLES):
+            weights[i, s] /= total
+            central = correlators[i, s] - mean
+            variance += weights[i, s] * central * central
+            correlators[i, s] = weights[i, s] * central
+        deviation = np.sqrt(variance + _NOISE)
+        for s in range(_SAMPLES):
+            correlators[i, s] /= deviation
+
+
+@_compiled
+def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyped-def]
+    """Write the cost (n,) of a plane at each pixel."""
+    seen, best, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
+    rows, columns, weights, correlators = window
+    each = np.empty(len(seen), np.float32)
+    for i in range(len(rows)):
+        row, column = rows[i], columns[i]
+        x, y = _F(column) + _HALF, _F(row) + _HALF
+        w, gx, gy = planes[0, i], planes[1, i], planes[2, i]
+        needed, left = best[row, column], 0
+        for k in range(len(seen)):
+            left += seen[k, row, column]
+        done, cost = 0, _WORST
+        for k in range(len(seen)):
+            if not seen[k, row, column]:
+                continue
+            shape, begin, here = (shapes[k, 0], shapes[k, 1]), begins[k], _WORST
+            at = _warped(there, k, shape, x, y, w)
+            if at[3]:
+                slopes = _slopes(there, k, at, gx, gy)
+                here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
+                if len(inverse_depths):
+                    pixel = begin + int(at[1]) * (shape[1] + _MORE) + int(at[0])
+                    known, pixels = inverse_depths[pixel], limit_px
+                    if known > 0:
+                        home = _warped(back, k, shape, at[0], at[1], known)
+                        pixels = min(np.hypot(home[0] - x, home[1] - y), pixels)
+                    here += weight * pixels
+            # Costs so far, in ascending order.
+            place = done
+            while place > 0 and each[place - 1] > here:
+                each[place] = each[place - 1]
+                place -= 1
+            each[place] = here
+            done += 1
+            left -= 1
+            # What those to come leave of it, if they cost nothing.
+            cost = _ZERO
+            for j in range(needed - left):
+                cost += each[j]
+            cost /= _F(needed)
+            if cost >= below[i]:
+                break
+        costs[i] = cost
+
+
+@_compiled
+def _warped(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
+    """Warp a pixel as ``Warp`` k does: u, v, z and whether it is in a picture of a shape."""
+    a = matrices[k, 0, 0] * x + matrices[k, 0, 1] * y + (matrices[k, 0, 2] + matrices[k, 0, 3] * w)
+    b = matrices[k, 1, 0] * x + matrices[k, 1, 1] * y + (matrices[k, 1, 2] + matrices[k, 1, 3] * w)
+    c = matrices[k, 2, 0] * x + matrices[k, 2, 1] * y + (matrices[k, 2, 2] + matrices[k, 2, 3] * w)
+    z = max(c, _MIN_DEPTH)
+    u, v = a / z, b / z
+    return u, v, z, u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
+
+
+@_compiled
+def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
+    """Return the slopes of warp k as ``Warp.slopes`` does."""
+    u, v, z, _ = at
+    zx = matrices[k, 2, 0] + matrices[k, 2, 3] * gx
+    zy = matrices[k, 2, 1] + matrices[k, 2, 3] * gy
+    return (
+        (matrices[k, 0, 0] + matrices[k, 0, 3] * gx - u * zx) / z,
+        (matrices[k, 0, 1] + matrices[k, 0, 3] * gy - u * zy) / z,
+        (matrices[k, 1, 0] + matrices[k, 1, 3] * gx - v * zx) / z,
+        (matrices[k, 1, 1] + matrices[k, 1, 3] * gy - v * zy) / z,
+    )
+
+
+@_compiled
+# More than six parameters: at each call a tuple of arrays would cost half as much as the sum.
+def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
+    """Return the weighted correlation of window i with that of a picture around a place."""
+    right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _MORE)
+    ux, uy, vx, vy = slopes
+    # Positions count from the middle of the first pixel; those beyond the edge lie on it.
+    u, v = at[0] - _HALF, at[1] - _HALF
+    mean = square = product = _ZERO
+    for s in range(_SAMPLES):
+        column, row = u + ux * _DX[s] + uy * _DY[s], v + vx * _DX[s] + vy * _DY[s]
+        column = column if column > _ZERO else _ZERO
+        column = column if column < right else right
+        row = row if row > _ZERO else _ZERO
+        row = row if row < bottom else bottom
+        left, top = np.int32(column), np.int32(row)
+        across, down = column - _F(left), row - _F(top)
+        # Unsigned numbers are not looked at for being negative.
+        pixel = np.uint32(begin) + np.uint32(top) * stride + np.uint32(left)
+        under = pixel + stride
+        upper = grey[pixel] + across * (grey[pixel + np.uint32(1)] - grey[pixel])
+        lower = grey[under] + across * (grey[under + np.uint32(1)] - grey[under])
+        value = upper + down * (lower - upper)
+        weighted = weights[i, s] * value
+        mean += weighted
+        square += weighted * value
+        product += correlators[i, s] * value
+    variance = max(square - mean * mean, _ZERO) + _NOISE
+    return min(max(product / np.sqrt(variance), -_ONE), _ONE)

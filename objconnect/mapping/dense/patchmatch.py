@@ -1,0 +1,267 @@
+"""PatchMatch stereo of one view: planes spread from pixel to pixel and are refined at random.
+
+Red and black pixels of a checkerboard alternate, so that all pixels of one colour are processed at
+once (Galliani et al., Gipuma, ICCV 2015). A pixel tries the best of several neighbours in each of
+four regions (after Xu and Tao, ACMH, CVPR 2019). The search runs from coarse to fine. The first
+planes come from the points of the sparse map and from random numbers, in a small picture. The
+points are tried again at every larger size, because small pictures lose objects a few pixels wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate, pad
+
+from objconnect.mapping.dense.options import DEFAULTS, SearchOptions
+from objconnect.mapping.dense.photometry import Photometry, PlaneCosts
+from objconnect.mapping.dense.planes import moved, planes_at_nearest, planes_through, resized
+from objconnect.mapping.dense.warp import StereoView
+from objconnect.scene.runtime.loops import has_compiler
+from objconnect.scene.runtime.threads import torch_threads
+
+# Number of pixels processed at once, whose windows fit into the processor's cache.
+_CHUNK = 16384
+
+
+def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
+    """Return neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
+    side = [(0, -1), (-1, -2), (1, -2), (-2, -3), (2, -3), (0, -3), (0, -5), (0, -7)]
+    regions = []
+    for _ in range(4):
+        regions.append(tuple(side))
+        side = [(-y, x) for x, y in side]
+    return tuple(regions)
+
+
+_REGIONS = _regions()
+_REACH = max(max(abs(x), abs(y)) for region in _REGIONS for x, y in region)
+
+
+class Estimate(NamedTuple):
+    """Planes (3, H, W) of every pixel and their cost (H, W)."""
+
+    planes: Tensor
+    cost: Tensor
+
+
+def first_estimate(
+    reference: StereoView,
+    sources: Sequence[StereoView],
+    seeds: NDArray[np.float64],
+    generator: torch.Generator,
+    options: SearchOptions = DEFAULTS.search,
+) -> Estimate:
+    """Estimate planes from photographs alone.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: other views of the same surface.
+        seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
+        generator: generator of every random choice.
+        options: options of the search.
+    """
+    shrink = [1]
+    while max(reference.grey.shape) / shrink[-1] > options.coarsest_px:
+        shrink.append(2 * shrink[-1])
+    planes = None
+    for factor in reversed(shrink):
+        here, others = _shrunk(reference, factor), [_shrunk(view, factor) for view in sources]
+        height, width = here.grey.shape
+        scale = np.array([width, height]) / reference.grey.shape[::-1]
+        points = seeds * [*scale, 1.0]
+        nearest = planes_at_nearest(points, height, width).to(here.grey.device)
+        if planes is None:
+            fitted = planes_through(points, height, width).to(here.grey.device)
+            search = _Search(here, others, fitted[0], None, generator, options)
+            estimate = search.begin(fitted, nearest)
+            rounds, step = options.first_rounds, 4.0
+        else:
+            planes = resized(planes, height, width)
+            search = _Search(here, others, planes[0], None, generator, options)
+            estimate = search.best_of([planes, nearest])
+            rounds, step = options.rounds, 1.0
+        estimate = search.run(estimate, rounds, step)
+        planes = estimate.planes
+    return estimate
+
+
+def consistent_estimate(
+    reference: StereoView,
+    sources: Sequence[StereoView],
+    planes: Tensor,
+    inverse_depths: Sequence[Tensor],
+    generator: torch.Generator,
+    options: SearchOptions = DEFAULTS.search,
+) -> Estimate:
+    """Refine planes for consistency with the first estimates of the sources.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: other views of the same surface.
+        planes: (3, H, W) first estimate of the reference.
+        inverse_depths: (H, W) first estimates of the sources.
+        generator: generator of every random choice.
+        options: options of the search.
+    """
+    search = _Search(reference, sources, planes[0], inverse_depths, generator, options)
+    return search.run(search.best_of([planes]), options.rounds, 0.5)
+
+
+def _shrunk(view: StereoView, factor: int) -> StereoView:
+    if factor == 1:
+        return view
+    height, width = (max(1, side // factor) for side in view.grey.shape)
+    grey = interpolate(view.grey[None, None], (height, width), mode="area")[0, 0]
+    return StereoView(grey, view.camera.resized(width, height), view.cam_from_world)
+
+
+class _Search:
+    """The search in one picture of one size."""
+
+    def __init__(
+        self,
+        reference: StereoView,
+        sources: Sequence[StereoView],
+        expected: Tensor,
+        inverse_depths: Sequence[Tensor] | None,
+        generator: torch.Generator,
+        options: SearchOptions,
+    ) -> None:
+        kind = _photometry(reference.grey.device)
+        self._photometry = kind(reference, sources, expected, inverse_depths, options.cost)
+        self._options = options
+        self._generator = generator
+        self._device = reference.grey.device
+        self._shape = reference.grey.shape
+        centres = [np.linalg.inv(v.cam_from_world)[:3, 3] for v in (reference, *sources)]
+        baseline = float(np.median([np.linalg.norm(c - centres[0]) for c in centres[1:]]))
+        # The change of inverse depth for one pixel of disparity.
+        self._pixel = 1 / (reference.camera.focal[0] * baseline)
+        height, width = self._shape
+        rows, columns = torch.meshgrid(
+            torch.arange(height, device=self._device),
+            torch.arange(width, device=self._device),
+            indexing="ij",
+        )
+        self._colours = [
+            torch.stack([rows[chosen], columns[chosen]])
+            for chosen in ((rows + columns) % 2 == 0, (rows + columns) % 2 == 1)
+        ]
+
+    def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
+        """Return the best of four guesses at each pixel, from seeds and at random, (3, H, W)."""
+        inverse = nearest[0]
+        margin = self._options.margin
+        low, high = float(inverse.min()) * (1 - margin), float(inverse.max()) * (1 + margin)
+        guesses = [fitted, nearest]
+        for _ in range(2):
+            w = low + (high - low) * self._uniform(1)
+            slope = (2 * self._uniform(2) - 1) * (self._options.steepest * self._pixel)
+            guesses.append(torch.cat([w, slope]))
+        fitted[0].clamp_(low, high)
+        return self.best_of(guesses)
+
+    def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
+        """Return the cheapest of several planes at each pixel, (3, H, W)."""
+        planes = guesses[0].clone()
+        cost = torch.empty(self._shape, device=self._device)
+        with torch_threads(self._photometry.torch_threads):
+            for rows, columns in chain.from_iterable(map(_chunks, self._colours)):
+                window = self._photometry.window(rows, columns)
+                first = planes[:, rows, columns]
+                best = _Best(self._photometry, window, first, self._photometry.cost(window, first))
+                for guess in guesses[1:]:
+                    best.offer(guess[:, rows, columns])
+                planes[:, rows, columns], cost[rows, columns] = best.planes, best.cost
+        return Estimate(planes, cost)
+
+    def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
+        """Propagate and refine planes, ``rounds`` times over both colours."""
+        with torch_threads(self._photometry.torch_threads):
+            for k in range(rounds):
+                for colour in self._colours:
+                    self._improve(estimate, colour, step * 0.5**k)
+        return estimate
+
+    def _improve(self, estimate: Estimate, colour: Tensor, step: float) -> None:
+        """Propagate and refine the planes of one colour, in place."""
+        step_px, step_slope = self._options.step_px, self._options.step_slope
+        noise = [self._normal() for _ in range(2)]
+        # Neighbours are of the other colour, so the order of the chunks does not matter.
+        cost = pad(estimate.cost, (_REACH,) * 4, value=torch.inf)
+        for rows, columns in _chunks(colour):
+            window = self._photometry.window(rows, columns)
+            planes, costs = estimate.planes[:, rows, columns], estimate.cost[rows, columns]
+            best = _Best(self._photometry, window, planes, costs)
+            for region in _REGIONS:
+                best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
+            for drawn in noise:
+                random = drawn[:, rows, columns] * (step * self._pixel)
+                w, gx, gy = best.planes
+                best.offer(torch.stack([w + step_px * random[0], gx, gy]))
+                w, gx, gy = best.planes
+                sx, sy = step_slope * random[1:]
+                best.offer(torch.stack([w, gx + sx, gy + sy]))
+            estimate.planes[:, rows, columns] = best.planes
+            estimate.cost[rows, columns] = best.cost
+
+    def _uniform(self, channels: int) -> Tensor:
+        return torch.rand(channels, *self._shape, generator=self._generator).to(self._device)
+
+    def _normal(self) -> Tensor:
+        return torch.randn(3, *self._shape, generator=self._generator).to(self._device)
+
+
+def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
+    """Return the class that takes the least time on a device, of those that are installed."""
+    if device.type == "cpu" and has_compiler():
+        from objconnect.mapping.dense.compiled import CompiledPhotometry
+
+        return CompiledPhotometry
+    return Photometry
+
+
+class _Best:
+    """The best plane so far at each pixel of a window."""
+
+    def __init__(self, photometry: PlaneCosts, window: Any, planes: Tensor, cost: Tensor) -> None:
+        self._photometry = photometry
+        self._window = window
+        self.planes = planes
+        self.cost = cost
+
+    def offer(self, planes: Tensor) -> None:
+        cost = self._photometry.cost(self._window, planes, self.cost)
+        better = (cost < self.cost) & (planes[0] > 0)
+        self.planes = torch.where(better, planes, self.planes)
+        self.cost = torch.where(better, cost, self.cost)
+
+
+def _from_neighbour(
+    planes: Tensor,
+    cost: Tensor,
+    region: Sequence[tuple[int, int]],
+    rows: Tensor,
+    columns: Tensor,
+) -> Tensor:
+    """Return the plane of the cheapest neighbour in a region, moved to each pixel (n,)."""
+    dx, dy = torch.tensor(region, device=rows.device).T[..., None]
+    costs = cost[rows + dy + _REACH, columns + dx + _REACH]
+    least, which = costs.min(0)
+    # Where all neighbours are outside the picture, the pixel's own plane is taken.
+    inside = torch.isfinite(least)
+    dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
+    return moved(planes[:, rows + dy, columns + dx], -dx, -dy)
+
+
+def _chunks(colour: Tensor) -> Sequence[tuple[Tensor, Tensor]]:
+    rows, columns = colour
+    starts = range(0, len(rows), _CHUNK)
+    return [(rows[k : k + _CHUNK], columns[k : k + _CHUNK]) for k in starts]

@@ -1,0 +1,222 @@
+"""The photometric cost of a plane: the difference of windows in the reference and other views.
+
+It is bilaterally weighted normalised cross-correlation, as in Gipuma and COLMAP. The cost is
+1 - NCC, which is 0 where two windows are equal up to gain and offset. Within the small window the
+warp is approximated as affine, which needs one division for all samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, pad
+
+from objconnect.mapping.dense.options import DEFAULTS, CostOptions
+from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
+
+WORST = 2.0
+"""Cost of an inverted picture, and of a view that does not see the plane."""
+
+STEPS = (-4, -2, 0, 2, 4)
+"""Offsets of samples: every second pixel of a window of 9 x 9, which is part of the method."""
+
+NOISE = 1e-5
+"""Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing."""
+
+
+class Visibility(NamedTuple):
+    """Which sources show the pixels of a picture.
+
+    Attributes:
+        seen: whether each of K sources shows a pixel, (K, H, W).
+        best: how many of them count, (H, W): the better half, and at least two, so that occluded
+            views are ignored.
+    """
+
+    seen: Tensor
+    best: Tensor
+
+    @staticmethod
+    def of(reference: StereoView, warps: Sequence[Warp], expected: Tensor) -> Visibility:
+        """Find it by the inverse depths (H, W) that are expected and warps to the sources."""
+        grid = reference.camera.pixel_grid(torch.float32).to(reference.grey.device)
+        x, y = grid.unbind(-1)
+        seen = torch.stack([warp(x, y, expected).seen for warp in warps])
+        count = seen.sum(0)
+        return Visibility(seen, torch.maximum((count + 1) // 2, count.clamp_max(2)))
+
+
+class Samples(NamedTuple):
+    """Samples around those pixels of a window that a source shows, S around each of m.
+
+    Attributes:
+        which: (m,) of the window's n pixels.
+        x: column (m,) of the middle of the pixel.
+        y: row (m,) of the middle of the pixel.
+        weights: weights (S, m) of the samples, whose sum is one.
+        correlator: factors (S, m). The sum of their products with another window is the
+            covariance of both windows over the standard deviation of this one.
+    """
+
+    which: Tensor
+    x: Tensor
+    y: Tensor
+    weights: Tensor
+    correlator: Tensor
+
+
+class Window(NamedTuple):
+    """Surroundings of n pixels of the reference view.
+
+    Attributes:
+        rows: row (n,) of the pixel.
+        columns: column (n,) of the pixel.
+        samples: for each source, of the pixels that it shows.
+    """
+
+    rows: Tensor
+    columns: Tensor
+    samples: tuple[Samples, ...]
+
+
+class PlaneCosts(Protocol):
+    """Costs of planes at pixels of one reference view. Each implementation has its own windows.
+
+    Attributes:
+        torch_threads: threads of torch that are of use between the calls.
+    """
+
+    torch_threads: int
+
+    def window(self, rows: Tensor, columns: Tensor) -> Any:
+        """Return the windows around pixels (n,) of the reference."""
+
+    def cost(self, window: Any, planes: Tensor, below: Tensor | None = None) -> Tensor:
+        """Return the cost of a plane at each pixel, the mean over the better half of its sources.
+
+        Args:
+            window: around n pixels.
+            planes: (3, n).
+            below: costs (n,) below which the cost is asked for. Where it is not below, any number
+                that is not, either, may be returned.
+        """
+
+
+class Photometry:
+    """Costs of planes at pixels of one reference view against all its sources.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: the source views.
+        expected: inverse depths (H, W) by which each pixel is or is not in the picture of a source.
+            A plane that leaves the picture of such a source is penalised; a source that never
+            shows the pixel is ignored.
+        inverse_depths: inverse depth maps (H, W) of the sources, 0 where unknown. With them, a
+            plane costs more where a source's map contradicts it.
+        options: weights of the costs.
+    """
+
+    def __init__(
+        self,
+        reference: StereoView,
+        sources: Sequence[StereoView],
+        expected: Tensor,
+        inverse_depths: Sequence[Tensor] | None = None,
+        options: CostOptions = DEFAULTS.search.cost,
+    ) -> None:
+        self.torch_threads = torch.get_num_threads()
+        self._options = options
+        self._grey = reference.grey
+        self._sources = [source.grey[None, None] for source in sources]
+        self._there = [Warp.between(reference, source) for source in sources]
+        self._back = [Warp.between(source, reference) for source in sources]
+        self._inverse_depths = inverse_depths
+        self._seen, self._best = Visibility.of(reference, self._there, expected)
+        reach, device = STEPS[-1], reference.grey.device
+        self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
+        self._steps = torch.tensor(STEPS, dtype=torch.float32, device=device)
+        dy, dx = torch.meshgrid(self._steps, self._steps, indexing="ij")
+        offsets = (dy + reach) * self._padded.shape[1] + dx + reach
+        self._offsets = offsets.reshape(-1, 1).long()
+        self._near = torch.exp(-(dx**2 + dy**2) / (2 * options.sigma_px**2)).reshape(-1, 1)
+
+    def window(self, rows: Tensor, columns: Tensor) -> Window:
+        """Return the windows around pixels (n,) of the reference."""
+        around = self._offsets + rows * self._padded.shape[1] + columns
+        # index_select is several times as fast as indexing.
+        grey = self._padded.view(-1).index_select(0, around.view(-1)).view(around.shape)
+        difference = (grey - self._grey[rows, columns]).abs()
+        weights = self._near * torch.exp(difference / -self._options.sigma_grey)
+        weights = weights / weights.sum(0)
+        central = grey - (weights * grey).sum(0)
+        deviation = ((weights * central**2).sum(0) + NOISE).sqrt()
+        correlator = weights * central / deviation
+        samples = []
+        for seen in self._seen[:, rows, columns]:
+            which = seen.nonzero()[:, 0]
+            x, y = columns[which] + 0.5, rows[which] + 0.5
+            there = weights.index_select(1, which), correlator.index_select(1, which)
+            samples.append(Samples(which, x, y, *there))
+        return Window(rows, columns, tuple(samples))
+
+    def cost(self, window: Window, planes: Tensor, below: Tensor | None = None) -> Tensor:
+        """Return the cost of a plane at each pixel; see ``PlaneCosts``. Nothing is left out."""
+        each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
+        for k, samples in enumerate(window.samples):
+            each[k, samples.which] = self._cost_in(
+                k, samples, planes.index_select(1, samples.which)
+            )
+        each = _ascending(each)
+        best = self._best[window.rows, window.columns]
+        counted = torch.arange(len(each), device=best.device)[:, None] < best
+        mean = torch.where(counted, each, 0).sum(0) / best.clamp_min(1)
+        return torch.where(best > 0, mean, WORST)
+
+    def _cost_in(self, k: int, samples: Samples, planes: Tensor) -> Tensor:
+        """Return the cost (m,) of planes (3, m) in a source."""
+        _, x, y, weights, correlator = samples
+        w, gx, gy = planes
+        warp = self._there[k]
+        at = warp(x, y, w)
+        ux, uy, vx, vy = warp.slopes(at, gx, gy)
+        # In grid_sample's units, -1 and 1 are the edges of the picture. It reads x and y of many
+        # samples at once where each lies in one piece.
+        side = len(STEPS)
+        grid = torch.empty(2, side, side, len(w), device=w.device)
+        step = self._steps[:, None]
+        for axis, (centre, along_x, along_y, size) in enumerate(
+            ((at.u, ux, uy, warp.width), (at.v, vx, vy, warp.height))
+        ):
+            columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
+            rows = step * (along_y * (2 / size))
+            torch.add(rows[:, None], columns[None], out=grid[axis])
+        # A batch, because torch parallelises over batches and not within single pictures.
+        grey = grid_sample(
+            self._sources[k].expand(side, -1, -1, -1),
+            grid.permute(1, 2, 3, 0),
+            padding_mode="border",
+            align_corners=False,
+        ).view(side * side, -1)
+        weighted = weights * grey
+        mean = weighted.sum(0)
+        variance = weighted.mul_(grey).sum(0) - mean * mean
+        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + NOISE).sqrt()
+        cost = 1 - correlation.clamp(-1, 1)
+        if self._inverse_depths is not None:
+            pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
+            limited = pixels.clamp_max(self._options.geometric_limit_px)
+            cost = cost + self._options.geometric_weight * limited
+        return torch.where(at.seen, cost, WORST)
+
+
+def _ascending(each: Tensor) -> Tensor:
+    """Sort costs (K, n) over K sources, nine times as fast as ``sort`` does for so few."""
+    rows = list(each)
+    for last in range(len(rows) - 1, 0, -1):
+        for k in range(last):
+            below, above = rows[k], rows[k + 1]
+            rows[k], rows[k + 1] = torch.minimum(below, above), torch.maximum(below, above)
+    return torch.stack(rows)

@@ -1,0 +1,131 @@
+"""Warps from a pixel and its inverse depth in one view to the pixel in another, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.scene.geometry.camera import Camera
+
+MIN_DEPTH = 1e-6
+"""Least depth in another view, as a share of the depth here."""
+
+
+@dataclass(frozen=True)
+class StereoView:
+    """A photograph without distortion.
+
+    Attributes:
+        grey: grey values (H, W) float32 in 0..1.
+        camera: PINHOLE camera of that size.
+        cam_from_world: pose (4, 4) float64.
+    """
+
+    grey: Tensor
+    camera: Camera
+    cam_from_world: NDArray[np.float64]
+
+    @property
+    def nbytes(self) -> int:
+        """Return the number of bytes of its values."""
+        return self.grey.nbytes
+
+
+class Warped(NamedTuple):
+    """Pixels ``u``, ``v`` of another view and the ratio ``z`` of depths, there over here.
+
+    ``z`` is at least a millionth. The last field tells whether the point is in front of the other
+    view and in its picture.
+    """
+
+    u: Tensor
+    v: Tensor
+    z: Tensor
+    seen: Tensor
+
+
+@dataclass(frozen=True)
+class Warp:
+    """The homogeneous pixel ``rotation @ (x, y, 1) + w * translation``, linear in w = 1/z.
+
+    Attributes:
+        rotation: matrix (3, 3).
+        translation: vector (3,).
+        height: height of the other view, pixels.
+        width: width of the other view, pixels.
+    """
+
+    rotation: tuple[tuple[float, ...], ...]
+    translation: tuple[float, ...]
+    height: int
+    width: int
+
+    @staticmethod
+    def between(here: StereoView, there: StereoView) -> Warp:
+        relative = there.cam_from_world @ np.linalg.inv(here.cam_from_world)
+        K = there.camera.calibration
+        rotation = K @ relative[:3, :3] @ np.linalg.inv(here.camera.calibration)
+        return Warp(
+            tuple(tuple(row) for row in rotation.tolist()),
+            tuple((K @ relative[:3, 3]).tolist()),
+            there.camera.height,
+            there.camera.width,
+        )
+
+    def __call__(self, x: Tensor, y: Tensor, w: Tensor) -> Warped:
+        """Warp pixels with inverse depths, all of one shape."""
+        a, b, c = (
+            row[0] * x + row[1] * y + (row[2] + shift * w)
+            for row, shift in zip(self.rotation, self.translation, strict=True)
+        )
+        z = c.clamp_min(MIN_DEPTH)
+        u, v = a / z, b / z
+        inside = (u > 0) & (u < self.width) & (v > 0) & (v < self.height)
+        return Warped(u, v, z, inside & (c > MIN_DEPTH))
+
+    def slopes(self, at: Warped, gx: Tensor, gy: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return du/dx, du/dy, dv/dx, dv/dy on a plane whose inverse depth has the slope gx, gy."""
+        (a0, a1, _), (b0, b1, _), (c0, c1, _) = self.rotation
+        ta, tb, tc = self.translation
+        zx, zy = c0 + tc * gx, c1 + tc * gy
+        return (
+            (a0 + ta * gx - at.u * zx) / at.z,
+            (a1 + ta * gy - at.u * zy) / at.z,
+            (b0 + tb * gx - at.v * zx) / at.z,
+            (b1 + tb * gy - at.v * zy) / at.z,
+        )
+
+
+def round_trip(
+    there: Warp, back: Warp, inverse_depth: Tensor, x: Tensor, y: Tensor, w: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Warp pixels to another view, take the depth of its map there, and warp them back.
+
+    Args:
+        there: warp to the other view.
+        back: warp from the other view.
+        inverse_depth: inverse depth map (H, W) of the other view, 0 where unknown.
+        x: columns of the pixels here.
+        y: rows of the pixels here.
+        w: inverse depths of the pixels here.
+
+    Returns:
+        The distance in pixels between start and end, and the warped depth over the map's depth
+        minus one. Both are infinite where the other view does not show the point or has no depth.
+    """
+    at = there(x, y, w)
+    column = at.u.long().clamp(0, there.width - 1)
+    row = at.v.long().clamp(0, there.height - 1)
+    known = inverse_depth[row, column]
+    home = back(at.u, at.v, known)
+    met = at.seen & (known > 0)
+    pixels = torch.hypot(home.u - x, home.v - y)
+    return (
+        torch.where(met, pixels, torch.inf),
+        torch.where(met, at.z / w * known - 1, torch.inf),
+    )

@@ -1,0 +1,220 @@
+"""The command ``diagnose``, which measures what structure from motion misses.
+
+The paper claims that structure from motion misses small objects, covers the ground unevenly and has
+points that drift. The figures test this claim on a map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.mapping.diagnosis.drift import Drift, Truth, read_truth
+from objconnect.mapping.diagnosis.masked import check_size, mask_coverage, points_by_label
+from objconnect.mapping.diagnosis.picture import Panel, draw
+from objconnect.mapping.diagnosis.uniformity import Uniformity, seen_cells, uniformity
+from objconnect.network.masks import given_masks
+from objconnect.network.segmentation import NOTHING, Labels
+from objconnect.scene.bundle.object_points import ObjectCoverage, coverage
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.images import read_rgb
+
+_PICTURE = Path("pictures", "diagnosis.png")
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of the points of a map.
+
+    Attributes:
+        points: number of points.
+        objects: coverage of the objects in the map's photographs, by size class.
+        small_objects: coverage of the small objects, by class.
+        masks: coverage of given masks, by the size class of what they show.
+        drift: distances from the true surface of all points, of points on the ground, and of points
+            on objects by size class; empty where the truth is not known.
+        uniformity: how evenly the points cover the ground; None where no ground is seen twice.
+    """
+
+    points: int
+    objects: Mapping[str, ObjectCoverage]
+    small_objects: Mapping[str, ObjectCoverage]
+    masks: Mapping[str, ObjectCoverage]
+    drift: Mapping[str, Drift]
+    uniformity: Uniformity | None
+
+    def text(self) -> str:
+        """Return the figures as text."""
+        lines = [f"{self.points} points"]
+        lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
+        lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
+        lines += [f"masks of {name} objects: {c.text()}" for name, c in self.masks.items()]
+        lines += [f"off the true surface, {name}: {d.text()}" for name, d in self.drift.items()]
+        if self.uniformity is not None:
+            lines.append(f"ground: {self.uniformity.text()}")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Figures of a map, and of the points that were added to it.
+
+    Attributes:
+        reprojection_error_px: mean reprojection error over all observations, pixels.
+        track_length: mean number of photographs that observe a point.
+        map: figures of all points.
+        before: figures without the added points; None where no points were added.
+        added: distances of added points from the surface of the object on which they lie, infinite
+            where they lie on none; None where no points were added or the truth is not known.
+        picture: file of the picture of the points over a photograph.
+    """
+
+    reprojection_error_px: float
+    track_length: float
+    map: Figures
+    before: Figures | None
+    added: Drift | None
+    picture: Path
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as a dictionary for JSON."""
+        return asdict(self)
+
+    def text(self) -> str:
+        """Return the figures as text."""
+        lines = [
+            f"{self.reprojection_error_px:.2f} px mean reprojection error, tracks of "
+            f"{self.track_length:.1f} images",
+            self.map.text(),
+        ]
+        if self.before is not None:
+            lines += ["", "before points were added:", self.before.text()]
+        if self.added is not None:
+            lines += ["", f"added points, off their objects' true surface: {self.added.text()}"]
+        return "\n".join([*lines, str(self.picture)])
+
+
+def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diagnosis:
+    """Measure which objects of a scene have points in its map, and draw the points over a picture.
+
+    Rendered scenes know their objects and surfaces. For other scenes, masks can be given; without
+    masks, only the uniformity of the points is measured.
+
+    Args:
+        path: finished scene with a map.
+        masks: masks of photographs of the map, as ``given_masks`` takes them. They replace the true
+            objects.
+        cell_m: side of the cells over which uniformity is measured, metres.
+
+    Returns:
+        The figures. ``pictures/diagnosis.png`` is written into the scene.
+
+    Raises:
+        InputError: the scene is not finished, has no map, or has a damaged file.
+    """
+    scene = Scene.open(path)
+    sparse_map = scene.sparse_map()
+    added = scene.added_points(sparse_map)
+    given = {} if masks is None else dict(given_masks(masks, sparse_map.names))
+    for name, labels in given.items():
+        check_size(labels, sparse_map.images[name])
+    truth = read_truth(scene, sparse_map)
+    cells = seen_cells(scene, sparse_map, cell_m)
+
+    def figures(kept: NDArray[np.bool_]) -> Figures:
+        return Figures(
+            points=int(kept.sum()),
+            **_objects(scene, truth, kept),
+            masks=mask_coverage(sparse_map, given, kept),
+            drift={} if truth is None else _drift(scene, truth, kept),
+            uniformity=uniformity(sparse_map.xyz[kept], cells, cell_m),
+        )
+
+    drift = None
+    if added.any() and truth is not None:
+        drift = Drift.of(np.where(truth.owners > 0, truth.drift, np.inf)[added])
+    states = {"map": np.ones(len(added), bool)}
+    if added.any():
+        states = {"before": ~added, "after": states["map"]}
+    picture = path / _PICTURE
+    _draw(scene, sparse_map, truth, given, states, picture)
+    measured = [figures(kept) for kept in states.values()]
+    return Diagnosis(
+        reprojection_error_px=sparse_map.reprojection_error(),
+        track_length=float(sparse_map.track_length.mean()),
+        map=measured[-1],
+        before=measured[0] if len(measured) > 1 else None,
+        added=drift,
+        picture=picture,
+    )
+
+
+def _objects(
+    scene: Scene, truth: Truth | None, kept: NDArray[np.bool_]
+) -> dict[str, dict[str, ObjectCoverage]]:
+    if truth is None:
+        return {"objects": {}, "small_objects": {}}
+    seen = [item for item in scene.objects.objects if item.id in truth.seen]
+    small = [item for item in seen if item.size_class == "small"]
+    owners = truth.owners[kept]
+    return {
+        "objects": coverage(owners, seen, lambda item: item.size_class),
+        "small_objects": coverage(owners, small, lambda item: item.class_name),
+    }
+
+
+def _drift(scene: Scene, truth: Truth, kept: NDArray[np.bool_]) -> dict[str, Drift]:
+    owners, drift = truth.owners[kept], truth.drift[kept]
+    groups = {"all": np.ones(len(owners), bool), "ground": owners == 0}
+    for size in ("small", "medium", "large"):
+        ids = [item.id for item in scene.objects.objects if item.size_class == size]
+        groups[f"{size} objects"] = np.isin(owners, ids)
+    return {name: Drift.of(drift[group]) for name, group in groups.items() if group.any()}
+
+
+def _draw(
+    scene: Scene,
+    sparse_map: SparseMap,
+    truth: Truth | None,
+    given: Mapping[str, Labels],
+    states: Mapping[str, NDArray[np.bool_]],
+    path: Path,
+) -> None:
+    """Draw the points over the photograph with the most masks, small objects or points."""
+    if given:
+        name = max(given, key=lambda name: len(np.unique(given[name])))
+        labels = given[name]
+    elif truth is not None:
+        name = max(truth.small_in, key=lambda name: truth.small_in[name])
+        labels = _true_labels(scene, sparse_map, name)
+    else:
+        name = max(
+            sparse_map.names, key=lambda n: int((sparse_map.images[n].point_rows >= 0).sum())
+        )
+        camera = sparse_map.images[name].camera
+        labels = np.full((camera.height, camera.width), NOTHING)
+    image = sparse_map.images[name]
+    shown = np.unique(labels[labels != NOTHING]).tolist()
+    panels = []
+    for title, kept in states.items():
+        if given or truth is None:
+            having = set(points_by_label(labels, image, kept))
+        else:
+            having = set(truth.owners[kept].tolist())
+        panels.append(Panel(title, kept, {label: label in having for label in shown}))
+    photograph = read_rgb(scene.images_root / name, image.camera)
+    draw(photograph, image, labels, None if truth is None else truth.drift, panels, path)
+
+
+def _true_labels(scene: Scene, sparse_map: SparseMap, name: str) -> Labels:
+    """Return the label map of the small objects of a photograph, labelled by their ids."""
+    small = [item.id for item in scene.objects.objects if item.size_class == "small"]
+    every = scene.mapped_layers(sparse_map, "instance")
+    instance = next(layers["instance"] for image, layers in every if image.name == name)
+    return np.where(np.isin(instance, small), instance.astype(np.int64), NOTHING)

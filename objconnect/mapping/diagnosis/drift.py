@@ -1,0 +1,138 @@
+"""Distances of map points from the true surfaces of rendered scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.frames import Layer
+from objconnect.scene.bundle.object_points import objects_of_points
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.progress import progress_bar
+
+CLOSE_M = 0.5
+"""A point closer than this to a surface lies on it."""
+
+# The surface is searched in this many pixels to each side of an observation.
+_REACH = 2
+# Each pixel is a disc in space. Its radius is this share of the pixel's side, so that the disc
+# covers the corners of a pixel that is seen from the front.
+_CORNER = float(np.sqrt(0.5))
+_NORMAL_SCALE = 127
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The truth about the points of a rendered scene's map.
+
+    Attributes:
+        owners: id (M,) of the object on which each point lies, 0 for the ground.
+        drift: distance (M,) of each point from the surface of its object, metres; infinite where no
+            photograph shows that surface near the point.
+        seen: ids of the objects in the map's photographs.
+        small_in: number of small objects in each photograph, by name.
+    """
+
+    owners: NDArray[np.int64]
+    drift: NDArray[np.float64]
+    seen: frozenset[int]
+    small_in: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Distances of points from the true surface.
+
+    Attributes:
+        points: number of points.
+        close: share of the points within 0.5 m of the surface.
+        median_m: median over the points that have a surface near them; None where there are none.
+        p90_m: 90th percentile over the same points; None where there are none.
+    """
+
+    points: int
+    close: float
+    median_m: float | None
+    p90_m: float | None
+
+    @staticmethod
+    def of(distances: NDArray[np.float64]) -> Drift:
+        """Summarise distances (K,), metres, K > 0; a point without a surface is infinitely far."""
+        known = distances[np.isfinite(distances)]
+        middle, high = np.percentile(known, [50, 90]).tolist() if len(known) else (None, None)
+        return Drift(len(distances), float((distances < CLOSE_M).mean()), middle, high)
+
+    def text(self) -> str:
+        """Return the figures as text."""
+        spread = "" if self.median_m is None else f"median {self.median_m:.3f} m, "
+        spread += "" if self.p90_m is None else f"90 % under {self.p90_m:.3f} m, "
+        return f"{spread}{self.close:.1%} of {self.points} within {CLOSE_M} m"
+
+
+def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
+    """Measure a map's points against the rendered surfaces; None where the scene has none.
+
+    The distance of a point is that to the nearest surface patch of its object, over the pixels
+    around all its observations.
+
+    Raises:
+        InputError: a file of the scene is damaged.
+    """
+    small = [item.id for item in scene.objects.objects if item.size_class == "small"]
+    drift = np.full(len(sparse_map.xyz), np.inf)
+    instances: list[tuple[MapImage, NDArray[np.uint16]]] = []
+    for image, layers in scene.mapped_layers(sparse_map, "instance"):
+        instances.append((image, layers["instance"]))
+    if not instances:
+        return None
+    owners = objects_of_points(len(drift), instances)
+    seen = {image.name: np.unique(instance) for image, instance in instances}
+    with progress_bar("true surface", len(instances)) as advance:
+        every = scene.mapped_layers(sparse_map, "depth", "instance", "normal")
+        for done, (image, layers) in enumerate(every, 1):
+            rows = image.point_rows[image.point_rows >= 0]
+            near = _distances(image, layers, sparse_map.xyz, owners)
+            np.minimum.at(drift, rows, near)
+            advance(done)
+    return Truth(
+        owners=owners,
+        drift=drift,
+        seen=frozenset(np.concatenate(list(seen.values())).tolist()),
+        small_in={name: int(np.isin(ids, small).sum()) for name, ids in seen.items()},
+    )
+
+
+def _distances(
+    image: MapImage,
+    layers: Mapping[Layer, NDArray[Any]],
+    xyz: NDArray[np.float64],
+    owners: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return the distances (K,) of the points in an image from the surface that it shows."""
+    observed = image.point_rows >= 0
+    rows = image.point_rows[observed]
+    height, width = layers["depth"].shape
+    column, row = np.floor(image.xy[observed]).astype(int).T
+    world_from_cam = image.pose.inverse()
+    best = np.full(len(rows), np.inf)
+    for down, right in product(range(-_REACH, _REACH + 1), repeat=2):
+        at = (row + down).clip(0, height - 1), (column + right).clip(0, width - 1)
+        depth = layers["depth"][at].astype(np.float64)
+        rays, _ = image.camera.unproject(torch.from_numpy(np.stack(at[::-1], -1) + 0.5))
+        patch = world_from_cam.transform(rays * torch.from_numpy(depth)[:, None]).numpy()
+        normal = layers["normal"][at].astype(np.float64) / _NORMAL_SCALE
+        off = xyz[rows] - patch
+        above = (off * normal).sum(1)
+        beside = np.linalg.norm(off - above[:, None] * normal, axis=1)
+        radius = _CORNER * depth / min(image.camera.focal)
+        distance = np.hypot(above, np.maximum(beside - radius, 0))
+        shown = (depth > 0) & (layers["instance"][at] == owners[rows])
+        best = np.where(shown, np.minimum(best, distance), best)
+    return best

@@ -1,0 +1,82 @@
+"""Coverage of given masks by points, for scenes whose true objects are not known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.network.segmentation import NOTHING, Labels
+from objconnect.scene.bundle.manifest import size_class
+from objconnect.scene.bundle.object_points import ObjectCoverage
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+
+# Number of observations around a mask from which its distance is taken.
+_AROUND = 8
+
+
+def mask_coverage(
+    sparse_map: SparseMap, masks: Mapping[str, Labels], kept: NDArray[np.bool_]
+) -> dict[str, ObjectCoverage]:
+    """Count masks with and without a point, by the size class of the objects that they show.
+
+    Every mask of every photograph counts separately. Its points are those observed inside it. Its
+    size is the longer side of its bounding box at the median depth of the observations around it.
+
+    Args:
+        sparse_map: map of the photographs.
+        masks: label maps (H, W) by photograph.
+        kept: (M,) bool, which points are counted.
+
+    Raises:
+        InputError: masks have not the size of their photograph.
+    """
+    counts: dict[str, list[int]] = {}
+    for name, labels in masks.items():
+        image = sparse_map.images[name]
+        check_size(labels, image)
+        seen = image.point_rows >= 0
+        inside = points_by_label(labels, image, kept)
+        xy, rows = image.xy[seen], image.point_rows[seen]
+        depth = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))[:, 2].numpy()
+        for label in np.unique(labels[labels != NOTHING]).tolist():
+            if not len(depth):
+                continue  # without points, the distance is not known
+            row, column = np.nonzero(labels == label)
+            middle = column.mean() + 0.5, row.mean() + 0.5
+            near = np.argsort(np.square(xy - middle).sum(1), kind="stable")[:_AROUND]
+            longest = max(np.ptp(row), np.ptp(column)) + 1
+            metres = float(longest * np.median(depth[near]) / min(image.camera.focal))
+            counts.setdefault(size_class((metres, 0, 0)), []).append(inside.get(label, 0))
+    return {
+        size: ObjectCoverage(len(points), sum(count > 0 for count in points), sum(points))
+        for size, points in sorted(counts.items())
+    }
+
+
+def points_by_label(labels: Labels, image: MapImage, kept: NDArray[np.bool_]) -> dict[int, int]:
+    """Return the number of kept points that a photograph observes in each mask, by label."""
+    seen = image.point_rows >= 0
+    seen[seen] = kept[image.point_rows[seen]]
+    column, row = np.floor(image.xy[seen]).astype(int).T
+    height, width = labels.shape
+    observed = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
+    values, counts = np.unique(observed[observed != NOTHING], return_counts=True)
+    return dict(zip(values.tolist(), counts.tolist(), strict=True))
+
+
+def check_size(labels: Labels, image: MapImage) -> None:
+    """Check that masks have the size of their photograph.
+
+    Raises:
+        InputError: they have not.
+    """
+    expected = (image.camera.height, image.camera.width)
+    if labels.shape != expected:
+        raise InputError(
+            f"the masks of {image.name} are {labels.shape[1]} x {labels.shape[0]} pixels, the "
+            f"photograph {expected[1]} x {expected[0]}: resize them, without interpolation"
+        )

@@ -1,0 +1,99 @@
+"""A picture of the map's points and of objects without points, as the paper's Fig. 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from objconnect.network.segmentation import NOTHING, Labels
+from objconnect.scene.maps.sparse_map import MapImage
+from objconnect.scene.storage.atomic import atomic_write
+
+_DPI = 110
+_SIDE = 7.5
+# Colours of outlines of objects with a point and without one.
+_WITH, _WITHOUT = "#37e05b", "#ff3b30"
+_FARTHEST_M = 1.0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One state of the map.
+
+    Attributes:
+        title: title above the panel.
+        kept: (M,) bool, the points of this state.
+        has_points: whether each object of the photograph has a point, by label.
+    """
+
+    title: str
+    kept: NDArray[np.bool_]
+    has_points: Mapping[int, bool]
+
+
+def draw(
+    photograph: NDArray[np.uint8],
+    image: MapImage,
+    labels: Labels,
+    drift: NDArray[np.float64] | None,
+    panels: list[Panel],
+    path: Path,
+) -> None:
+    """Draw a panel for each state: outlines of objects, and observations coloured by drift.
+
+    Args:
+        photograph: the photograph (H, W, 3).
+        image: the photograph's image in the map.
+        labels: label map (H, W) of the objects to outline.
+        drift: distance (M,) of each point from the true surface, metres; None where not known.
+        panels: states of the map, which are drawn side by side.
+        path: file of the picture.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    height, width = photograph.shape[:2]
+    figure = Figure(
+        figsize=(_SIDE * len(panels) + 1, _SIDE * height / width + 0.6), layout="constrained"
+    )
+    row = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, panel in zip(row, panels, strict=True):
+        ax.imshow(photograph, extent=(0, width, height, 0))
+        _outline(ax, labels, panel.has_points)
+        seen = image.point_rows >= 0
+        seen[seen] = panel.kept[image.point_rows[seen]]
+        x, y = image.xy[seen].T
+        if drift is None:
+            ax.scatter(x, y, s=9, c="#ffd60a", edgecolors="black", linewidths=0.3)
+        else:
+            off = drift[image.point_rows[seen]].clip(0, _FARTHEST_M)
+            shown = ax.scatter(x, y, s=9, c=off, cmap="plasma", vmin=0, vmax=_FARTHEST_M,
+                               edgecolors="black", linewidths=0.3)  # fmt: skip
+        bare = sum(not has for has in panel.has_points.values())
+        counted = (f": {len(panel.has_points) - bare} small objects have a point (green), "
+                   f"{bare} none (red)" if panel.has_points else "")  # fmt: skip
+        ax.set_title(f"{panel.title}{counted}", fontsize=10)
+        ax.set(xlim=(0, width), ylim=(height, 0))
+        ax.set_axis_off()
+    if drift is not None:
+        figure.colorbar(shown, ax=list(row), shrink=0.7, label="distance from the true surface (m)")
+    with atomic_write(path) as partial:
+        figure.savefig(partial, format="png", dpi=_DPI)
+
+
+def _outline(ax: Axes, labels: Labels, has_points: Mapping[int, bool]) -> None:
+    for label in np.unique(labels[labels != NOTHING]).tolist():
+        mask = (labels == label).astype(np.uint8)
+        # The outline is outside the object, so that objects one pixel wide are visible.
+        wider = cv2.dilate(mask, np.ones((5, 5), np.uint8))
+        colour = _WITH if has_points[label] else _WITHOUT
+        for ring in cv2.findContours(wider, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+            closed = np.concatenate([ring, ring[:1]])[:, 0] + 0.5
+            ax.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=1.4)

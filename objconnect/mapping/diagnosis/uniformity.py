@@ -1,0 +1,106 @@
+"""Uniformity: how evenly the points of a map cover the ground that its photographs see."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.covisibility import surface_points
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+
+# A cell counts as seen when at least this many photographs see it, which is what a point needs.
+# Each
+# photograph is sampled on a grid of this many pixels a side.
+_VIEWS = 2
+_PER_SIDE = 64
+# Rays that meet the ground plane farther away than this many times the camera's height are left
+# out, because they are near the horizon.
+_FARTHEST = 5.0
+
+
+@dataclass(frozen=True)
+class Uniformity:
+    """The distribution of points over the cells of a horizontal grid.
+
+    Attributes:
+        cell_m: side of a cell, metres.
+        cells: number of cells that two or more photographs of the map see.
+        empty: share of these cells without a point.
+        entropy: entropy of the distribution of points over the cells, divided by the largest
+            possible: 1 when all cells have equally many points, 0 when one cell has all.
+    """
+
+    cell_m: float
+    cells: int
+    empty: float
+    entropy: float
+
+    def text(self) -> str:
+        """Return the figures as text."""
+        return (
+            f"{self.empty:.1%} of {self.cells} cells of {self.cell_m:g} m without a point, "
+            f"entropy {self.entropy:.3f} of 1"
+        )
+
+
+def seen_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np.int64]:
+    """Return the cells that at least two photographs of the map see, (C, 2).
+
+    Cells are counted east and north in units of their side. The surface is the scene's depth; where
+    a photograph has none, it is the horizontal plane at the median height of the observed points.
+
+    Raises:
+        InputError: a file of the scene is damaged.
+    """
+    depths = {
+        image.name: layers["depth"] for image, layers in scene.mapped_layers(sparse_map, "depth")
+    }
+    views: Counter[tuple[int, int]] = Counter()
+    for image in sparse_map.images.values():
+        if image.name in depths:
+            camera, pose, depth = image.camera, image.cam_from_world, depths[image.name]
+            surface = surface_points(camera, pose, depth, _PER_SIDE)
+            surface = surface[np.isfinite(surface).all(1)]
+        else:
+            surface = _on_plane(image, sparse_map.xyz)
+        views.update(set(_cells(surface, cell_m)))
+    seen = [cell for cell, count in sorted(views.items()) if count >= _VIEWS]
+    return np.array(seen, np.int64).reshape(-1, 2)
+
+
+def uniformity(
+    xyz: NDArray[np.float64], cells: NDArray[np.int64], cell_m: float
+) -> Uniformity | None:
+    """Measure how evenly points (M, 3) cover ``cells`` (C, 2); None where none is seen twice."""
+    if not len(cells):
+        return None
+    points = Counter(_cells(xyz, cell_m))
+    counts = np.array([points[(east, north)] for east, north in cells.tolist()])
+    share = counts[counts > 0] / max(counts.sum(), 1)
+    entropy = float(-(share * np.log(share)).sum() / np.log(len(cells))) if len(cells) > 1 else 1.0
+    return Uniformity(cell_m, len(cells), float((counts == 0).mean()), entropy)
+
+
+def _cells(points: NDArray[np.float64], cell_m: float) -> list[tuple[int, int]]:
+    return [(e, n) for e, n in np.floor(points[:, :2] / cell_m).astype(int).tolist()]
+
+
+def _on_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where rays of a photograph meet the plane at its points' median height, (K, 3)."""
+    rows = image.point_rows[image.point_rows >= 0]
+    if not len(rows):
+        return np.zeros((0, 3))
+    steps = (np.arange(_PER_SIDE) + 0.5) / _PER_SIDE
+    grid = np.meshgrid(steps * image.camera.width, steps * image.camera.height)
+    rays, valid = image.camera.unproject(torch.from_numpy(np.stack(grid, -1).reshape(-1, 2)))
+    directions = rays[valid].numpy() @ image.cam_from_world[:3, :3]
+    below = np.median(xyz[rows, 2]) - image.centre[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = below / directions[:, 2]
+    met = np.isfinite(along) & (along > 0) & (along < _FARTHEST * abs(below))
+    return np.asarray(image.centre + along[met, None] * directions[met])

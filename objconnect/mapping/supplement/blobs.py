@@ -1,0 +1,165 @@
+"""Detection of blobs, which differ from their surroundings and may show small objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.mapping.supplement.association import Detections
+from objconnect.mapping.supplement.config import BlobOptions
+from objconnect.network.network import ObjConnectNet
+from objconnect.network.objects import Objects
+from objconnect.network.segmentation import NOTHING, Labels, at_pixels
+
+SIGMAS: Final = (0.8, 1.3, 2.1)
+"""Radii of blobs (px). The classifier was trained with the appearance at each of them."""
+
+_DEFAULTS: Final = BlobOptions()
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """The N blobs of one photograph.
+
+    Attributes:
+        detections: pixels, confidences and descriptors, which are a network's or the appearance.
+        look: appearance (N, 9), the difference from the surroundings (L*, a*, b*) at each radius.
+        radius: index (N,) of the radius at which each blob was detected.
+        strength: length (N,) of the difference at that radius.
+        colour: colour (N, 3), L*, a*, b*.
+    """
+
+    detections: Detections
+    look: NDArray[np.float64]
+    radius: NDArray[np.int64]
+    strength: NDArray[np.float64]
+    colour: NDArray[np.float64]
+
+    @property
+    def xy(self) -> NDArray[np.float64]:
+        """Return the positions (N, 2), COLMAP pixels."""
+        return self.detections.xy
+
+
+def in_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Convert a photograph (H, W, 3) to CIE L*a*b*."""
+    scaled = rgb.astype(np.float32) / 255
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), np.float32)
+
+
+@torch.inference_mode()
+def find(
+    rgb: NDArray[np.uint8],
+    network: ObjConnectNet | None = None,
+    masks: Labels | None = None,
+    options: BlobOptions = _DEFAULTS,
+) -> Blobs:
+    """Detect the blobs of a photograph: local maxima of the difference of Gaussians of its colours.
+
+    The method is that of Lowe (IJCV 2004), at a few small radii and without orientation.
+
+    Args:
+        rgb: the photograph (H, W, 3).
+        network: network whose centres of objects become blobs too. One with object blocks gives
+            each blob a confidence and a descriptor; of one with a detector the centres are those of
+            the learned objects. Without either, all blobs are equally confident.
+        masks: label map (H, W) of objects; blobs outside them are left out.
+        options: thresholds of the detection.
+    """
+    lab = in_lab(rgb)
+    contrast = np.stack([_contrast(lab, sigma, options.surround_ratio) for sigma in SIGMAS])
+    strength = np.linalg.norm(contrast, axis=-1)
+    peaks = [_peaks(each, options.min_contrast) for each in strength]
+    xy = np.concatenate(peaks)
+    radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in peaks])
+    image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
+    labels = None if masks is None else torch.from_numpy(masks)[None]
+    segments: Tensor | None = None
+    objects: Objects | None = None
+    if network is not None:
+        if network.detector is not None and network.config.segmentation == "none":
+            centres = network.learned_objects(image)[0].xy.double().numpy()
+        else:
+            segments = network.segments(image) if labels is None else labels
+            objects = network.objects(image, segments)
+            centres = objects.centres[0, objects.present[0]].double().numpy()
+        row, column = _pixel(centres, rgb.shape)
+        xy = np.concatenate([xy, centres])
+        radius = np.concatenate([radius, strength[:, row, column].argmax(0)])
+    row, column = _pixel(xy, rgb.shape)
+    far = np.array([rgb.shape[1], rgb.shape[0]]) - options.border_px
+    inside = ((xy >= options.border_px) & (xy <= far)).all(1)
+    if labels is not None:
+        labelled = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
+        inside &= labelled.numpy()
+    kept = np.flatnonzero(inside)
+    order = np.argsort(-strength[radius, row, column][kept], kind="stable")
+    kept = np.sort(kept[order[: options.max_count]])
+    xy, radius, row, column = xy[kept], radius[kept], row[kept], column[kept]
+    look = contrast[:, row, column].transpose(1, 0, 2).reshape(len(xy), -1).astype(np.float64)
+    if objects is None or segments is None:
+        length = np.linalg.norm(look, axis=1, keepdims=True)
+        descriptors, confidence = look / length.clip(1e-6), np.ones(len(xy))
+    else:
+        index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
+        descriptors, confidence = _described(objects, index)
+    smooth = cv2.GaussianBlur(lab, (0, 0), options.colour_sigma_px)
+    return Blobs(
+        Detections(xy, descriptors.astype(np.float32), confidence),
+        look,
+        radius,
+        strength[radius, row, column].astype(np.float64),
+        smooth[row, column].astype(np.float64),
+    )
+
+
+def _contrast(lab: NDArray[np.float32], sigma: float, surround_ratio: float) -> NDArray[np.float32]:
+    """Return the difference of Gaussians (H, W, 3) of a picture at a radius."""
+    wide = cv2.GaussianBlur(lab, (0, 0), sigma * surround_ratio)
+    return np.asarray(cv2.GaussianBlur(lab, (0, 0), sigma) - wide, np.float32)
+
+
+def _described(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return descriptors (N, C) and confidences (N,) of blobs by the objects they lie in.
+
+    Blobs outside all objects have zeros.
+
+    Args:
+        objects: objects of the picture.
+        index: object (N,) of each blob.
+    """
+    index = torch.where(index < objects.present.shape[1], index, NOTHING)
+    known = (index != NOTHING).numpy()
+    confidence = np.where(known, objects.confidence[0, index].double().numpy(), 0)
+    vectors = torch.nn.functional.normalize(objects.vectors[0, index], dim=-1)
+    return np.where(known[:, None], vectors.double().numpy(), 0), confidence
+
+
+def _pixel(
+    xy: NDArray[np.float64], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column of pixels (N, 2) in a picture of a shape."""
+    column, row = np.floor(xy).astype(np.int64).T
+    return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
+
+
+def _peaks(strength: NDArray[np.float32], min_contrast: float) -> NDArray[np.float64]:
+    """Find local maxima (N, 2) of a picture (H, W), each at the top of the parabola around it."""
+    top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > min_contrast)
+    top[[0, -1]] = top[:, [0, -1]] = False
+    row, column = np.nonzero(top)
+    at = strength[row, column]
+
+    def offset(before: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float32]:
+        curve = np.minimum(before - 2 * at + after, -1e-6)
+        return np.asarray(np.clip(0.5 * (before - after) / curve, -0.5, 0.5))
+
+    x = column + 0.5 + offset(strength[row, column - 1], strength[row, column + 1])
+    y = row + 0.5 + offset(strength[row - 1, column], strength[row + 1, column])
+    return np.asarray(np.stack([x, y], -1), np.float64)

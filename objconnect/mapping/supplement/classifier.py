@@ -1,0 +1,158 @@
+"""A classifier that decides whether a place is on an object or on the ground.
+
+It is a small network, trained on rendered towns, whose objects are known. Its input is figures that
+are measured in the photographs. An object of 4 pixels is only one or two pixels away from the
+ground behind it, so no single figure distinguishes it from a mark on the ground, but many together
+do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from objconnect.learning.checkpoint import load_into, read_weights, shipped
+from objconnect.mapping.supplement.blobs import Blobs
+from objconnect.mapping.supplement.ground_plane import Ground
+from objconnect.mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
+from objconnect.mapping.supplement.tracks import Tracks
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.sparse_map import MapImage
+
+SHIPPED: Final = Path(__file__).with_name("supplement.safetensors")
+"""The weights that come with the project."""
+
+# What the trained classifier is made of and takes: other values need other weights.
+_WIDTHS: Final = (64, 32)
+_OF_TRACKS: Final = 15
+_LOOK: Final = 9
+FIGURES: Final = _OF_TRACKS + len(HEIGHTS) + _LOOK
+"""Number of figures of a place."""
+
+# Figures are clipped at these values.
+_MOST_SHARE, _MOST_OFF, _MOST_COST = 1.5, 3.0, 3.0
+_SURE_M: Final = 1e-3
+
+
+def measured(
+    images: Sequence[MapImage],
+    blobs: Sequence[Blobs],
+    ground: Ground,
+    tracks: Tracks,
+    place_costs: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Compute the figures of places that the classifier takes, (T, ``FIGURES``).
+
+    They are the height above the ground (m), its standard deviation (log) and their ratio; the
+    reprojection error; the numbers of photographs that show a blob at the place and that have it in
+    view; the colour differences at several heights relative to that at the ground; the strength,
+    size and contrast of the blobs, but not their colours; and the spread of viewing directions.
+
+    Args:
+        images: photographs of the map.
+        blobs: blobs of each photograph.
+        ground: the ground below the places.
+        tracks: T places.
+        place_costs: result (T, H) of ``photoconsistency.costs``.
+    """
+    count = len(tracks.xyz)
+    views = tracks.views.clip(1)
+    first = np.cumsum([0] + [len(each.xy) for each in blobs])[:-1]
+    blob = first[tracks.view] + tracks.row if len(tracks.view) else tracks.view
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean over the observations (O,) of each place, (T,)."""
+        return np.asarray(np.bincount(tracks.track, values, count) / views)
+
+    def deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.sqrt((mean(values**2) - mean(values) ** 2).clip(0)))
+
+    def seen(name: str) -> NDArray[np.float64]:
+        every = np.concatenate([getattr(each, name) for each in blobs])
+        return np.asarray(every[blob], np.float64)
+
+    centres = np.array([image.centre for image in images])
+    focal = np.array([min(image.camera.focal) for image in images])
+    ray = tracks.xyz[tracks.track] - centres[tracks.view]
+    distance = np.linalg.norm(ray, axis=1)
+    slope = ray[:, :2] / np.minimum(ray[:, 2:], -1e-6)
+    spread = np.stack([deviation(slope[:, axis]) for axis in range(2)])
+    pixel = mean(distance / focal[tracks.view])
+    crossing = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
+    sigma = tracks.error_px * pixel / crossing
+    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
+    beside = costs_beside_ground(place_costs, above)
+    strength, look = seen("strength"), seen("look")
+    figures = [
+        above,
+        np.log(sigma + _SURE_M),
+        above / (sigma + 0.05),
+        tracks.error_px,
+        views,
+        tracks.visible,
+        views / tracks.visible.clip(1),
+        beside.share.clip(0, _MOST_SHARE),
+        beside.off.clip(0, _MOST_OFF),
+        mean(strength),
+        deviation(strength) / mean(strength).clip(1),
+        *spread,
+        beside.on_ground,
+        mean(seen("radius")),
+        *beside.curve.clip(0, _MOST_COST).T,
+        *(mean(look[:, k]) for k in range(_LOOK)),
+    ]
+    return np.asarray(np.stack(figures, 1), np.float32)
+
+
+class PlaceClassifier(nn.Module):
+    """A perceptron of two layers that returns the logits of places (T, F) being on an object.
+
+    Figures are normalised to mean 0 and deviation 1.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(FIGURES))
+        self.register_buffer("deviation", torch.ones(FIGURES))
+        first, second = _WIDTHS
+        self.layers = nn.Sequential(
+            nn.Linear(FIGURES, first),
+            nn.GELU(),
+            nn.Linear(first, second),
+            nn.GELU(),
+            nn.Linear(second, 1),
+        )
+
+    def forward(self, figures: Tensor) -> Tensor:
+        logits: Tensor = self.layers((figures - self.mean) / self.deviation)[..., 0]
+        return logits
+
+    @torch.inference_mode()
+    def likely(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the probability of each place being on an object, (T,)."""
+        probabilities = torch.sigmoid(self(torch.from_numpy(figures)))
+        return np.asarray(probabilities.numpy(), np.float64)
+
+
+def read_classifier(path: Path | None = None) -> PlaceClassifier:
+    """Read the shipped classifier, or one from a file.
+
+    Raises:
+        InputError: the file does not exist, or holds no classifier.
+    """
+    path = path or shipped(SHIPPED)
+    weights = read_weights(path)
+    if weights.config.get("figures") != FIGURES:
+        raise InputError(f"{path} does not judge places by the {FIGURES} figures of this version")
+    classifier = PlaceClassifier()
+    load_into(classifier, weights.tensors, path)
+    return classifier.eval()

@@ -1,0 +1,78 @@
+"""The command ``supplement``, which adds points on small objects that a map misses."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from objconnect.mapping.diagnosis.command import Diagnosis, diagnose
+from objconnect.mapping.supplement.classifier import read_classifier
+from objconnect.mapping.supplement.config import SupplementConfig
+from objconnect.mapping.supplement.map import add_to_map
+from objconnect.mapping.supplement.small import supplement_points
+from objconnect.network.masks import given_masks
+from objconnect.network.network import read_network
+from objconnect.scene.bundle.scene import Scene
+
+
+@dataclass(frozen=True)
+class SupplementReport:
+    """The result of supplementing a map.
+
+    Attributes:
+        points: number of added points.
+        observations: number of their observations.
+        diagnosis: figures of the map before and after.
+    """
+
+    points: int
+    observations: int
+    diagnosis: Diagnosis
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as a dictionary for JSON."""
+        return asdict(self)
+
+    def text(self) -> str:
+        """Return the report as text."""
+        added = f"{self.points} points with {self.observations} observations added"
+        return f"{added}\n\n{self.diagnosis.text()}"
+
+
+def supplement(
+    path: Path, weights: Path | None = None, masks: Path | None = None
+) -> SupplementReport:
+    """Add points on small objects that have no point in a scene's map.
+
+    Points that an earlier call added are replaced. ``map.remove_from_map``
+    removes them.
+
+    Args:
+        path: finished scene with a map.
+        weights: weights of an object-connect network, whose centres become candidates too; None
+            takes blobs alone.
+        masks: masks of objects in the map's photographs, as ``given_masks`` takes them.
+
+    Returns:
+        The added points, with the map's figures before and after. ``pictures/diagnosis.png`` shows
+        both.
+
+    Raises:
+        InputError: the scene is not finished, has no map or a damaged file, or none of its
+            photographs looks down; the map is unchanged.
+    """
+    scene = Scene.open(path)
+    scene.require_lists()
+    sparse_map = scene.sparse_map()
+    before = sparse_map.without(scene.added_points(sparse_map))
+    network = None if weights is None else read_network(weights)[0]
+    given = None if masks is None else dict(given_masks(masks, before.names))
+    config = SupplementConfig()
+    classifier = read_classifier()
+    points, detections = supplement_points(
+        before, scene.images_root, config, classifier, network, given
+    )
+    add_to_map(path, points, detections, sparse_map.sha256)
+    observations = sum(len(point.rows) for point in points)
+    return SupplementReport(len(points), observations, diagnose(path, masks))

@@ -1,0 +1,107 @@
+"""The ground under a point cloud, and heights above it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.mapping.supplement.config import GroundOptions
+from objconnect.scene.maps.sparse_map import MapImage
+
+_DEFAULTS: Final = GroundOptions()
+# FLANN's single tree (4) with an exhaustive search.
+_EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
+_UNLIMITED: Final = {"checks": -1}
+
+# Number of cells whose ground is computed at once.
+_AT_ONCE: Final = 4096
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground under a point cloud, given by heights at the corners of cells.
+
+    Attributes:
+        corner: east and north (2,) of the first corner, world metres.
+        z: heights (R, C), world metres; rows run to the north.
+        options: options of the estimate.
+    """
+
+    corner: NDArray[np.float64]
+    z: NDArray[np.float64]
+    options: GroundOptions = _DEFAULTS
+
+    @staticmethod
+    def of(cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS) -> Ground:
+        """Estimate the ground under points (M, 3); see ``heights``."""
+        low, high = np.percentile(cloud[:, :2], [0.5, 99.5], axis=0)
+        corner = low - options.margin_m
+        side = (high + options.margin_m - corner) / options.cell_m
+        columns, rows = (np.ceil(side) + 1).astype(int)
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * options.cell_m
+        places[:, :2] += corner
+        parts = np.array_split(places, 1 + len(places) // _AT_ONCE)
+        below = np.concatenate([heights(part, cloud, options) for part in parts])
+        return Ground(corner, -below.reshape(x.shape), options)
+
+    def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return heights (N,) of the ground at places (N, 2), interpolated between corners."""
+        size = np.array(self.z.shape[::-1])
+        cells = ((xy - self.corner) / self.options.cell_m).clip(0, size - 1.001)
+        column, row = cells.astype(int).T
+        right, up = (cells % 1).T
+        south = self.z[row, column] * (1 - right) + self.z[row, column + 1] * right
+        north = self.z[row + 1, column] * (1 - right) + self.z[row + 1, column + 1] * right
+        return np.asarray(south * (1 - up) + north * up)
+
+    def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
+        """Return the points (N, 3) on the rays of pixels (N, 2) at a height above the ground."""
+        rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
+        rays = rays @ image.cam_from_world[:3, :3]
+        z = np.full(len(xy), np.median(self.z))
+        places = np.tile(image.centre, (len(xy), 1))
+        for _ in range(self.options.ray_steps):
+            along = (z + above - image.centre[2]) / np.minimum(rays[:, 2], -1e-6)
+            places = image.centre + rays * along[:, None]
+            z = self.at(places[:, :2])
+        return places
+
+
+def heights(
+    xyz: NDArray[np.float64], cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS
+) -> NDArray[np.float64]:
+    """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
+
+    They are world metres, with z up, and infinite where the cloud (M, 3) has too few points.
+    """
+    if len(cloud) < options.neighbours or not len(xyz):
+        return np.full(len(xyz), math.inf)
+    neighbours, _ = nearest(xyz[:, :2], cloud[:, :2], options.neighbours)
+    around = cloud[neighbours] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
+    design = np.concatenate([around[..., :2], np.ones((*neighbours.shape, 1))], 2)
+    off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
+    for close in options.close_m:
+        weight = 1 / (1 + np.square(off / close))
+        weighted = design * weight[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)
+        right = np.einsum("nki,nk->ni", weighted, around[..., 2])
+        plane = np.linalg.solve(normal, right[..., None])[..., 0]
+        off = around[..., 2] - np.einsum("nki,ni->nk", design, plane)
+    return np.asarray(xyz[:, 2] - plane[:, 2])
+
+
+def nearest(
+    query: NDArray[np.float64], cloud: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Find the points of a cloud (M, D) nearest to others (N, D): rows, distances (N, count)."""
+    middle = cloud.mean(0)
+    tree = cv2.flann.Index((cloud - middle).astype(np.float32), _EXACT)
+    rows, squares = tree.knnSearch((query - middle).astype(np.float32), count, params=_UNLIMITED)
+    return rows.astype(np.int64), np.sqrt(squares.astype(np.float64))

@@ -1,0 +1,205 @@
+"""Photoconsistency: colour differences between photographs at a place and at the ground below it.
+
+Photographs agree on the colours at the height of the surface. Most pixels around a thin object show
+the ground, so an unweighted window would measure the ground. Therefore each pixel is weighted by
+the similarity of its colour to that of the place (Yoon and Kweon, "Adaptive support-weight approach
+for correspondence search", PAMI 2006).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.mapping.supplement.blobs import Blobs, in_lab
+from objconnect.mapping.supplement.config import PhotoconsistencyOptions
+from objconnect.mapping.supplement.ground_plane import Ground
+from objconnect.mapping.supplement.tracks import Tracks, project
+from objconnect.scene.maps.sparse_map import MapImage
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.lru_cache import LruCache
+
+HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
+"""Heights above the ground that are compared (m). The classifier takes one figure for each."""
+
+_GROUND: Final = np.abs(HEIGHTS) < 0.16
+# The value for an unknown difference. The classifier was trained with it, so that another value
+# needs other weights.
+_UNKNOWN: Final = 15.0
+# Number of photographs of the largest size for which the cache has room.
+_CACHED: Final = 16
+# The most rows per call that OpenCV's remap accepts.
+_ROWS: Final = 30000
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Windows of one photograph around N places.
+
+    Attributes:
+        colours: colours (N, P, 3) of the P pixels, CIE L*a*b*.
+        weights: weights (N, P) of the pixels, whose sum is one.
+        places: points (N, H, P, 3) of the pixels' rays at each height, world metres.
+    """
+
+    colours: NDArray[np.float32]
+    weights: NDArray[np.float64]
+    places: NDArray[np.float64]
+
+
+def costs(
+    images: Sequence[MapImage],
+    folder: Path,
+    blobs: Sequence[Blobs],
+    ground: Ground,
+    tracks: Tracks,
+    options: PhotoconsistencyOptions,
+) -> NDArray[np.float64]:
+    """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
+
+    The window in the photograph that is nearest in plan is compared with all other photographs
+    that show the place. The result is NaN where no other photograph does.
+
+    Args:
+        images: photographs of the map.
+        folder: folder of their files.
+        blobs: blobs of each photograph.
+        ground: the ground below the places.
+        tracks: the places.
+        options: options of the comparison.
+
+    Raises:
+        InputError: a photograph is missing or damaged.
+    """
+
+    def read(view: int) -> NDArray[np.float32]:
+        image = images[view]
+        lab = in_lab(read_rgb(folder / image.name, image.camera))
+        return np.asarray(cv2.GaussianBlur(lab, (0, 0), options.blur_px), np.float32)
+
+    largest = max((image.camera.width * image.camera.height for image in images), default=0)
+    photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
+    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
+    steepest, row = _nearest_in_plan(images, tracks)
+    result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
+    with progress_bar("compared with the ground", len(images)) as advance:
+        for view in range(len(images)):
+            at = np.flatnonzero(steepest == view)
+            if len(at):
+                xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
+                z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
+                windows = _windows(images[view], photograph(view), xy, z, options)
+                result[at] = _mean_difference(images, view, photograph, windows, xyz, options)
+            advance(view + 1)
+    return result
+
+
+def _windows(
+    image: MapImage,
+    picture: NDArray[np.float32],
+    xy: NDArray[np.float64],
+    z: NDArray[np.float64],
+    options: PhotoconsistencyOptions,
+) -> _Windows:
+    """Cut windows around pixels (N, 2) of a photograph and follow their rays to heights (N, H)."""
+    radius = options.radius_px
+    unit = np.arange(-radius, radius + 1)
+    window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
+    pixels = xy[:, None] + window
+    colours = _sampled(picture, pixels)
+    middle = colours[:, len(window) // 2, None]
+    weights = np.exp(-np.abs(colours - middle).sum(2) / options.colour_scale)
+    weights *= np.exp(-(window**2).sum(1) / options.distance_scale)
+    weights /= weights.sum(1, keepdims=True)
+    rays, _ = image.camera.unproject(torch.from_numpy(pixels.reshape(-1, 2)))
+    toward = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
+    along = (z[:, :, None] - image.centre[2]) / toward[:, None, :, 2]
+    return _Windows(colours, weights, image.centre + toward[:, None] * along[..., None])
+
+
+def _mean_difference(
+    images: Sequence[MapImage],
+    view: int,
+    photograph: LruCache[int, NDArray[np.float32]],
+    windows: _Windows,
+    xyz: NDArray[np.float64],
+    options: PhotoconsistencyOptions,
+) -> NDArray[np.float64]:
+    """Return the mean difference (N, H) over the other photographs that show each place."""
+    total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
+    for other, image in enumerate(images):
+        if other == view:
+            continue
+        seen = np.flatnonzero(project(image, xyz)[1])
+        if not len(seen):
+            continue
+        places = windows.places[seen]
+        xy, _ = project(image, places.reshape(-1, 3))
+        theirs = _sampled(photograph(other), xy.reshape(*places.shape[:3], 2))
+        off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
+        off = off.clip(max=options.max_difference)
+        total[seen] += (off * windows.weights[seen][:, None]).sum(2)
+        views[seen] += 1
+    return np.where(views > 0, total / views.clip(1), np.nan)
+
+
+def _nearest_in_plan(
+    images: Sequence[MapImage], tracks: Tracks
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return, for each place, the photograph that is nearest in plan, and its blob there."""
+    centres = np.array([image.centre for image in images])
+    beside = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
+    order = np.lexsort((beside, tracks.track))
+    _, first = np.unique(tracks.track[order], return_index=True)
+    return tracks.view[order[first]], tracks.row[order[first]]
+
+
+class BesideGround(NamedTuple):
+    """Costs of T places relative to those at the ground below them.
+
+    Attributes:
+        share: least cost (T,) as a share of the cost at the ground; infinite where unknown.
+        off: distance (T,) between the height of the least cost and that of the place, metres.
+        on_ground: cost (T,) at the ground.
+        curve: costs (T, H) at ``HEIGHTS``, as shares of the cost at the ground.
+    """
+
+    share: NDArray[np.float64]
+    off: NDArray[np.float64]
+    on_ground: NDArray[np.float64]
+    curve: NDArray[np.float64]
+
+
+def costs_beside_ground(
+    place_costs: NDArray[np.float64], height: NDArray[np.float64]
+) -> BesideGround:
+    """Compare the costs of places with those at the ground below them.
+
+    Args:
+        place_costs: result (T, H) of ``costs``.
+        height: heights (T,) of the places above the ground, metres.
+    """
+    known = np.where(np.isnan(place_costs), _UNKNOWN, place_costs)
+    on_ground = known[:, _GROUND].min(1)
+    curve = known / np.maximum(on_ground, 1e-9)[:, None]
+    share = np.where(np.isnan(place_costs).all(1), np.inf, curve.min(1))
+    return BesideGround(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
+
+
+def _sampled(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Sample a picture at pixels (..., 2); returns colours (..., 3)."""
+    # OpenCV counts from the first pixel's centre.
+    flat = (xy.reshape(-1, 2) - 0.5).astype(np.float32)
+    parts = [
+        cv2.remap(picture, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        for part in np.array_split(flat, 1 + len(flat) // _ROWS)
+    ]
+    return np.asarray(np.concatenate(parts).reshape(*xy.shape[:-1], 3), np.float32)

@@ -1,0 +1,230 @@
+"""Triangulation of points from detections in several photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.mapping.supplement.association import Detections, Pairs, associate, directions
+from objconnect.mapping.supplement.config import SupplementConfig
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.progress import progress_bar
+
+# Numerical guards. Iterations of Gauss-Newton; two or three are enough from a linear solution.
+_ROUNDS = 10
+_CONVERGED_M = 1e-6
+# Least number of photographs of a point, because one ray has no intersection.
+_LEAST = 2
+# Proposals that are compared with the detections of a photograph at once.
+_CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """An object's centre in space.
+
+    Attributes:
+        xyz: position (3,), world metres.
+        rows: row of the detection, by name of the photograph.
+        error_px: mean reprojection error.
+        angle_deg: largest angle between two of the rays.
+        confidence: mean confidence of the detections.
+    """
+
+    xyz: NDArray[np.float64]
+    rows: Mapping[str, int]
+    error_px: float
+    angle_deg: float
+    confidence: float
+
+
+def lift(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
+) -> list[Lifted]:
+    """Associate detections across photographs and triangulate them with the known poses.
+
+    Every pair of detections proposes a point. It is supported by the detections of all photographs
+    that are near its projection and similar to the pair. Points are accepted in the order of their
+    support and triangulated again from all their detections. Each detection is used once.
+
+    Args:
+        sparse_map: map with the poses, which stay unchanged.
+        detections: detections by name of the photograph.
+        config: thresholds.
+
+    Returns:
+        Points in the order in which they were accepted.
+    """
+    pairs = associate(sparse_map, detections, config)
+    proposals = _propose(sparse_map, detections, pairs)
+    members = _support(sparse_map, detections, pairs, proposals, config)
+    order = np.argsort(-(members >= 0).sum(1), kind="stable")
+    taken = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
+    points = []
+    for proposal in order.tolist():
+        rows = {
+            name: int(row)
+            for name, row in zip(sparse_map.names, members[proposal], strict=True)
+            if row >= 0 and not taken[name][row]
+        }
+        point = triangulate(sparse_map, detections, rows, config)
+        if point is not None:
+            points.append(point)
+            for name, row in point.rows.items():
+                taken[name][row] = True
+    return points
+
+
+def _propose(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float64]:
+    """Return the point (E, 3) where the rays of each pair meet."""
+    rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
+    for view, name in enumerate(sparse_map.names):
+        here = pairs.views == view
+        if here.any():
+            image = sparse_map.images[name]
+            rows[here] = _normalised(image, detections[name].xy)[pairs.rows[here]]
+            poses[here] = image.cam_from_world[:3]
+    return linear_points(rows, poses)
+
+
+def linear_points(
+    normalised: NDArray[np.float64], cam_from_world: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Triangulate points (T, 3) by the direct linear transform.
+
+    They are seen at x/z, y/z (T, V, 2) from poses (T, V, 3, 4). Points at infinity are not finite.
+    Source: Hartley and Zisserman, Multiple View Geometry, 12.2.
+    """
+    x, y = normalised[..., :1], normalised[..., 1:]
+    first, second, third = (cam_from_world[..., k, :] for k in range(3))
+    system = np.concatenate([x * third - first, y * third - second], -2)
+    solution = np.linalg.svd(system)[2][..., -1, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(solution[..., :3] / solution[..., 3:])
+
+
+def _support(
+    sparse_map: SparseMap,
+    detections: Mapping[str, Detections],
+    pairs: Pairs,
+    proposals: NDArray[np.float64],
+    config: SupplementConfig,
+) -> NDArray[np.int64]:
+    """Return the detection at the projection of each proposal, -1 for none, (E, N)."""
+    members = np.full((len(pairs), len(sparse_map.names)), -1)
+    looks = _looks(sparse_map, detections, pairs)
+    with progress_bar("support", len(sparse_map.names)) as advance:
+        for view, name in enumerate(sparse_map.names):
+            detected = detections.get(name)
+            if detected is not None and len(detected.xy):
+                image = sparse_map.images[name]
+                local = image.pose.transform(torch.from_numpy(proposals))
+                seen = image.camera.project(local)
+                for start in range(0, len(pairs), _CHUNK):
+                    part = slice(start, start + _CHUNK)
+                    off = torch.cdist(seen.xy[part], torch.from_numpy(detected.xy)).numpy()
+                    alike = looks[part] @ detected.descriptors.T
+                    off[(alike < config.similarity) | ~seen.valid[part].numpy()[:, None]] = np.inf
+                    near = off.min(1) < config.reprojection_px
+                    members[part, view] = np.where(near, off.argmin(1), -1)
+            advance(view + 1)
+    return members
+
+
+def _looks(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float32]:
+    """Return the mean descriptor (E, D) of each pair, of unit length."""
+    width = max((detected.descriptors.shape[1] for detected in detections.values()), default=0)
+    total = np.zeros((len(pairs), width), np.float32)
+    for view, name in enumerate(sparse_map.names):
+        for side in range(2):
+            here = pairs.views[:, side] == view
+            if here.any():
+                total[here] += detections[name].descriptors[pairs.rows[here, side]]
+    length = np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
+    return np.asarray(total / length, np.float32)
+
+
+def triangulate(
+    sparse_map: SparseMap,
+    detections: Mapping[str, Detections],
+    rows: Mapping[str, int],
+    config: SupplementConfig,
+) -> Lifted | None:
+    """Triangulate a point from detections, without those that are far from its projection.
+
+    Args:
+        sparse_map: map with the poses.
+        detections: detections by photograph.
+        rows: one detection for each of several photographs.
+        config: thresholds.
+
+    Returns:
+        The point, or None where too few detections remain or their rays are nearly parallel.
+    """
+    while len(rows) >= config.views:
+        images = [sparse_map.images[name] for name in rows]
+        xy = np.array([detections[name].xy[row] for name, row in rows.items()])
+        xyz = _meet(images, xy)
+        off, _ = _residuals(images, xy, xyz)
+        error = np.linalg.norm(off, axis=1)
+        good = error < config.reprojection_px
+        if good.all():
+            rays = np.concatenate([directions(i, p[None]) for i, p in zip(images, xy, strict=True)])
+            angle = float(np.degrees(np.arccos((rays @ rays.T).clip(-1, 1).min())))
+            if angle < config.angle_deg:
+                return None
+            sure = [detections[name].confidence[row] for name, row in rows.items()]
+            return Lifted(xyz, rows, float(error.mean()), angle, float(np.mean(sure)))
+        rows = {name: row for (name, row), kept in zip(rows.items(), good, strict=True) if kept}
+    return None
+
+
+def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the point (3,) of least reprojection error, by Gauss-Newton from a linear solution."""
+    seen = np.concatenate([_normalised(i, p[None]) for i, p in zip(images, xy, strict=True)])
+    poses = np.stack([image.cam_from_world[:3] for image in images])
+    xyz: NDArray[np.float64] = linear_points(seen[None], poses[None])[0]
+    for _ in range(_ROUNDS):
+        off, slope = _residuals(images, xy, xyz)
+        known = np.isfinite(off).all(1)
+        if known.sum() < _LEAST:
+            break
+        jacobian = slope[known].reshape(-1, 3)
+        step = np.linalg.lstsq(jacobian, off[known].ravel(), rcond=None)[0]
+        xyz = xyz + step
+        if np.linalg.norm(step) < _CONVERGED_M:
+            break
+    return xyz
+
+
+def _residuals(
+    images: Sequence[MapImage], xy: NDArray[np.float64], xyz: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return detections minus projections of a point, (V, 2), and their derivatives (V, 2, 3).
+
+    Residuals are infinite behind a camera. The derivatives are those of the projections.
+    """
+    off, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
+    poses = np.stack([image.cam_from_world for image in images])
+    local = poses[:, :3, :3] @ xyz + poses[:, :3, 3]
+    for camera in dict.fromkeys(image.camera for image in images):
+        mine = np.array([image.camera == camera for image in images])
+        seen = camera.project(torch.from_numpy(local[mine]), jacobian=True)
+        assert seen.jacobian is not None
+        valid = seen.valid.numpy()[:, None]
+        off[mine] = np.where(valid, xy[mine] - seen.xy.numpy(), np.inf)
+        slope[mine] = seen.jacobian.numpy() @ poses[mine, :3, :3]
+    return off, slope
+
+
+def _normalised(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return x/z and y/z of pixels (K, 2)."""
+    return np.asarray(image.camera.unproject(torch.from_numpy(xy))[0][..., :2])

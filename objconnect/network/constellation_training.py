@@ -1,0 +1,287 @@
+"""Train the graph over objects.
+
+``python -m objconnect.network.constellation_training SCENE...``
+
+The detector finds the objects of a scene's map and of its queries. An object of a query that lies
+where a landmark of the map does is the same. The graph is trained to describe the two alike, and
+differently from all other landmarks, while headings and heights are wrong by as much as a search
+assumes and some objects are missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional
+
+from objconnect.learning.checkpoint import write_weights
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.config import ConstellationConfig
+from objconnect.network.connect import LaidOut, described_landmarks, laid_out
+from objconnect.network.constellation import ConstellationGraph
+from objconnect.network.landmarks import LandmarkOptions, Landmarks, on_ground
+from objconnect.network.network import read_network, start_from
+from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.config import Config
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.views import looks_down
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.images import read_rgb
+
+# Pictures are looked at in full, as queries are.
+LONGEST: Final = 1024
+
+
+class ConstellationTraining(Config):
+    """The training of the graph.
+
+    Attributes:
+        steps: number of steps of the optimizer.
+        queries: photographs in a step, of one scene.
+        rate: highest learning rate.
+        decay: weight decay.
+        turn_deg: standard deviation of the error of the heading.
+        stretch: standard deviation of the logarithm of the error of the height.
+        moved_m: standard deviation of the error of a centre.
+        missing: largest share of a photograph's objects that are left out of a step.
+        missing_landmarks: the same of the landmarks.
+        same_m: an object this near to a landmark is the same.
+        seed: of all random numbers.
+    """
+
+    steps: int = Field(1500, ge=1)
+    queries: int = Field(4, ge=1)
+    rate: float = Field(2e-3, gt=0)
+    decay: float = Field(1e-3, ge=0)
+    turn_deg: float = Field(6.0, ge=0)
+    stretch: float = Field(0.08, ge=0)
+    moved_m: float = Field(0.4, ge=0)
+    missing: float = Field(0.4, ge=0, lt=1)
+    missing_landmarks: float = Field(0.25, ge=0, lt=1)
+    same_m: float = Field(1.5, gt=0)
+    seed: int = 0
+
+
+class LessonQuery(NamedTuple):
+    """The objects of a query, laid out at its true heading.
+
+    Attributes:
+        name: of the photograph.
+        session: that it belongs to.
+        laid: its objects.
+        height: of the camera above the ground, metres.
+        landmark: (N,) row of the landmark that each is, -1 for none.
+        xyz: (N, 3) where it truly lies, world metres.
+    """
+
+    name: str
+    session: str
+    laid: LaidOut
+    height: float
+    landmark: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+
+
+class Lesson(NamedTuple):
+    """A scene: the landmarks of its map, and its queries."""
+
+    name: str
+    landmarks: Landmarks
+    queries: list[LessonQuery]
+
+
+def lesson(scene: Scene, finder: ObjectFinder, same_m: float) -> Lesson:
+    """Find the objects of a scene's map and of those of its queries that look down.
+
+    Raises:
+        InputError: the scene has no map, or a photograph is broken.
+    """
+    sparse_map = scene.sparse_map()
+    landmarks = finder.landmarks(sparse_map, scene.images_root)
+    ground = map_ground(sparse_map)
+    queries = []
+    wanted = [(name, frames) for name, frames in scene.splits.queries.items() if frames]
+    with progress_bar(f"objects of {scene.name}", sum(len(f) for _, f in wanted)) as advance:
+        done = 0
+        for session, names in wanted:
+            frames = scene.frames(session)
+            row = {name: k for k, name in enumerate(frames.names)}
+            for name in names:
+                done += 1
+                advance(done)
+                pose = Pose.from_matrix(frames.cam_from_world[row[name]])
+                camera = frames.cameras[row[name]]
+                if not looks_down(pose.rotation.numpy()):
+                    continue
+                found = finder(read_rgb(scene.images_root / name, camera), camera)
+                laid = laid_out(found, camera, pose.rotation)
+                if not len(laid):
+                    continue
+                placed = on_ground(found, camera, pose, ground).xyz
+                xyz = placed[laid.rows]
+                centre = pose.centre().numpy()
+                height = float(centre[2]) - ground.height_at(centre[0], centre[1])
+                same = _same(xyz, landmarks.xyz, same_m)
+                queries.append(LessonQuery(name, session, laid, height, same, xyz))
+    return Lesson(scene.name, landmarks, queries)
+
+
+def _same(
+    xyz: NDArray[np.float64], landmarks: NDArray[np.float64], same_m: float
+) -> NDArray[np.int64]:
+    """Return the row of the landmark that lies where each object does, -1 for none, each once."""
+    if not len(landmarks):
+        return np.full(len(xyz), -1)
+    away = np.linalg.norm(xyz[:, None, :2] - landmarks[None, :, :2], axis=-1)
+    away = np.where(np.isfinite(away), away, np.inf)
+    nearest = away.argmin(1)
+    mutual = away.argmin(0)[nearest] == np.arange(len(xyz))
+    return np.where(mutual & (away[np.arange(len(xyz)), nearest] < same_m), nearest, -1)
+
+
+def describe_query(
+    graph: ConstellationGraph,
+    query: LessonQuery,
+    rows: NDArray[np.int64],
+    wrong: tuple[float, float] = (0.0, 1.0),
+    moved: NDArray[np.float64] | None = None,
+) -> Tensor:
+    """Describe some objects of a query among themselves, (n, D) of unit length.
+
+    Args:
+        graph: describes them.
+        query: the query.
+        rows: (n,) of the objects.
+        wrong: rad by which the heading is wrong, and factor by which the height is.
+        moved: (n, 2) metres by which the objects are moved.
+    """
+    laid, (turn, stretch) = query.laid, wrong
+    cosine, sine = np.cos(turn), np.sin(turn)
+    turned = laid.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
+    height = query.height * stretch
+    where = turned * height + (0 if moved is None else moved)
+    place = torch.from_numpy(where).float()
+    near, there = graph.neighbours(place)
+    described: Tensor = graph(
+        laid.vectors[torch.from_numpy(rows)],
+        place[None],
+        torch.from_numpy(laid.rise[rows] * height).float()[None],
+        torch.from_numpy(laid.side[rows] * height).float()[None],
+        near,
+        there,
+    )
+    return described[0]
+
+
+def train_graph(
+    lessons: Sequence[Lesson], config: ConstellationConfig, options: ConstellationTraining
+) -> ConstellationGraph:
+    """Train a graph on scenes. Equal arguments give equal graphs on one machine.
+
+    Raises:
+        InputError: no query of the scenes shows a landmark.
+    """
+    torch.manual_seed(options.seed)
+    rng = np.random.default_rng(options.seed)
+    graph = ConstellationGraph(config)
+    optimizer = torch.optim.AdamW(graph.parameters(), options.rate, weight_decay=options.decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, options.rate, options.steps, pct_start=0.05
+    )
+    usable = [(of, [q for q in of.queries if (q.landmark >= 0).any()]) for of in lessons]
+    usable = [(of, queries) for of, queries in usable if queries]
+    if not usable:
+        raise InputError("no query of these scenes shows an object of its map")
+    with progress_bar("graph over objects", options.steps) as advance:
+        for step in range(options.steps):
+            of, queries = usable[rng.integers(len(usable))]
+            left_out = rng.uniform(0, options.missing_landmarks)
+            kept = np.flatnonzero(rng.random(len(of.landmarks)) >= left_out)
+            number = np.full(len(of.landmarks) + 1, -1)
+            number[kept] = np.arange(len(kept))
+            theirs = described_landmarks(graph, of.landmarks.some(kept))
+            losses = []
+            for _ in range(options.queries):
+                query = queries[rng.integers(len(queries))]
+                loss = _query_loss(graph, query, theirs, number, rng, options)
+                if loss is not None:
+                    losses.append(loss)
+            if losses:
+                optimizer.zero_grad()
+                torch.stack(losses).mean().backward()  # type: ignore[no-untyped-call]
+                torch.nn.utils.clip_grad_norm_(graph.parameters(), 1.0)
+                optimizer.step()
+            schedule.step()
+            advance(step + 1)
+    return graph.eval()
+
+
+# More than six parameters: they are what one step has drawn.
+def _query_loss(
+    graph: ConstellationGraph,
+    query: LessonQuery,
+    theirs: Tensor,
+    number: NDArray[np.int64],
+    rng: np.random.Generator,
+    options: ConstellationTraining,
+) -> Tensor | None:
+    """Return the cross entropy of matching a query's objects with landmarks, and back."""
+    left_out = rng.uniform(0, options.missing)
+    rows = np.flatnonzero(rng.random(len(query.landmark)) >= left_out)
+    wrong = (
+        float(rng.normal(0, np.radians(options.turn_deg))),
+        float(np.exp(rng.normal(0, options.stretch))),
+    )
+    moved = rng.normal(0, options.moved_m, (len(rows), 2))
+    target = number[query.landmark[rows]]
+    known = np.flatnonzero(target >= 0)
+    if len(known) < 2:
+        return None
+    own = describe_query(graph, query, rows, wrong, moved)
+    alike = graph.sharpness.exp() * own @ theirs.T
+    there = functional.cross_entropy(alike[known], torch.from_numpy(target[known]))
+    back = functional.cross_entropy(alike.T[target[known]], torch.from_numpy(known))
+    return there + 0.5 * back
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m objconnect.network.constellation_training")
+    parser.add_argument("scenes", type=Path, nargs="+", help="scenes with maps")
+    parser.add_argument("--weights", type=Path, required=True, help="network with a detector")
+    parser.add_argument("--out", type=Path, required=True, help="file of weights to write")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args(arguments)
+    try:
+        network, _ = read_network(given.weights)
+        if network.detector is None:
+            raise InputError(f"{given.weights} has no detector of objects")
+        extract = MapExtractor(network, LONGEST, "float32")
+        finder = ObjectFinder(extract, network.detector, LandmarkOptions())
+        options = ConstellationTraining(seed=given.seed)
+        lessons = [lesson(Scene.open(path), finder, options.same_m) for path in given.scenes]
+        config = ConstellationConfig(vector=network.detector.config.vector)
+        graph = train_graph(lessons, config, options)
+        whole = start_from(given.weights, {"constellation": config.model_dump()})
+        assert whole.constellation is not None
+        whole.constellation.load_state_dict(graph.state_dict())
+        write_weights(given.out, whole, whole.config.model_dump(mode="json"))
+    except InputError as error:
+        print(f"objconnect: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,210 @@
+"""Learned objects of any class: the centre of each, the cells that belong to it, and its vector.
+
+Centres are peaks of a heat map, after Zhou et al., "Objects as Points" (2019). Cells belong to the
+centre that they point to, after Cheng et al., "Panoptic-DeepLab" (CVPR 2020). The detector sees the
+features of a network's levels, which bear a change of season, so that its objects do too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from objconnect.network.config import DetectorConfig
+from objconnect.network.segmentation import NOTHING
+
+Level = tuple[Tensor, Tensor]
+
+# A heat map begins with a probability of about one in a hundred, as few cells hold a centre.
+_RARE: Final = -4.6
+
+
+class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
+    """What the detector says of every cell of B images. See the properties."""
+
+    @property
+    def centre(self) -> Tensor:
+        """Logit (B, h, w) that the centre of an object lies in the cell."""
+        return self[0]
+
+    @property
+    def inside(self) -> Tensor:
+        """Logit (B, h, w) that the cell belongs to an object."""
+        return self[1]
+
+    @property
+    def offset(self) -> Tensor:
+        """Cells (B, 2, h, w) x y from the middle of the cell to the centre of its object."""
+        return self[2]
+
+    @property
+    def log_side(self) -> Tensor:
+        """Logarithm (B, h, w) of the side of its object, pixels."""
+        return self[3]
+
+    @property
+    def rise(self) -> Tensor:
+        """Logarithm (B, h, w) of one plus the height of its object's centre, in its sides."""
+        return self[4]
+
+    @property
+    def vector(self) -> Tensor:
+        """Vectors (B, V, h, w), of unit length."""
+        return self[5]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """The objects of an image, the surest first, N of them.
+
+    Attributes:
+        xy: (N, 2) centres, pixels.
+        score: (N,) probability that there is an object.
+        side: (N,) side of a square of its size, pixels.
+        rise: (N,) height of the centre above the ground, in pixels as seen at its depth.
+        vectors: (N, V) of unit length.
+    """
+
+    xy: Tensor
+    score: Tensor
+    side: Tensor
+    rise: Tensor
+    vectors: Tensor
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+class ObjectDetector(nn.Module):
+    """A few convolutions over the features of all levels, at one stride.
+
+    Args:
+        config: its configuration.
+        strides: strides of the levels that it sees, coarse to fine.
+        dims: numbers of channels of their features.
+    """
+
+    def __init__(self, config: DetectorConfig, strides: Sequence[int], dims: Sequence[int]) -> None:
+        super().__init__()
+        self.config, self._strides = config, tuple(strides)
+        size = config.size
+        self.join = nn.Conv2d(sum(dims) + len(dims), size, 1)
+        self.body = nn.Sequential(
+            *(
+                layer
+                for dilation in (1, 2, 1)
+                for layer in (
+                    nn.ReLU(inplace=True),
+                    nn.Conv2d(size, size, 3, padding=dilation, dilation=dilation),
+                )
+            ),
+            nn.ReLU(inplace=True),
+        )
+        self.places = nn.Conv2d(size, 6, 1)
+        self.vectors = nn.Sequential(
+            nn.Conv2d(size, size, 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(size, config.vector, 1),
+        )
+        with torch.no_grad():
+            assert self.places.bias is not None
+            self.places.bias.zero_()
+            self.places.bias[0] = _RARE
+
+    def forward(self, levels: Sequence[Level]) -> DetectorMaps:
+        """Detect objects, given features, of any length, and confidences of a network's levels."""
+        return self.detect(self.joined(levels))
+
+    def joined(self, levels: Sequence[Level]) -> Tensor:
+        """Return unit features and confidences of all levels at the stride of the detector."""
+        stride = self.config.stride
+        shape = levels[self._strides.index(stride)][0].shape[-2:]
+        parts = []
+        for (features, confidence), own in zip(levels, self._strides, strict=True):
+            unit = functional.normalize(features, dim=1) * features.shape[1] ** 0.5
+            both = torch.cat([unit, confidence], 1)
+            if own < stride:
+                both = functional.avg_pool2d(both, stride // own)[..., : shape[0], : shape[1]]
+            elif own > stride:
+                both = functional.interpolate(both, scale_factor=own / stride, mode="bilinear")
+                missing = [shape[1] - both.shape[3], shape[0] - both.shape[2]]
+                both = functional.pad(both, (0, missing[0], 0, missing[1]), "replicate")
+            parts.append(both)
+        return torch.cat(parts, 1)
+
+    def detect(self, joined: Tensor) -> DetectorMaps:
+        """Detect objects, given what ``joined`` returns."""
+        body = self.body(self.join(joined))
+        places = self.places(body)
+        vector = functional.normalize(self.vectors(body), dim=1)
+        return DetectorMaps(
+            (places[:, 0], places[:, 1], places[:, 2:4], places[:, 4], places[:, 5], vector)
+        )
+
+
+def detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Detections:
+    """Return the objects of the first image of a batch: peaks of the heat map.
+
+    Args:
+        maps: of the detector.
+        stride: its pixels per cell.
+        count: most objects to return.
+        least: probability below which a peak is none.
+    """
+    heat = torch.sigmoid(maps.centre[:1].float())
+    peak = (heat == functional.max_pool2d(heat, 3, 1, 1)) & (heat >= least)
+    rows, columns = torch.nonzero(peak[0], as_tuple=True)
+    score, order = heat[0, rows, columns].sort(descending=True, stable=True)
+    score, rows, columns = score[:count], rows[order[:count]], columns[order[:count]]
+    middle = torch.stack([columns, rows], -1) + 0.5
+    offset = maps.offset[0, :, rows, columns].T.clamp(-1.5, 1.5)
+    side = maps.log_side[0, rows, columns].exp()
+    return Detections(
+        (middle + offset) * stride,
+        score,
+        side,
+        maps.rise[0, rows, columns].clamp(min=0).expm1() * side,
+        maps.vector[0, :, rows, columns].T,
+    )
+
+
+def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> Tensor:
+    """Return which object each cell of the first image belongs to, (h, w) int64, or ``NOTHING``.
+
+    A cell that is inside an object belongs to the centre that lies nearest to where it points.
+
+    Args:
+        maps: of the detector.
+        found: objects of the image.
+        stride: pixels per cell of the detector's maps.
+        cell: pixels per cell of the label map. Where it is finer than the maps, it interpolates
+            between their cells: many objects are no wider than a few of these.
+    """
+    finer = max(1, stride // cell)
+    # Places are interpolated, and not offsets, which are another at each cell.
+    pointed = functional.interpolate(
+        maps.offset[:1].float() + middles(maps.offset), scale_factor=finer, mode="bilinear"
+    )
+    inside = functional.interpolate(
+        maps.inside[:1, None].float(), scale_factor=finer, mode="bilinear"
+    )
+    labels = torch.full(pointed.shape[-2:], NOTHING, device=pointed.device)
+    rows, columns = torch.nonzero(inside[0, 0] > 0, as_tuple=True)
+    if not len(found) or not len(rows):
+        return labels
+    places = pointed[0, :, rows, columns].T * stride
+    away, nearest = torch.cdist(places, found.xy.float()).min(1)
+    near = away <= (found.side[nearest] / 2).clamp_min(1.5 * stride)
+    labels[rows[near], columns[near]] = nearest[near]
+    return labels
+
+
+def middles(maps: Tensor) -> Tensor:
+    """Return the middle (2, h, w), x y in cells, of each cell of maps (..., h, w)."""
+    rows, columns = (torch.arange(n, device=maps.device) + 0.5 for n in maps.shape[-2:])
+    return torch.stack(torch.meshgrid(columns, rows, indexing="xy"))

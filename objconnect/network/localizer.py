@@ -1,0 +1,47 @@
+"""The object-connect network as a localizer: aligned like PixLoc's, from many starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from pydantic import Field
+
+from objconnect.learning.checkpoint import shipped
+from objconnect.learning.folding import fold
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.localization.featuremetric.options import SearchingConfig
+from objconnect.network.connect import ConnectOptions
+from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions
+from objconnect.network.network import read_network
+
+SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
+"""The weights that come with the project."""
+
+
+class ObjConnectConfig(SearchingConfig):
+    """Options of the objconnect localizer."""
+
+    objects: ObjectPlaceOptions | None = Field(
+        ObjectPlaceOptions(connect=ConnectOptions(candidates=12)),
+        description="Starts from objects where no prior gives them, before the place search; None "
+        "for none.",
+    )
+
+
+class ObjConnectLocalizer(FeaturemetricLocalizer):
+    """See the module.
+
+    Raises:
+        InputError: the weights are missing or not of this network.
+    """
+
+    def __init__(self, config: ObjConnectConfig) -> None:
+        network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
+        objects = None
+        if config.objects is not None and network.constellation is not None:
+            extract = MapExtractor(network, config.longest, config.precision)
+            objects = ObjectPlaceFinder(network, extract, config.objects)
+        super().__init__("objconnect", network, digest, config.accepting(), objects)

@@ -1,0 +1,126 @@
+"""Training losses: equations (6) to (8), and the contrastive loss that they need beside them.
+
+Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
+Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and
+the contrastive loss of ``training.contrastive`` is added, whose negatives are other
+places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from objconnect.learning.training.contrastive import sample
+from objconnect.learning.training.options import LOSSES, LossOptions
+from objconnect.learning.training.pairs import PairBatch
+from objconnect.learning.training.pose_loss import Seen, pose_loss
+from objconnect.localization.align.residuals import Level
+from objconnect.scene.geometry.pose import Pose
+
+
+def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
+    """Equation (7), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
+
+    It is computed at the true pose of image 2. The paper uses the predicted pose, which equals it
+    at the end of training. At the beginning, the predicted pose would make features of wrong places
+    similar.
+
+    Args:
+        levels: features of unit length.
+        batch: pairs, whose ``xy_b`` are the projections by the true pose.
+    """
+    count = batch.valid.sum().clamp(min=1)
+    distances = []
+    for level in levels:
+        assert not isinstance(level.stride, tuple)
+        features_b = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
+        # The square root has no derivative at zero.
+        squared = (features_b - level.reference).square().sum(-1)
+        distances.append(((squared + 1e-8).sqrt() * batch.valid).sum() / count)
+    return torch.stack(distances).mean()
+
+
+def pose_distance(
+    by_level: Sequence[Pose],
+    strides: Sequence[int],
+    batch: PairBatch,
+    options: LossOptions = LOSSES,
+) -> tuple[Tensor, list[Tensor]]:
+    """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
+
+    It is the smooth Huber function up to ``pose_clamp_px``, and a finer level counts only where the
+    coarser one ended near the truth. PixLoc is trained in the same way, so that the two methods
+    differ in their features alone.
+
+    Args:
+        by_level: predicted poses after each level, coarse to fine.
+        strides: strides of the levels.
+        batch: pairs with the true poses.
+        options: the limits, see ``pose_loss``.
+
+    Returns:
+        The loss, and the distance (B,) in pixels after each level.
+    """
+    seen = Seen(batch.points, batch.intrinsics_b, batch.valid)
+    return pose_loss(by_level, strides, batch.b_from_a, seen, options)
+
+
+def total(
+    contrast: Tensor, features: Tensor, poses: Tensor | None, options: LossOptions = LOSSES
+) -> Tensor:
+    """Return the loss of equation (6), the weighted sum of (7) and (8), plus the contrastive loss.
+
+    Both losses are about one when features have begun to distinguish places.
+
+    Args:
+        contrast: the contrastive loss.
+        features: L_2d-f.
+        poses: L_3d-d; None in the warm-up.
+        options: weights of the losses.
+    """
+    loss = contrast + options.feature_share * features
+    return loss if poses is None else loss + options.pose_share * poses
+
+
+def kept_together(
+    labels_a: Tensor,
+    labels_b: Tensor,
+    valid: Tensor,
+    count: int,
+    min_points: int = LOSSES.min_object_points,
+) -> tuple[Tensor, Tensor]:
+    """Measure how well each object of image a corresponds to an object of image b.
+
+    The measure is the target of the confidence. It is the intersection over union of the points of
+    an object and those of the object of image b that shares the most points with it.
+
+    Args:
+        labels_a: object (B, P) of each point in image a, negative for none.
+        labels_b: object (B, P) of each point in image b, negative for none.
+        valid: (B, P) bool, which points are valid.
+        count: number N of objects.
+        min_points: objects with fewer points do not have enough.
+
+    Returns:
+        The measure (B, N) in 0..1, and whether each object has enough points for it, (B, N) bool.
+    """
+    batch = len(labels_a)
+    used = valid & (labels_a >= 0) & (labels_b >= 0)
+    pair = (labels_a * count + labels_b).clamp(min=0)
+    shared = torch.zeros(batch, count * count, device=pair.device)
+    shared = shared.scatter_add(1, pair, used.float()).view(batch, count, count)
+    in_a, in_b = shared.sum(2), shared.sum(1)
+    either = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
+    return (shared / either).amax(2), in_a >= min_points
+
+
+def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:
+    """Return the cross entropy between the confidence (B, N) and ``kept_together``."""
+    # In half precision, one minus a small number would be one.
+    p = confidence.float().clamp(1e-4, 1 - 1e-4)
+    entropy = -(kept * p.log() + (1 - kept) * (1 - p).log())
+    return (entropy * counts).sum() / counts.sum().clamp(min=1)

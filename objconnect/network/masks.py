@@ -1,0 +1,193 @@
+"""Readers of given objects: label pictures, and masks in COCO's run-length encoding."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from objconnect.network.segmentation import NOTHING, Labels, keep_largest
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import parse_json, read_text, require_readable
+
+# A number of objects that no label picture of 16 bits exceeds.
+_ALL = 1 << 16
+# The most pixels of a label picture (33 megapixels). Arrays of more would take a gigabyte.
+_MOST_PIXELS = 1 << 25
+_GREY = ("1", "L", "P", "I", "I;16")
+
+
+def read_label_png(path: Path, count: int) -> Labels:
+    """Read the labels of a picture of one channel. 0 is no object; other values are objects.
+
+    Args:
+        path: PNG of 8 or 16 bits. For a palette, the labels are the indices and not the colours.
+        count: largest number N of objects; the largest objects are kept.
+
+    Returns:
+        Labels (H, W) int64, 0 to N - 1, or ``NOTHING``.
+
+    Raises:
+        InputError: the file is missing, damaged or too large, or has colours.
+    """
+    if os.path.lexists(path):
+        require_readable(path, "label picture")
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            _check_size(image.width, image.height, f"label picture {path}")
+            if not image.tile:
+                raise InputError(f"label picture {path} is damaged: it has no pixels")
+            # A damaged chunk may claim 4 GB, which decoders allocate at once; this checks chunks
+            # first.
+            image.verify()
+        with Image.open(path, formats=("PNG",)) as image:
+            mode, values = image.mode, np.asarray(image)
+    except FileNotFoundError:
+        raise InputError(f"label picture {path} does not exist") from None
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is not a PNG file") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"label picture {path} is damaged: {error}") from None
+    if mode not in _GREY:
+        raise InputError(f"{path} has colours ({mode}): labels are one number per pixel")
+    labels = values.astype(np.int64)
+    labels[values == 0] = NOTHING
+    return keep_largest(labels, count)
+
+
+def _check_size(width: int, height: int, what: str) -> None:
+    if width * height > _MOST_PIXELS:
+        raise InputError(
+            f"{what} has {width} x {height} pixels, and at most {_MOST_PIXELS} pixels are read: "
+            "make it smaller"
+        )
+
+
+def read_coco(path: Path, image: str, count: int) -> Labels:
+    """Read the labels of one photograph from COCO annotations with run-length masks.
+
+    Where masks overlap, the smaller mask is on top.
+
+    Args:
+        path: JSON with ``images`` (``id``, ``file_name``) and ``annotations`` (``image_id``,
+            ``segmentation`` with ``size`` and ``counts``, in numbers or as COCO's string).
+        image: ``file_name`` of the photograph.
+        count: largest number N of objects; those with the most visible pixels are kept.
+
+    Returns:
+        Labels (H, W) int64, 0 to N - 1, or ``NOTHING``.
+
+    Raises:
+        InputError: the file cannot be read, does not have the photograph, or has a mask that does
+            not fit.
+    """
+    try:
+        content = parse_json(read_text(path, "COCO annotations"))
+        ids = [entry["id"] for entry in content["images"] if entry["file_name"] == image]
+        segmentations = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
+    if not ids:
+        raise InputError(f"{path} has no image {image!r}")
+    if not segmentations:
+        raise InputError(f"{path} has no masks of {image!r}")
+    masks = [
+        _mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(segmentations)
+    ]
+    if len({mask.shape for mask in masks}) > 1:
+        raise InputError(f"{path}: the masks of {image!r} have several sizes")
+    labels = np.full(masks[0].shape, NOTHING, np.int64)
+    for number in np.argsort([-int(mask.sum()) for mask in masks], kind="stable"):
+        labels[masks[number]] = number
+    return keep_largest(labels, count)
+
+
+def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
+    """Decode a mask from lengths of alternating runs of zeros and ones, column by column."""
+    if not isinstance(segmentation, dict):
+        raise InputError(f"{where} is a polygon: convert masks to run lengths (RLE)")
+    try:
+        height, width = (int(side) for side in segmentation["size"])
+        counts = segmentation["counts"]
+        runs = _runs(counts) if isinstance(counts, str) else [int(run) for run in counts]
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise InputError(f"{where} cannot be read: {error!r}") from None
+    if min(height, width, *runs) < 0 or sum(runs) != height * width:
+        raise InputError(f"{where} has {sum(runs)} pixels, its size is {width} x {height}")
+    _check_size(width, height, where)
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return values.reshape(width, height).T
+
+
+def _runs(text: str) -> list[int]:
+    """Decode the run lengths of COCO's string.
+
+    A character minus 48 holds five bits of a number, and a sixth bit that is set when more
+    characters follow. The fifth bit of the last character is the sign. From the fourth number on,
+    the string holds differences to the number two places before.
+    """
+    runs: list[int] = []
+    position = 0
+    while position < len(text):
+        value = shift = 0
+        more = True
+        while more:
+            bits = ord(text[position]) - 48
+            if not 0 <= bits < 64:
+                raise ValueError(f"character {text[position]!r}")
+            value |= (bits & 31) << shift
+            shift += 5
+            position += 1
+            more = bool(bits & 32)
+        if bits & 16:
+            value -= 1 << shift
+        runs.append(value + (runs[-2] if len(runs) > 2 else 0))
+    return runs
+
+
+def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels]]:
+    """Yield the name and the label map of every photograph that has masks, with all objects.
+
+    Args:
+        source: folder of label pictures, NAME.png for the photograph NAME.jpg, or a file of COCO
+            annotations.
+        names: names of the photographs. The last part of a name is tried too.
+
+    Raises:
+        InputError: as the readers, or the source has masks of none of the photographs.
+    """
+    listed = _coco_names(source) if source.is_file() else frozenset()
+    any_masks = False
+    for name in names:
+        for called in (name, name.rpartition("/")[2]):
+            picture = source / Path(called).with_suffix(".png")
+            if called in listed:
+                labels = read_coco(source, called, _ALL)
+            elif os.path.lexists(picture):
+                labels = read_label_png(picture, _ALL)
+            else:
+                continue
+            any_masks = True
+            yield name, labels
+            break
+    if not any_masks:
+        raise InputError(f"{source} has masks of none of the map's photographs")
+
+
+def _coco_names(path: Path) -> frozenset[str]:
+    try:
+        content = parse_json(read_text(path, "COCO annotations"))
+        return frozenset(str(entry["file_name"]) for entry in content["images"])
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None

@@ -1,0 +1,320 @@
+"""The object-connect network: a feature pyramid whose features depend on the image's objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+import objconnect.learning.pixloc_net as pixloc
+import objconnect.learning.unet as unet
+from objconnect.learning.checkpoint import load_into, read_weights
+from objconnect.learning.damping import Damping
+from objconnect.learning.training.contrastive import sample
+from objconnect.learning.vgg import encode, in_unit, keep_variance, vgg16_encoder
+from objconnect.network.config import ObjConnectNetConfig
+from objconnect.network.constellation import ConstellationGraph
+from objconnect.network.detector import (
+    Detections,
+    DetectorMaps,
+    ObjectDetector,
+    detections,
+    label_map,
+)
+from objconnect.network.fpn import FeaturePyramid
+from objconnect.network.graph import ObjectGraph, SceneGraph
+from objconnect.network.objects import Attention, Objects, Occupancy, centres, occupancy
+from objconnect.network.segmentation import at_level, segment
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
+
+_ENCODER: Final = "encoder."
+# A key that only configurations of this network have.
+_OURS: Final = "segmentation"
+
+Level = unet.Level
+
+
+class ObjectBlocks(nn.Module):
+    """The object blocks of one level that are switched on. Each adds to the features.
+
+    Attributes:
+        residuals: in training, what each block last added, as a share of the features before: the
+            ratio of their norms, by name. A block near 0 does nothing.
+    """
+
+    def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
+        super().__init__()
+        switches = (
+            (config.attention, Attention),
+            (config.object_graph, ObjectGraph),
+            (config.scene_graph, SceneGraph),
+        )
+        self.blocks = nn.ModuleList(block(size) for on, block in switches if on)
+        self.residuals: dict[str, Tensor] = {}
+
+    def forward(self, maps: Tensor, objects: Occupancy) -> Tensor:
+        """Return O of equation (3) plus the outputs of the graphs, (B, C, h, w), for such maps."""
+        if not len(self.blocks):
+            return maps
+        _, _, height, width = maps.shape
+        rows = maps.permute(0, 2, 3, 1).flatten(1, 2)
+        for block in self.blocks:
+            before, rows = rows, block(rows, objects)
+            if self.training:
+                added = (rows - before).detach().norm() / before.detach().norm()
+                self.residuals[type(block).__name__] = added
+        return rows.view(len(maps), height, width, -1).permute(0, 3, 1, 2)
+
+
+class ObjConnectNet(nn.Module):
+    """The object-connect network, with the damping of the aligner that is trained with it.
+
+    Attributes:
+        config: configuration of the network.
+        damping: a module for each level, coarse to fine, that returns damping factors (6,).
+    """
+
+    def __init__(self, config: ObjConnectNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        # The names are PixLoc's, so that its weights can be loaded.
+        self.encoder = vgg16_encoder(config.width)
+        self.decoder = (
+            FeaturePyramid(config.width, config.pyramid, config.strides)
+            if config.decoder == "fpn"
+            else unet.Decoder(config.width, config.steps, config.strides)
+        )
+        sizes = self.decoder.sizes
+        levels = [stride for stride in config.strides if stride >= config.finest_object_stride]
+        self._with_objects = 0 if config.segmentation == "none" else len(levels)
+        with_objects = sizes[: self._with_objects]
+        self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in with_objects)
+        self.features = nn.ModuleList(map(_head, sizes, config.dims))
+        self.confidence = nn.ModuleList(_head(size, 1) for size in sizes)
+        self.trust = nn.Linear(with_objects[-1], 1) if with_objects else None
+        self.damping = nn.ModuleList(Damping() for _ in config.strides)
+        keep_variance(self)
+        self.detector = None
+        if config.detector is not None:
+            self.detector = ObjectDetector(config.detector, config.strides, config.dims)
+        self.constellation = None
+        if config.constellation is not None:
+            self.constellation = ConstellationGraph(config.constellation)
+
+    def forward(
+        self,
+        image: Tensor,
+        labels: Tensor | None = None,
+        levels: int | None = None,
+        shown: NDArray[np.bool_] | None = None,
+    ) -> list[Level]:
+        """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
+
+        Args:
+            image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
+            labels: int64 label maps (B, _, _) of any size that cover the image, see
+                ``objconnect.network.segmentation``; None segments the image as configured.
+            levels: number of levels from the coarsest on; None stands for all.
+            shown: cells of the finest level that are wanted, as ``unet.Decoder.levels`` takes
+                them; a network with objects or another decoder makes all cells.
+
+        Returns:
+            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
+            pixels wide and start at the top left corner. The part of an image beyond a multiple of
+            16 pixels is cut off.
+
+        Raises:
+            InputError: the configuration expects label maps, and there are none.
+        """
+        return self.describe(image, labels, levels, shown)[0]
+
+    def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
+        """Return the objects of images, on the finest level that has objects.
+
+        Args:
+            image: images, as ``forward`` takes them.
+            labels: label maps, as ``forward`` takes them.
+
+        Raises:
+            InputError: the network was made without objects, or label maps are missing.
+        """
+        objects = self.describe(image, labels)[1]
+        if objects is None:
+            raise InputError("this network was trained without objects: it has no centres")
+        return objects
+
+    def describe(
+        self,
+        image: Tensor,
+        labels: Tensor | None = None,
+        levels: int | None = None,
+        shown: NDArray[np.bool_] | None = None,
+    ) -> tuple[list[Level], Objects | None]:
+        """Return the results of both ``forward`` and ``objects`` in one pass.
+
+        The objects are None where the network has none. Arguments are those of ``forward``.
+        """
+        if not self._with_objects:
+            return list(islice(self._levels(image, shown), levels)), None
+        image = in_unit(image)
+        decoded = self._decoded(image)
+        if labels is None and self.config.segmentation == "learned":
+            decoded = list(decoded)
+            labels = self._learned(decoded)
+        elif labels is None:
+            labels = segment(image, self.config)
+        levels_made: list[Level] = []
+        objects = None
+        for number, maps in enumerate(islice(decoded, levels)):
+            if number < self._with_objects:
+                stride = self.config.strides[number]
+                here = at_level(labels, image, maps, stride)
+                objects_here = occupancy(here, self.config.segments)
+                maps = self.objects_of[number](maps, objects_here)
+                if number == self._with_objects - 1:
+                    objects = self._as_points(maps, objects_here, stride)
+            levels_made.append(self._level(number, maps))
+        return levels_made, objects
+
+    def residuals(self) -> dict[str, float]:
+        """Return what each object block last added in training, see ``ObjectBlocks``."""
+        shares = {}
+        for stride, blocks in zip(self.config.strides, self.objects_of, strict=False):
+            assert isinstance(blocks, ObjectBlocks)
+            for name, share in blocks.residuals.items():
+                shares[f"residual {name} {stride}"] = float(share)
+        return shares
+
+    def segments(self, image: Tensor) -> Tensor:
+        """Segment images as configured; arguments, labels and errors are those of ``segment``."""
+        if self.config.segmentation == "learned":
+            return self.learned_segments(image)
+        return segment(image, self.config)
+
+    def learned_segments(self, image: Tensor) -> Tensor:
+        """Return the detector's objects as label maps, which ``segment`` describes.
+
+        Raises:
+            InputError: the network has no detector.
+        """
+        return self._learned(self._decoded(image))
+
+    def learned_objects(self, image: Tensor) -> list[Detections]:
+        """Return the detector's objects of images (B, 3, H, W), the surest first.
+
+        Raises:
+            InputError: the network has no detector.
+        """
+        decoded = self._decoded(image)
+        return [found for _, found in self._detected(decoded)]
+
+    def _decoded(self, image: Tensor) -> Iterable[Tensor]:
+        """Yield the decoder's maps of images, coarse to fine."""
+        maps: Iterable[Tensor] = self.decoder(self._blocks(image))
+        return maps
+
+    def _levels(self, image: Tensor, shown: NDArray[np.bool_] | None) -> Iterable[Level]:
+        """Yield the levels of images without objects, coarse to fine."""
+        if not isinstance(self.decoder, unet.Decoder):
+            return (self._level(*each) for each in enumerate(self._decoded(image)))
+        heads = [partial(self._level, number) for number in range(len(self.features))]
+        made = self.decoder.levels(self._blocks(image), heads, shown)
+        return ((features, confidence) for features, confidence in made)
+
+    def _blocks(self, image: Tensor) -> list[Tensor]:
+        return encode(self.encoder, image, self.config.strides[-1])
+
+    def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
+        detected = self._detected(decoded)
+        assert self.detector is not None
+        stride, cell = self.detector.config.stride, self.config.segmenter.learned_stride
+        return torch.stack([label_map(maps, found, stride, cell) for maps, found in detected])
+
+    def _detected(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
+        if self.detector is None:
+            raise InputError("this network has no detector of objects")
+        # It sees the features without objects, as it did in training.
+        with torch.no_grad():
+            maps = self.detector([self._level(*each) for each in enumerate(decoded)])
+        count, least = self.config.segments, self.config.segmenter.learned_score
+        stride = self.detector.config.stride
+        single = [
+            DetectorMaps(each[number : number + 1] for each in maps)
+            for number in range(len(maps.centre))
+        ]
+        return [(one, detections(one, stride, count, least)) for one in single]
+
+    def _level(self, number: int, maps: Tensor) -> Level:
+        # PixLoc's head predicts the uncertainty, hence the sign.
+        return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
+
+    def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
+        """Return the paper's set V: the vectors o_i are the features O at the centres c_i."""
+        assert self.trust is not None
+        cells = centres(occupied)
+        vectors = sample(maps, cells)
+        # The features are detached, so that the confidence head does not change them.
+        confidence = torch.sigmoid(self.trust(vectors.detach()).float())[..., 0]
+        return Objects(cells * stride, vectors, confidence, occupied.present)
+
+
+def _head(size: int, dims: int) -> nn.Conv2d:
+    return nn.Conv2d(size, dims, 1)
+
+
+def read_network(path: Path) -> tuple[ObjConnectNet, str]:
+    """Read a network from a file of weights; return it with the digest of the file.
+
+    Raises:
+        InputError: the file does not exist, is damaged, or belongs to another network.
+    """
+    weights = read_weights(path)
+    if _OURS not in weights.config:
+        raise InputError(f"{path} holds no weights of objconnect")
+    network = ObjConnectNet(load_config(ObjConnectNetConfig, None, weights.config))
+    load_into(network, weights.tensors, path)
+    # torch's annotations lack this argument.
+    fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return fast, weights.sha256
+
+
+def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
+    """Make a network to be trained from weights of this network or of PixLoc.
+
+    All weights that fit the settings are loaded. With another decoder, these are the encoder's. A
+    detector or a graph over objects that the settings name begins anew.
+
+    Args:
+        path: file of weights.
+        settings: fields of ``ObjConnectNetConfig``, which replace those of the file.
+
+    Raises:
+        InputError: the file does not exist, or none of its weights fit.
+    """
+    weights = read_weights(path)
+    tensors, config = weights.tensors, weights.config
+    if _OURS not in config:
+        peer, _ = pixloc.read_network(path)
+        if peer.config.extra_convolutions:
+            raise InputError(f"{path} is of a VGG19: the encoder here is a VGG16")
+        tensors, made = peer.state_dict(), peer.config
+        config = {"width": made.width, "decoder": "unet", "steps": made.decoder}
+        config |= {"strides": made.strides, "dims": made.dims}
+    anew = tuple(f"{part}." for part in ("detector", "constellation") if part in settings)
+    tensors = {name: each for name, each in tensors.items() if not name.startswith(anew)}
+    if settings.get("decoder", config.get("decoder")) != config.get("decoder"):
+        tensors = {name: each for name, each in tensors.items() if name.startswith(_ENCODER)}
+    network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))
+    own = network.state_dict()
+    taken = {name: tensor for name, tensor in tensors.items() if name in own}
+    fresh = {name: tensor for name, tensor in own.items() if not name.startswith(_ENCODER)}
+    load_into(network, fresh | taken, path)
+    return network

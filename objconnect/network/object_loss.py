@@ -1,0 +1,159 @@
+"""The losses of learned objects: where they are, which cells are theirs, and which is which."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from objconnect.learning.training.contrastive import sample
+from objconnect.learning.training.objects import GROUND, UNKNOWN, ImageObjects
+from objconnect.learning.training.options import ObjectLossOptions
+from objconnect.network.detector import DetectorMaps, middles
+
+# Numerical guards of logarithms.
+_LEAST, _LEAST_SIDE = 1e-4, 0.5
+
+
+class _Targets(NamedTuple):
+    """What the maps of an image should say.
+
+    Attributes:
+        labels: (h, w) row of the object of each cell, ``GROUND`` or ``UNKNOWN``.
+        heat: (h, w) 1 at cells with a centre, less beside them.
+        offset: (2, h, w) cells to the centre of the object.
+        log_side: (h, w) logarithm of the side, pixels.
+        rise: (h, w) logarithm of one plus the height of the centre, in sides.
+        weight: (h, w) of cells of objects; a large object counts as the root of its cells.
+    """
+
+    labels: Tensor
+    heat: Tensor
+    offset: Tensor
+    log_side: Tensor
+    rise: Tensor
+    weight: Tensor
+
+
+def cell_labels(labels: Tensor, stride: int) -> Tensor:
+    """Return the label of each cell (h, w), given those of pixels (S, S).
+
+    A cell shows the object with most of its pixels if these are a quarter of the cell or more, for
+    small objects cover no cell as a whole.
+    """
+    height, width = (side // stride for side in labels.shape)
+    cut = labels[: height * stride, : width * stride]
+    pixels = cut.reshape(height, stride, width, stride).permute(0, 2, 1, 3).flatten(2)
+    same = (pixels[..., :, None] == pixels[..., None, :]).sum(-1)
+    objects = torch.where(pixels >= 0, same, 0)
+    most, at = objects.max(-1)
+    unknown = (pixels == UNKNOWN).sum(-1) * 2 > stride**2
+    found = torch.where(most * 4 >= stride**2, pixels.gather(-1, at[..., None])[..., 0], GROUND)
+    return torch.where(unknown, UNKNOWN, found).long()
+
+
+def findable(objects: ImageObjects, side: int, options: ObjectLossOptions) -> Tensor:
+    """Return which objects (n,) an image of ``side`` pixels shows well enough to be found."""
+    inside = ((objects.centres > 0) & (objects.centres < side)).all(1)
+    return inside & (objects.pixels >= options.min_pixels)
+
+
+def _targets(objects: ImageObjects, stride: int, options: ObjectLossOptions) -> _Targets:
+    labels = cell_labels(objects.labels, stride)
+    middle = middles(labels)
+    heat = torch.zeros(*labels.shape, device=labels.device)
+    centres, cells = objects.centres / stride, objects.sides / stride
+    found = findable(objects, len(objects.labels), options)
+    spread = (cells * options.spread).clamp(0.6, 4.0)
+    for centre, sigma in zip(centres[found], spread[found], strict=True):
+        holds = centre.floor() + 0.5
+        away = (middle - holds[:, None, None]).square().sum(0)
+        heat = torch.maximum(heat, torch.exp(-away / (2 * sigma**2)))
+    shown = labels >= 0
+    # Cells of nothing take the values of a first object, at a weight of zero.
+    of = labels.clamp(min=0)
+
+    def painted(values: Tensor) -> Tensor:
+        empty = torch.zeros(1, *values.shape[1:], device=values.device)
+        return (values if len(values) else empty)[of]
+
+    count = torch.bincount(labels[shown], minlength=max(len(cells), 1)).clamp(min=1).float()
+    return _Targets(
+        labels,
+        heat,
+        painted(centres).permute(2, 0, 1) - middle,
+        painted(objects.sides.clamp_min(_LEAST_SIDE).log()),
+        painted((objects.rises / objects.sides.clamp_min(_LEAST_SIDE)).log1p()),
+        shown / count.sqrt()[of],
+    )
+
+
+def place_loss(
+    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int, options: ObjectLossOptions
+) -> tuple[Tensor, dict[str, float]]:
+    """Return the loss of centres, cells, offsets, sides and rises of B images, and figures.
+
+    Centres have the focal loss of CenterNet, cells the cross entropy, and the rest the smooth L1
+    distance over the cells of objects.
+    """
+    targets = [_targets(each, stride, options) for each in objects]
+    labels, heat, offset, log_side, rise, weight = map(torch.stack, zip(*targets, strict=True))
+    known = labels != UNKNOWN
+    p = torch.sigmoid(maps.centre.float()).clamp(_LEAST, 1 - _LEAST)
+    holds = (heat > 1 - _LEAST) & known
+    missed = ((1 - p).square() * p.log())[holds].sum()
+    mistaken = ((1 - heat) ** 4 * p.square() * (1 - p).log())[~holds & known].sum()
+    total = weight.sum().clamp(min=1)
+
+    def distance(said: Tensor, true: Tensor) -> Tensor:
+        away = functional.smooth_l1_loss(said.float(), true, reduction="none")
+        return (away * weight).sum() / total
+
+    # Far from the centre of a large object, an offset is known to a share of it.
+    far = 1 + options.far_share * offset.abs().sum(1)
+    pointing = distance(maps.offset[:, 0] / far, offset[:, 0] / far)
+    pointing = pointing + distance(maps.offset[:, 1] / far, offset[:, 1] / far)
+    losses = {
+        "centres": -(missed + mistaken) / holds.sum().clamp(min=1),
+        "inside": functional.binary_cross_entropy_with_logits(
+            maps.inside.float()[known], (labels >= 0).float()[known]
+        ),
+        "offsets": pointing,
+        "sides": distance(maps.log_side, log_side),
+        "rises": distance(maps.rise, rise),
+    }
+    shares = options.shares()
+    loss = torch.stack([shares[name] * each for name, each in losses.items()]).sum()
+    return loss, {name: float(each.detach()) for name, each in losses.items()}
+
+
+def identity_loss(
+    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int, options: ObjectLossOptions
+) -> tuple[Tensor, float]:
+    """Return the contrastive loss of the vectors at true centres, and the share found first.
+
+    The positive of an object is the same object in another image of the batch. All other objects
+    of the batch are negatives.
+    """
+    vectors, ids, images = [], [], []
+    side = maps.vector.shape[-1] * stride
+    for number, each in enumerate(objects):
+        found = findable(each, side, options)
+        cells = each.centres[found] / stride
+        vectors.append(sample(maps.vector[number : number + 1], cells[None])[0])
+        ids.append(each.ids[found])
+        images.append(torch.full_like(each.ids[found], number))
+    own, name, image = torch.cat(vectors), torch.cat(ids), torch.cat(images)
+    own = functional.normalize(own, dim=1)
+    same = name[:, None] == name[None]
+    positive = same & (image[:, None] != image[None])
+    if not bool(positive.any()):
+        return own.sum() * 0, 0.0
+    alike = own @ own.T / options.temperature
+    negative = alike.masked_fill(same, -torch.inf).logsumexp(1)
+    lost = torch.logaddexp(alike, negative[:, None]) - alike
+    first = alike > alike.masked_fill(same, -torch.inf).max(1).values[:, None]
+    return lost[positive].mean(), float(first[positive].float().mean())

@@ -1,0 +1,237 @@
+"""Objects of photographs and of maps, found by a network with a detector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.localization.cache.array_store import written_store
+from objconnect.localization.cache.earlier import key_of
+from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.coarse.grid import GroundGrid, ground_grid
+from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
+from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
+from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, detections
+from objconnect.network.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.views import WarpedImage, looks_down
+from objconnect.scene.localizer import MapPart
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.memory import return_freed
+from objconnect.scene.runtime.progress import progress_bar
+
+_FORMAT: Final = 3
+# Files of the objects of each photograph, and the arrays in them.
+_DETECTIONS: Final = "detections"
+_ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
+# Side of the cells in which the height of the ground is the median of the map's points, metres.
+_GROUND_M: Final = 4.0
+# What stands on the ground is narrower, metres.
+_WIDEST_M: Final = 28.0
+
+
+class ObjectFinder:
+    """Finds the objects of photographs.
+
+    Args:
+        extract: of the feature maps that the detector sees.
+        detector: of objects.
+        options: of the objects that are kept.
+    """
+
+    def __init__(
+        self, extract: MapExtractor, detector: ObjectDetector, options: LandmarkOptions
+    ) -> None:
+        self._extract, self._detector, self._options = extract, detector, options
+
+    def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
+        """Return the objects of a photograph (H, W, 3), in its own pixels."""
+        return self.of(*self._extract(rgb, camera))
+
+    @torch.inference_mode()
+    def of(self, view: WarpedImage, levels: Sequence[FeatureMap]) -> Detections:
+        """Return the objects of a view in pixels of its photograph, given its feature maps."""
+        found = self.detect(
+            view.picture, self._detector([(level.features, level.confidence) for level in levels])
+        )
+        at = found.xy.double().numpy()
+        kept = torch.from_numpy(view.shows(at))
+        return Detections(
+            torch.from_numpy(view.in_photograph(at))[kept],
+            found.score[kept],
+            found.side[kept] / view.scale,
+            found.rise[kept] / view.scale,
+            found.vectors[kept],
+        )
+
+    def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
+        """Return the objects of a picture (H, W, 3), given what the detector says of it."""
+        options, stride = self._options, self._detector.config.stride
+        return detections(maps, stride, options.count, options.least_score)
+
+    def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
+        """Return the objects that the photographs of a map show from above.
+
+        Raises:
+            InputError: a photograph is missing or broken.
+        """
+        return merged(self.views(sparse_map, images), self._options)[0]
+
+    def views(self, sparse_map: SparseMap, images: Path) -> list[View]:
+        """Return the photographs of a map that look down, each with its objects.
+
+        Raises:
+            InputError: a photograph is missing or broken.
+        """
+        source = ReferenceSource(sparse_map, images, self._extract, "", "objects", 0)
+        return list(MapObjects(self, source).views())
+
+    def file(self, source: ReferenceSource, cache: Path) -> Path:
+        """Return where the cache holds the objects of a map, whether or not it does."""
+        kept = MapCache.of(source.sparse_map, source.images, cache)
+        seen = f"{source.extractor_key} {source.options.same_resolution}"
+        return kept.path("objects", _FORMAT, seen, self._options.model_dump_json())
+
+    def watcher(
+        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
+    ) -> MapObjects | None:
+        """Return what finds the objects of a map in the feature maps of its references.
+
+        It is None where the cache holds the objects.
+        """
+        if self.file(source, cache).is_file():
+            return None
+        kept = MapCache.of(source.sparse_map, source.images, cache)
+        return MapObjects(self, source, replace(kept, part=part))
+
+    def kept_landmarks(
+        self, source: ReferenceSource, cache: Path, watched: MapObjects | None
+    ) -> Landmarks:
+        """Return the objects of a map, from the cache where it holds them.
+
+        Args:
+            source: what references of the map are computed from.
+            cache: folder of files named by a digest of all that the objects depend on.
+            watched: what ``watcher`` returned.
+
+        Raises:
+            InputError: a photograph is missing, broken or changed meanwhile.
+        """
+        path = self.file(source, cache)
+        found = watched or self.watcher(source, cache)
+        if found is not None:
+            landmarks = merged(list(found.views()), self._options)[0]
+            found.write()
+            landmarks.write(path)
+        return Landmarks.read(path)
+
+    def made_of(self) -> str:
+        """Return the options that decide what is found in a photograph, as text."""
+        return f"{_FORMAT} {self._options.count} {self._options.least_score}"
+
+
+class MapObjects:
+    """The objects of a map's photographs that look down.
+
+    It implements ``Watch``: photographs that the references see
+    anyway are seen once.
+
+    Args:
+        find: finds the objects of a view.
+        source: what references of the map are computed from.
+        kept: the cache, which names the photographs and whose earlier files may hold what did not
+            change; None for all photographs, without a cache.
+    """
+
+    def __init__(
+        self,
+        find: ObjectFinder,
+        source: ReferenceSource,
+        kept: MapCache | None = None,
+    ) -> None:
+        self._find, self._source, self._kept = find, source, kept
+        self._earlier = None if kept is None else kept.earlier(_DETECTIONS)
+        self._see = MapViews(source)
+        self._found: dict[str, Detections] = {}
+
+    def lacks(self, image: MapImage, key: str) -> bool:
+        """Return whether a photograph looks down and its objects are not known."""
+        if not looks_down(image.cam_from_world[:3, :3]):
+            return False
+        if image.name not in self._found and self._earlier is not None:
+            made_of = key_of(key, self._find.made_of())
+            found = self._earlier.read(made_of, lambda store, row: store.arrays(row, _ARRAYS))
+            if found is not None:
+                self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
+        return image.name not in self._found
+
+    def __call__(
+        self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
+    ) -> None:
+        """Find the objects of a photograph, given how it was seen and its feature maps."""
+        if self.lacks(image, key):
+            self._found[image.name] = self._find.of(view, maps)
+
+    def views(self) -> Iterator[View]:
+        """Yield the photographs that look down with their objects, looking at those not yet seen.
+
+        Raises:
+            InputError: a photograph is missing or broken.
+        """
+        ground, down = map_ground(self._source.sparse_map), self._down()
+        with progress_bar("objects of the map", len(down)) as advance:
+            for done, image in enumerate(down, 1):
+                key = self._key(image)
+                if self.lacks(image, key):
+                    self(image, key, *self._see(image))
+                    return_freed()
+                found = self._found[image.name]
+                placed = on_ground(found, image.camera, image.pose, ground)
+                yield View(image.name, image.camera, image.pose, found, placed)
+                advance(done)
+
+    def write(self) -> None:
+        """Keep the objects of each photograph, for maps to which photographs are added.
+
+        Raises:
+            InputError: a photograph changed meanwhile.
+            WriteError: the folder cannot be written, or the disk is full.
+        """
+        assert self._kept is not None
+        self._kept.require_unchanged()
+        path = self._kept.path(
+            _DETECTIONS, _FORMAT, self._source.extractor_key, self._find.made_of()
+        )
+        with written_store(path) as add:
+            for image in self._down():
+                found = self._found[image.name]
+                arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
+                add(arrays, key_of(self._key(image), self._find.made_of()))
+
+    def _down(self) -> list[MapImage]:
+        """Return the photographs that look down, in the order of their names."""
+        sparse_map = self._source.sparse_map
+        names = sparse_map.names if self._kept is None else self._kept.names
+        posed = [sparse_map.images[name] for name in names]
+        return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
+
+    def _key(self, image: MapImage) -> str:
+        return self._see.key(image, "" if self._kept is None else self._kept.digests[image.name])
+
+
+def map_ground(sparse_map: SparseMap) -> GroundGrid:
+    """Return the height of a map's ground on a grid, without what stands on it.
+
+    What is narrower than the window of a morphological opening is taken away.
+    """
+    grid = ground_grid(sparse_map.xyz, _GROUND_M)
+    cells = max(1, round(_WIDEST_M / _GROUND_M))
+    bare = cv2.morphologyEx(grid.heights, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
+    return replace(grid, heights=np.asarray(bare))

@@ -1,0 +1,61 @@
+"""Training of the detector of objects, on a network that is kept as it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from objconnect.learning.checkpoint import shipped
+from objconnect.learning.training.config import TrainConfig
+from objconnect.learning.training.pairs import PairBatch
+from objconnect.localization.featuremetric.training import both, half_precision
+from objconnect.network.config import DetectorConfig
+from objconnect.network.detector import DetectorMaps
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import start_from
+from objconnect.network.object_loss import identity_loss, place_loss
+from objconnect.scene.errors import InputError
+
+
+class ObjectTraining:
+    """Implements ``objconnect.learning.training.loop.Trainable`` for the detector of objects.
+
+    ``TrainConfig.weights`` are those of the network whose features it sees, by default the shipped
+    ones. They do not change, so that poses are aligned as before.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        torch.manual_seed(config.seed)
+        settings = {"detector": DetectorConfig().model_dump(), "constellation": None}
+        settings |= config.network
+        self.network = start_from(config.weights or shipped(SHIPPED), settings)
+        self.network_config = self.network.config
+        self._options = config.losses.objects
+        if self.network.detector is None:
+            raise InputError("the network has no detector: leave network.detector at its default")
+        self._detector = self.network.detector
+        self.network.requires_grad_(False)
+        self._detector.requires_grad_(True)
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        """See ``Trainable``."""
+        if not batch.objects:
+            raise InputError("pairs know no objects: set pairs.objects, and use no photographs")
+        # Running means of the network's normalisation would change in training.
+        self.network.eval()
+        with half_precision(batch):
+            with torch.no_grad():
+                levels = self.network(both(batch))
+            maps = self._detector(levels)
+        maps = DetectorMaps(each.float() for each in maps)
+        stride = self._detector.config.stride
+        loss, figures = place_loss(maps, batch.objects, stride, self._options)
+        identity, first = identity_loss(maps, batch.objects, stride, self._options)
+        figures |= {"identity": float(identity.detach()), "found first": first}
+        return loss + self._options.identity * identity, figures
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        """See ``Trainable``."""
+        return [{"params": list(self._detector.parameters()), "lr": rate}]

@@ -1,0 +1,71 @@
+"""Place search with the object-connect network, as a method of its own: the best start it finds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from pydantic import Field
+
+from objconnect.learning.checkpoint import shipped
+from objconnect.learning.folding import Precision, fold
+from objconnect.localization.coarse.finder import PlaceFinder, PlaceOptions
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.localizer import SHIPPED
+from objconnect.network.network import read_network
+from objconnect.scene.config import Config
+from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.scratch import scratch
+
+
+class PlaceConfig(Config):
+    """Options of the method ``place``.
+
+    Attributes:
+        weights: file of an object-connect network; None is the one that comes with the project.
+        precision: of the convolutions.
+        search: options of the search.
+    """
+
+    weights: Path | None = None
+    precision: Precision = Field("auto", validate_default=True)
+    search: PlaceOptions = Field(default_factory=PlaceOptions)
+
+
+class PlaceLocalizer:
+    """Answers the best start of the place search, unrefined: good to some metres and degrees.
+
+    Implements ``objconnect.scene.localizer.Localizer``.
+    """
+
+    name = "place"
+
+    def __init__(self, config: PlaceConfig) -> None:
+        self.config = config
+        network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
+        self.weights_sha256: str | None = digest
+        extract = MapExtractor(network, 2 * config.search.longest, config.precision)
+        self._finder = PlaceFinder(extract, config.search)
+
+    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
+        """Make the mosaic of the map, or read it from the cache."""
+        if cache is None:
+            with scratch() as folder:
+                self.prepare(sparse_map, images, folder)
+            return
+        key = f"{self.weights_sha256} {self.config.precision}"
+        self._finder.prepare(sparse_map, images, key, cache)
+
+    @torch.inference_mode()
+    def localize(self, query: Query) -> Estimate:
+        """Search the place of the query."""
+        if reason := query_error(query):
+            return Estimate(Status.FAILED, reason=reason)
+        clock = Stopwatch()
+        with clock.stage("place"):
+            candidates = self._finder.find(query)
+        if not candidates:
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no place looks like it")
+        return Estimate(Status.OK, candidates[0].pose, seconds=clock.seconds, by=By.PLACE)

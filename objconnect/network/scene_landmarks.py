@@ -1,0 +1,157 @@
+"""The command ``landmarks``: the learned objects of a scene's map, kept with the scene."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+from objconnect.learning.checkpoint import shipped
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.network.landmarks import LandmarkOptions, Landmarks, Tracks, merged
+from objconnect.network.localizer import SHIPPED, ObjConnectConfig
+from objconnect.network.network import read_network
+from objconnect.network.object_map import ObjectFinder
+from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.atomic import write_text
+from objconnect.scene.storage.hdf5 import array
+from objconnect.scene.storage.hdf5_writing import hdf5_file
+from objconnect.scene.storage.images import check_photographs
+from objconnect.scene.storage.leftovers import remove_partial
+from objconnect.scene.storage.locks import write_lock
+from objconnect.scene.storage.names import quote_cell
+from objconnect.scene.storage.outputs import OutputFile, check_outputs
+
+LANDMARKS: Final = "landmarks.h5"
+"""The file of a scene with the objects of its map."""
+
+_HEAD: Final = "landmark,e,n,u,side_m,above_ground_m,probability,photographs,first_photograph"
+
+
+@dataclass(frozen=True)
+class LandmarksReport:
+    """The objects of a scene's map.
+
+    Attributes:
+        landmarks: the objects.
+        observations: number of times that photographs show them.
+        files: files that were written.
+    """
+
+    landmarks: Landmarks
+    observations: int
+    files: tuple[Path, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as a dictionary for JSON."""
+        return {
+            "landmarks": len(self.landmarks),
+            "observations": self.observations,
+            "files": [str(file) for file in self.files],
+        }
+
+    def text(self) -> str:
+        """Return the report as text."""
+        sides = self.landmarks.sides
+        middle = f", {np.median(sides):.1f} m wide in the median" if len(sides) else ""
+        found = f"{len(sides)} objects{middle}, with {self.observations} observations"
+        return "\n".join([found, *map(str, self.files)])
+
+
+def find_landmarks(
+    path: Path, weights: Path | None = None, out: Path | None = None
+) -> LandmarksReport:
+    """Find the learned objects of a scene's map, and keep them in the scene.
+
+    Those that an earlier call found are replaced. The map is not changed.
+
+    Args:
+        path: finished scene with a map.
+        weights: weights of an object-connect network with a detector; None takes the shipped ones.
+        out: table of the objects to write besides, CSV.
+
+    Raises:
+        InputError: the scene is not finished or has no map, the weights have no detector, a
+            photograph is missing or broken, or ``out`` cannot be written.
+    """
+    scene = Scene.open(path)
+    outputs: list[OutputFile | Path] = [path / LANDMARKS]
+    outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
+    check_outputs(outputs, [path, *([] if weights is None else [weights])])
+    network, _ = read_network(weights or shipped(SHIPPED))
+    if network.detector is None:
+        raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
+    sparse_map = scene.sparse_map()
+    cameras = {name: image.camera for name, image in sparse_map.images.items()}
+    check_photographs(scene.images_root, cameras)
+    config = ObjConnectConfig()
+    options = LandmarkOptions()
+    extract = MapExtractor(network, config.longest, config.precision)
+    finder = ObjectFinder(extract, network.detector, options)
+    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)
+    with write_lock(path):
+        remove_partial(path)
+        _write(path / LANDMARKS, landmarks, tracks, sparse_map)
+        finish_scene(path, scene.manifest)
+    if out is not None:
+        write_text(out, _table(landmarks, tracks))
+    files = (path / LANDMARKS, *([] if out is None else [out]))
+    return LandmarksReport(landmarks, len(tracks.landmark), files)
+
+
+def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Tracks] | None:
+    """Return the objects that are kept with a scene; None where there are none of its map.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    path = scene.path / LANDMARKS
+    if not os.path.lexists(path):
+        return None
+    try:
+        with h5py.File(path) as file:
+            if file.attrs.get("map") != sparse_map.sha256:
+                return None
+            landmarks = Landmarks.of(file)
+            landmark, name, xy = (array(file, f"tracks/{part}") for part in Tracks._fields)
+    except HDF5_DAMAGE as error:
+        raise InputError(f"{path} is damaged ({error}): run 'objconnect landmarks' again") from None
+    names = [os.fsdecode(each) for each in name.tolist()]
+    return landmarks, Tracks(landmark.astype(np.int64), names, xy.astype(np.float64))
+
+
+def _write(path: Path, landmarks: Landmarks, tracks: Tracks, sparse_map: SparseMap) -> None:
+    with hdf5_file(path) as file:
+        file.attrs["map"] = sparse_map.sha256
+        landmarks.put(file)
+        file["tracks/landmark"] = tracks.landmark.astype(np.uint32)
+        file["tracks/name"] = np.array([os.fsencode(name) for name in tracks.name], "S")
+        file["tracks/xy"] = tracks.xy.astype(np.float32)
+
+
+def _table(landmarks: Landmarks, tracks: Tracks) -> str:
+    """Return the objects as CSV, a row each, with the first photograph that shows it."""
+    first = dict(zip(reversed(tracks.landmark.tolist()), reversed(tracks.name), strict=True))
+    text = io.StringIO()
+    text.write(f"{_HEAD}\n")
+    rows = csv.writer(text, lineterminator="\n")
+    for row, (e, n, u) in enumerate(landmarks.xyz.tolist()):
+        numbers = (e, n, u, float(landmarks.sides[row]), float(landmarks.rises[row]))
+        rows.writerow(
+            [
+                row,
+                *(f"{number:.2f}" for number in numbers),
+                f"{landmarks.scores[row]:.3f}",
+                int(landmarks.views[row]),
+                quote_cell(first[row]),
+            ]
+        )
+    return text.getvalue()

@@ -1,0 +1,151 @@
+"""Segmentation of images into objects. No gradient passes through it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import skimage  # which imports its parts when they are used
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from objconnect.network.config import ObjConnectNetConfig, SegmentOptions
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.threads import thread_pool
+
+NOTHING: Final = -1
+"""The label of pixels that belong to no object."""
+
+Labels = NDArray[np.int64]
+Picture = NDArray[np.float32]
+
+
+def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
+    """Segment images; this is S of equation (1).
+
+    Args:
+        images: images (B, 3, H, W), RGB in 0..1.
+        config: configuration, of which ``segmentation``, ``segments``, ``segment_side`` and
+            ``segmenter`` count.
+
+    Returns:
+        Labels (B, h, w) int64 on the device of the images, 0 to N - 1 or ``NOTHING``. The label
+        maps have at most ``segmenter.long_side`` cells a side and cover the images.
+
+    Raises:
+        InputError: the configuration expects given label maps or learned ones, or has no objects.
+    """
+    if config.segmentation in ("learned", "given", "none"):
+        raise InputError(
+            f"segmentation is '{config.segmentation}': give label maps, or choose slic, "
+            "felzenszwalb or grid"
+        )
+    height, width = images.shape[-2:]
+    size = reduced_size(height, width, config.segmenter.long_side)
+    count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
+    if config.segmentation == "grid":
+        return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
+    find = _slic if config.segmentation == "slic" else _felzenszwalb
+    small = functional.interpolate(images.detach().float(), size, mode="area")
+    pictures = small.permute(0, 2, 3, 1).cpu().numpy()
+
+    def one(picture: Picture) -> Labels:
+        return keep_largest(find(picture, count, config.segmenter), count)
+
+    # A segmentation runs in one thread and releases the interpreter's lock most of the time.
+    labels = list(thread_pool().map(one, pictures))
+    return torch.from_numpy(np.stack(labels)).to(images.device)
+
+
+def reduced_size(height: int, width: int, long_side: int) -> tuple[int, int]:
+    """Return the height and width of segmentation: half the image's, at most ``long_side``."""
+    factor = min(0.5, long_side / max(height, width))
+    return max(1, round(height * factor)), max(1, round(width * factor))
+
+
+def keep_largest(labels: Labels, count: int) -> Labels:
+    """Renumber labels from 0 by decreasing area; beyond ``count`` they become ``NOTHING``.
+
+    Args:
+        labels: labels (h, w), negative where there is no object.
+        count: number of objects to keep.
+    """
+    nothing = labels < 0
+    areas = np.bincount(labels[~nothing], minlength=1)
+    largest = np.argsort(-areas, kind="stable")[:count]
+    number = np.full(len(areas), NOTHING, np.int64)
+    number[largest] = np.arange(len(largest))
+    kept = number.take(labels, mode="clip")
+    kept[nothing] = NOTHING
+    return kept
+
+
+def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
+    """Return the label at the centre of each cell of a level, (B, h, w).
+
+    Args:
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        level: map (..., h, w) of the level, which may cover less than the image.
+        stride: pixels per cell.
+    """
+    rows, columns = (
+        ((torch.arange(cells, device=labels.device) + 0.5) * (stride * size / pixels)).long()
+        for cells, size, pixels in zip(
+            level.shape[-2:], labels.shape[1:], image.shape[-2:], strict=True
+        )
+    )
+    return labels[:, rows[:, None], columns]
+
+
+def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
+    """Return the label at each pixel, (B, P).
+
+    Args:
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        xy: pixels (B, P, 2); those outside take the label at the border.
+    """
+    height, width = labels.shape[1:]
+    column = (xy[..., 0] * (width / image.shape[-1])).long().clamp(0, width - 1)
+    row = (xy[..., 1] * (height / image.shape[-2])).long().clamp(0, height - 1)
+    return labels.flatten(1).gather(1, row * width + column)
+
+
+def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
+    """Segment by SLIC (Achanta et al., "SLIC superpixels", PAMI 2012)."""
+    algorithm: Callable[..., Labels] = skimage.segmentation.slic
+    return algorithm(
+        picture,
+        n_segments=count,
+        compactness=options.slic_compactness,
+        max_num_iter=options.slic_iterations,
+        start_label=0,
+        channel_axis=-1,
+    )
+
+
+def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labels:
+    """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
+    least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
+    algorithm: Callable[..., Labels] = skimage.segmentation.felzenszwalb
+    return algorithm(
+        picture,
+        scale=options.felzenszwalb_scale,
+        sigma=options.felzenszwalb_blur,
+        min_size=least,
+        channel_axis=-1,
+    )
+
+
+def _squares(height: int, width: int, count: int) -> Tensor:
+    """Return labels (1, height, width) of at most ``count`` rectangles, as square as possible."""
+    rows = max(1, min(count, math.floor(math.sqrt(count * height / width))))
+    columns = max(1, count // rows)
+    row = torch.arange(height) * rows // height
+    column = torch.arange(width) * columns // width
+    return (row[:, None] * columns + column)[None]

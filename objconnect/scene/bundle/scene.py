@@ -1,0 +1,234 @@
+"""A scene on disk: a folder whose parts are read when they are asked for.
+
+``scene.json`` is written last, so a folder without it is an unfinished scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.covisibility import Covisibility, read_covisibility
+from objconnect.scene.bundle.frames import DenseLayers, Frames, Layer, dense_layers, read_frames
+from objconnect.scene.bundle.manifest import (
+    Manifest,
+    Objects,
+    Session,
+    Splits,
+    read_json,
+    write_json,
+)
+from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, added_rows
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.storage.files import sha256_of
+
+MANIFEST = "scene.json"
+COVISIBILITY = "covisibility.h5"
+FEATURES = "features.h5"
+# Files and folders of a scene beside its manifest and its pictures.
+_PARTS = (
+    "sessions",
+    "map",
+    "dense",
+    "objects.json",
+    "splits.json",
+    COVISIBILITY,
+    "landmarks.h5",
+    "ingest.json",
+)
+MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
+"""The files that this program writes into the folder of a map, for ``atomic_folder``."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A finished scene; its parts are read from disk when they are asked for.
+
+    Attributes:
+        path: folder of the scene.
+        manifest: contents of ``scene.json``.
+
+    Example:
+        >>> scene = Scene.open(Path("hamlet"))  # doctest: +SKIP
+        >>> for session in scene.sessions:  # doctest: +SKIP
+        ...     frames = scene.frames(session)
+        ...     print(session, len(frames), frames.cam_from_world.shape)
+        summer-nadir 120 (120, 4, 4)
+    """
+
+    path: Path
+    manifest: Manifest
+
+    @staticmethod
+    def open(path: Path) -> Scene:
+        """Open a finished scene.
+
+        Raises:
+            InputError: the folder does not exist, holds no finished scene, or its manifest is
+                damaged.
+
+        Example:
+            >>> Scene.open(Path("/no/such/folder"))
+            Traceback (most recent call last):
+            objconnect.scene.errors.InputError: scene folder /no/such/folder does not exist
+        """
+        if not path.is_dir():
+            raise InputError(f"scene folder {path} does not exist")
+        if not (path / MANIFEST).is_file():
+            raise InputError(
+                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate or ingest "
+                "again on it to finish it)"
+            )
+        return Scene(path, read_json(path / MANIFEST, Manifest, "scene manifest"))
+
+    @property
+    def name(self) -> str:
+        """Return the name of the folder."""
+        return self.path.resolve().name
+
+    @property
+    def sessions(self) -> dict[str, Session]:
+        """Return the sessions (flights) by name."""
+        return self.manifest.sessions
+
+    @property
+    def images_root(self) -> Path:
+        """Return the folder that image names of frames, splits and map are relative to."""
+        return self.path / "sessions"
+
+    @property
+    def map_path(self) -> Path:
+        """Return the folder of the COLMAP model."""
+        return self.path / "map"
+
+    @cached_property
+    def splits(self) -> Splits:
+        """Return which frames build the map and which are queries."""
+        return read_json(self.path / "splits.json", Splits, "split list")
+
+    @cached_property
+    def objects(self) -> Objects:
+        """Return every object of the world, and the semantic classes."""
+        return read_json(self.path / "objects.json", Objects, "object list")
+
+    @cached_property
+    def covisibility(self) -> Covisibility:
+        """Return how much of each other the frames of all sessions see."""
+        return read_covisibility(self.path / COVISIBILITY)
+
+    def sparse_map(self) -> SparseMap:
+        """Read the map.
+
+        Raises:
+            InputError: the map was not built yet, or is damaged or empty.
+        """
+        if not self.map_path.is_dir():
+            raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
+        return replace(read_model(self.map_path), features=self.map_path / FEATURES)
+
+    def added_points(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
+        """Return which points of the map were added after it was built from features, (M,) bool.
+
+        Raises:
+            InputError: the list of added points is damaged or does not belong to this map.
+        """
+        return added_rows(self.map_path, len(sparse_map.xyz))
+
+    def require_lists(self) -> None:
+        """Read every list of the scene, before long work that needs them at its end.
+
+        Raises:
+            InputError: a list is missing or damaged.
+        """
+        _ = self.objects
+        for session in self.sessions:
+            self.frames(session)
+            with self.dense(session):
+                pass
+
+    def frames(self, session: str) -> Frames:
+        """Read poses, cameras and priors of a session.
+
+        Raises:
+            InputError: the session is unknown, or its file is missing or damaged.
+        """
+        return read_frames(self._frames_path(session))
+
+    def dense(self, session: str) -> AbstractContextManager[DenseLayers]:
+        """Open the depth, instance, semantic and normal images of a session.
+
+        Raises:
+            InputError: the session is unknown, or its file is missing or damaged.
+        """
+        return dense_layers(self._frames_path(session))
+
+    def mapped_layers(
+        self, sparse_map: SparseMap, *layers: Layer
+    ) -> Iterator[tuple[MapImage, dict[Layer, NDArray[Any]]]]:
+        """Yield the photographs of a map with some of their layers.
+
+        Sessions that lack one of the layers are left out.
+        """
+        for session in self.sessions:
+            with self.dense(session) as dense:
+                if not all(dense.has(layer) for layer in layers):
+                    continue
+                for k, name in enumerate(self.frames(session).names):
+                    if name in sparse_map.images:
+                        read = {layer: dense.read(layer, k) for layer in layers}
+                        yield sparse_map.images[name], read
+
+    def _frames_path(self, session: str) -> Path:
+        if session not in self.sessions:
+            raise InputError(
+                f"scene {self.path} has no session {session!r}; it has {', '.join(self.sessions)}"
+            )
+        return self.images_root / session / "frames.h5"
+
+    def changed_files(self) -> list[str]:
+        """Return the files that differ from the manifest's digests, are missing, or were added."""
+        present = digests(self.path)
+        recorded = self.manifest.sha256
+        names = sorted(present.keys() | recorded.keys())
+        return [name for name in names if present.get(name) != recorded.get(name)]
+
+
+def finish_scene(path: Path, manifest: Manifest) -> Scene:
+    """Write the manifest with the digest of every file, which marks the scene as finished.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    complete = manifest.model_copy(update={"sha256": digests(path)})
+    write_json(path / MANIFEST, complete)
+    return Scene(path, complete)
+
+
+def digests(path: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file of a scene but the manifest and the figures for people.
+
+    Other files that lie in its folder, such as results, are not of the scene.
+    """
+    return {name: sha256_of(path / name) for name in _data_files(path)}
+
+
+def _data_files(path: Path) -> Iterator[str]:
+    for file in sorted(path.rglob("*")):
+        name = file.relative_to(path).as_posix()
+        hidden = any(part.startswith(".") for part in name.split("/"))
+        if file.is_file() and not hidden and name.partition("/")[0] in _PARTS:
+            yield name
+
+
+def is_scene(path: Path) -> bool:
+    """Return whether a folder is a finished scene."""
+    return (path / MANIFEST).is_file()

@@ -1,0 +1,157 @@
+"""The common ways to misread poses, pixels and depths.
+
+Each reading converts data written in another convention into ours. If a scene does not agree with
+itself in our own reading but does in another, that reading names the mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.camera import MODELS, Camera
+
+Array = NDArray[np.float64]
+
+
+def _same(matrices: Array) -> Array:
+    return matrices
+
+
+def _inverted(matrices: Array) -> Array:
+    return np.linalg.inv(matrices)
+
+
+def _transposed(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., :3, :3] = np.swapaxes(matrices[..., :3, :3], -1, -2)
+    return result
+
+
+def _centred(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", matrices[..., :3, :3], matrices[..., :3, 3])
+    return result
+
+
+def _opengl(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., 1:3, :] *= -1
+    return result
+
+
+def shifted(camera: Camera, pixels: float) -> Camera:
+    """Return the camera with its principal point moved by ``pixels`` along both axes."""
+    names = MODELS[camera.model]
+    params = tuple(
+        p + pixels if name in ("cx", "cy") else p
+        for name, p in zip(names, camera.params, strict=True)
+    )
+    return replace(camera, params=params)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One convention in which a scene may have been written.
+
+    Attributes:
+        fault: what is wrong with a scene that agrees with itself only in this reading; empty for
+            our own.
+        poses: function from the written poses to cam_from_world, (N, 4, 4).
+        principal_shift: pixels to add to the principal point.
+        radial_depth: whether depth is the distance along the ray.
+    """
+
+    fault: str
+    poses: Callable[[Array], Array] = _same
+    principal_shift: float = 0.0
+    radial_depth: bool = False
+
+
+OURS = Reading("")
+
+POSE_READINGS = (
+    Reading("poses are inverted: world_from_cam where cam_from_world is expected", _inverted),
+    Reading("rotations are transposed: world-from-camera beside a camera translation", _transposed),
+    Reading("translations are camera centres, expected t = -R C", _centred),
+    Reading("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
+)
+
+DEPTH_READINGS = (
+    Reading("depth is the distance along the ray, expected planar z", radial_depth=True),
+)
+
+PIXEL_READINGS = (
+    Reading(
+        "principal points are half a pixel low: pixels are counted from the centre of the first "
+        "pixel (OpenCV), expected from its corner (COLMAP)",
+        principal_shift=0.5,
+    ),
+    Reading("principal points are half a pixel high", principal_shift=-0.5),
+)
+
+READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)
+
+
+def _reordered(matrices: Array, roll: int) -> Array:
+    """Return the poses whose quaternions have their four numbers rolled by so many places."""
+    from objconnect.scene.geometry.pose import Pose
+
+    poses = Pose.from_matrix(matrices)
+    return np.asarray(
+        Pose.from_quaternion(np.roll(poses.quaternion().numpy(), roll, -1), poses.translation)
+        .matrix()
+        .numpy()
+    )
+
+
+def _reordered_from_camera(matrices: Array, roll: int) -> Array:
+    """Return the same for files that keep world_from_cam: the camera centres stay."""
+    return _inverted(_reordered(_inverted(matrices), roll))
+
+
+@dataclass(frozen=True)
+class PoseReading:
+    """One convention in which the poses of another program may have been written.
+
+    Attributes:
+        name: short name for programs.
+        fault: what is wrong with poses that agree with their photographs only in this reading.
+        poses: function from the stated poses to cam_from_world, (N, 4, 4).
+    """
+
+    name: str
+    fault: str
+    poses: Callable[[Array], Array]
+
+
+_TURNED_AXES = "camera axes are turned: y up, z backward (OpenGL) is mistaken for y down, z forward"
+_XYZW = "quaternions are x y z w where w x y z is expected"
+_WXYZ = "quaternions are w x y z where x y z w is expected"
+
+FOREIGN_READINGS = (
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, _inverted),
+    PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transposed),
+    PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centred),
+    PoseReading("axes-flipped", _TURNED_AXES, _opengl),
+    # A matrix inverted on disk meets the flip of a reader that expects OpenGL's axes.
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_inverted(_opengl(m)))),
+    PoseReading(
+        "poses-inverted-axes-flipped",
+        f"poses are inverted, and {_TURNED_AXES}",
+        lambda m: _opengl(_inverted(m)),
+    ),
+    PoseReading(
+        "poses-inverted-axes-flipped",
+        f"poses are inverted, and {_TURNED_AXES}",
+        lambda m: _inverted(_opengl(m)),
+    ),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reordered(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered(m, -1)),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reordered_from_camera(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered_from_camera(m, -1)),
+)
+"""Conventions of poses in the files of other programs, and combinations that readers make."""

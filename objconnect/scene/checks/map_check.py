@@ -1,0 +1,80 @@
+"""Does a sparse map agree with itself, and with the cameras of queries?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from objconnect.scene.checks.conventions import (
+    OURS,
+    PIXEL_READINGS,
+    POSE_READINGS,
+    Reading,
+    shifted,
+)
+from objconnect.scene.checks.report import Check
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.maps.sparse_map import SparseMap
+
+# A map with a larger median reprojection error (px) was not bundle adjusted.
+_MAX_RESIDUAL_PX = 2.0
+# Another reading explains a map when its residual is smaller than this share of ours.
+_EXPLAINS = 0.5
+# Principal points that differ by less than this (px) are of the same calibration.
+_SAME_PX = 0.01
+
+
+def check_map(sparse_map: SparseMap) -> Check:
+    """Check that points project to their observations; if not, name the convention at fault."""
+    name = "map points project to their observations"
+    ours = _median_residual(sparse_map, OURS)
+    figures = {"median_px": ours, "points": float(len(sparse_map.xyz))}
+    others = [
+        (_median_residual(sparse_map, reading), reading)
+        for reading in (*POSE_READINGS, *PIXEL_READINGS)
+    ]
+    best, reading = min(others, key=lambda item: item[0])
+    if best < _EXPLAINS * ours:
+        return Check(name, False, reading.fault, figures)
+    if not ours < _MAX_RESIDUAL_PX:
+        detail = f"median {ours:.2f} px, expected under {_MAX_RESIDUAL_PX} px: it is not adjusted"
+        return Check(name, False, detail, figures)
+    return Check(name, True, f"median {ours:.3f} px over {len(sparse_map.xyz)} points", figures)
+
+
+def _median_residual(sparse_map: SparseMap, reading: Reading) -> float:
+    """Return the median reprojection error (px); points behind a camera count as infinite."""
+    poses = reading.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
+    read = replace(
+        sparse_map,
+        images={
+            image.name: replace(
+                image,
+                cam_from_world=pose,
+                camera=shifted(image.camera, reading.principal_shift),
+            )
+            for image, pose in zip(sparse_map.images.values(), poses, strict=True)
+        },
+    )
+    distances = [np.linalg.norm(read.residuals(name), axis=1) for name in read.names]
+    observed = sum(int((image.point_rows >= 0).sum()) for image in read.images.values())
+    in_front = np.concatenate(distances)
+    padded = np.concatenate([in_front, np.full(observed - len(in_front), np.inf)])
+    return float(np.median(padded)) if len(padded) else float("inf")
+
+
+def check_principal_points(sparse_map: SparseMap, cameras: Sequence[Camera]) -> Check:
+    """Check that query cameras and map cameras of one size count pixels from the same origin."""
+    name = "query cameras count pixels as the map's do"
+    mapped = {image.camera for image in sparse_map.images.values()}
+    for camera in dict.fromkeys(cameras):
+        for other in mapped:
+            if (camera.width, camera.height) != (other.width, other.height):
+                continue
+            offset = np.subtract(other.principal, camera.principal)
+            for reading in PIXEL_READINGS:
+                if np.abs(offset - reading.principal_shift).max() < _SAME_PX:
+                    return Check(name, False, reading.fault)
+    return Check(name, True, f"{len(set(cameras))} cameras")

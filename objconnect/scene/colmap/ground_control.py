@@ -1,0 +1,119 @@
+"""Adjustment of a model to points on the ground whose positions were surveyed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from objconnect.scene.colmap.models import write_model
+from objconnect.scene.colmap.structure_from_motion import RefinedLenses, bundle_of
+from objconnect.scene.geometry.robust import CAUCHY
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.photographs import Photograph
+from objconnect.scene.maps.sparse_map import SparseMap
+
+# A surveyed position is told to COLMAP as what cameras far away, whose poses are known, see of the
+# point: one along each axis. Each axis is seen by two of them, each with half of the weight.
+_VIEWED_BY: Final = 2
+_DISTANCE_M: Final = 1000.0
+_AXES: Final = np.stack([np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0)])
+
+
+@dataclass(frozen=True)
+class SurveyedPoint:
+    """A point on the ground, and where photographs show it.
+
+    Attributes:
+        xyz: surveyed position, (3,) world metres.
+        sigma: its standard deviation per axis, metres.
+        marks: (2,) COLMAP pixels by name of the photograph.
+    """
+
+    xyz: NDArray[np.float64]
+    sigma: float
+    marks: Mapping[str, NDArray[np.float64]]
+
+
+def adjust_to_points(
+    model: Path,
+    photographs: Sequence[Photograph],
+    world_from_model: NDArray[np.float64],
+    points: Sequence[SurveyedPoint],
+    refined: RefinedLenses,
+    out: Path,
+) -> SparseMap:
+    """Move a model into the world and adjust it to pixels and surveyed points together.
+
+    Poses, points and lenses are adjusted, with a robust loss. A pixel of a mark has the weight of a
+    pixel of a feature, and a surveyed coordinate that is off by its sigma that of one pixel.
+
+    Args:
+        model: folder of a model of ``map_photographs``.
+        photographs: photographs of the model; further ones are ignored.
+        world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
+        points: three or more points that are not on a line, each marked in two photographs of the
+            model or more.
+        refined: parameters of the lenses that are adjusted.
+        out: existing folder for the adjusted model.
+    """
+    native = pycolmap.Reconstruction(model)
+    native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
+    config, options = bundle_of(native, photographs, refined)
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = CAUCHY
+    keypoints = {number: image.num_points2D() for number, image in native.images.items()}
+    ids = {image.name: number for number, image in native.images.items()}
+    added, frames = [], []
+    for point in points:
+        track = []
+        for name, xy in point.marks.items():
+            track.append(_observation(native, ids[name], xy))
+        for image_id in _views(native, point):
+            config.add_image(image_id)
+            config.set_constant_cam_intrinsics(native.image(image_id).camera_id)
+            config.set_constant_rig_from_world_pose(native.image(image_id).frame_id)
+            frames.append(native.image(image_id).frame_id)
+            track.append(_observation(native, image_id, np.zeros(2)))
+        added.append(native.add_point3D(point.xyz, pycolmap.Track(track)))
+    pycolmap.create_default_bundle_adjuster(options, config, native).solve()
+    for point_id in added:
+        native.delete_point3D(point_id)
+    for frame_id in frames:
+        native.deregister_frame(frame_id)
+    for number, count in keypoints.items():
+        del native.images[number].points2D[count:]
+    native.update_point_3d_errors()
+    write_model(native, out)
+    return read_model(out)
+
+
+def _observation(
+    native: pycolmap.Reconstruction, image_id: int, xy: NDArray[np.float64]
+) -> pycolmap.TrackElement:
+    """Add a keypoint to an image and return it as an element of a track."""
+    keypoints = native.images[image_id].points2D
+    keypoints.append(pycolmap.Point2D(xy))
+    return pycolmap.TrackElement(image_id, len(keypoints) - 1)
+
+
+def _views(native: pycolmap.Reconstruction, point: SurveyedPoint) -> Iterator[int]:
+    """Add the cameras that see a surveyed position at pixel (0, 0); yield their identifiers."""
+    focal = _DISTANCE_M / (point.sigma * np.sqrt(_VIEWED_BY))
+    for axes in _AXES:
+        number = max(native.cameras) + 1
+        camera = pycolmap.Camera(
+            model="SIMPLE_PINHOLE", width=1, height=1, params=[focal, 0, 0], camera_id=number
+        )
+        native.add_camera_with_trivial_rig(camera)
+        centre = point.xyz - _DISTANCE_M * axes[2]
+        pose = pycolmap.Rigid3d(np.column_stack([axes, -axes @ centre]))
+        image_id = max(native.images) + 1
+        view = pycolmap.Image(name=f"point/{image_id}", camera_id=number, image_id=image_id)
+        native.add_image_with_trivial_frame(view, pose)
+        yield image_id

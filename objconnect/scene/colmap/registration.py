@@ -1,0 +1,137 @@
+"""Registration of photographs in a map whose poses do not change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from objconnect.scene.colmap.database import MatchingJob, fill_database, is_sound, write_matched
+from objconnect.scene.colmap.models import extended_model, write_model, write_posed
+from objconnect.scene.colmap.native import ROOM, Progress
+from objconnect.scene.colmap.options import AdjustmentOptions
+from objconnect.scene.colmap.structure_from_motion import adjust_robustly
+from objconnect.scene.colmap.triangulation import pipeline_options
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.features import FeatureFile
+from objconnect.scene.maps.photographs import Photograph, PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.scratch import scratch
+
+_ADJUSTMENT: Final = AdjustmentOptions()
+
+
+@dataclass(frozen=True)
+class KnownMap:
+    """A map in which photographs are registered.
+
+    Attributes:
+        images: its photographs with their poses, in an order that does not change.
+        sparse_map: the map; its keypoints are those of ``features``.
+        features: the features it was built from, by name.
+        matches: names of two of its photographs, and the keypoints of the first and the second that
+            observe one point, (K, 2).
+    """
+
+    images: Sequence[PosedImage]
+    sparse_map: SparseMap
+    features: FeatureFile
+    matches: Sequence[tuple[str, str, NDArray[np.int64]]]
+
+
+def match_new(
+    known: KnownMap,
+    photographs: Sequence[Photograph],
+    job: MatchingJob,
+    database: Path,
+    on_progress: Progress | None = None,
+) -> None:
+    """Fill a database with the features and matches of a map and of photographs to register.
+
+    Features and matches of the map are copied, not computed. An interrupted call can be repeated
+    with the same arguments: it continues where it stopped.
+
+    Args:
+        known: the map.
+        photographs: photographs to register; they are whole and of the size of their cameras.
+        job: pairs to match, of which at least one photograph is new; none, to extract features.
+        database: file, new or left by an interrupted call.
+        on_progress: called with the number of images and pairs done.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file cannot be written.
+    """
+    if not is_sound(database):
+        with atomic_write(database) as partial:
+            write_matched(partial, known.images, known.features, known.matches, photographs)
+    names = [image.name for image in known.images] + [p.name for p in photographs]
+    ids = {name: k for k, name in enumerate(names, 1)}
+    fill_database(database, ids, job, job.matching.guessed_epipolar_px, on_progress)
+
+
+def register_photographs(
+    root: Path,
+    known: KnownMap,
+    photographs: Sequence[Photograph],
+    database: Path,
+    out: Path,
+    on_progress: Progress | None = None,
+) -> SparseMap:
+    """Register photographs in a map by incremental structure from motion.
+
+    Poses and cameras of the map do not change. A camera that is not calibrated is adjusted: its
+    distortion, and its focal length if that is not known.
+
+    Args:
+        root: folder that the names are relative to.
+        known: the map.
+        photographs: photographs to register.
+        database: file filled by ``match_new`` with the same map and photographs.
+        out: existing folder for the model.
+        on_progress: called with the number of photographs registered.
+
+    Returns:
+        The map and the photographs that could be registered.
+    """
+    nothing = np.zeros((0, 2))
+    model, ids = extended_model(known.images, {i.name: nothing for i in known.images}, photographs)
+    cameras = {name: model.image(k).camera_id for name, k in ids.items()}
+    refine_focal = not all(p.focal_known for p in photographs)
+    fixed = {cameras[image.name] for image in known.images} | {
+        cameras[p.name] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
+    }
+    pipeline = pipeline_options()
+    pipeline.ba_refine_focal_length = refine_focal
+    pipeline.mapper.abs_pose_refine_focal_length = refine_focal
+    pipeline.ba_refine_extra_params = True
+    pipeline.fix_existing_frames = pipeline.mapper.fix_existing_frames = True
+    pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
+    pipeline.multiple_models = False
+    registered = 0
+
+    def on_image() -> None:
+        nonlocal registered
+        registered += 1
+        if on_progress is not None:
+            on_progress(registered)
+
+    with scratch(out, ROOM) as folder:
+        start = folder / "known"
+        start.mkdir()
+        write_posed(known.images, known.sparse_map, start)
+        models = pycolmap.incremental_mapping(
+            database, root, folder, pipeline, input_path=start, next_image_callback=on_image
+        )
+        # Without a photograph that fits, COLMAP returns no model.
+        grown = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+        if grown is None:
+            grown = pycolmap.Reconstruction(start)
+        adjust_robustly(grown, _ADJUSTMENT, {image.name for image in known.images})
+        write_model(grown, out)
+    return read_model(out)

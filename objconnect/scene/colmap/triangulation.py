@@ -1,0 +1,183 @@
+"""Triangulation: maps from photographs with known poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+import pycolmap
+
+from objconnect.scene.colmap.database import MappingJob, match_posed, write_database
+from objconnect.scene.colmap.models import add_map_points, posed_model, write_model
+from objconnect.scene.colmap.native import ROOM, SEED, Progress
+from objconnect.scene.colmap.sift import read_features
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.features import Features
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.scratch import scratch
+
+
+def triangulate(
+    job: MappingJob, out: Path, on_progress: Progress | None = None
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Build a map by triangulating SIFT matches with known poses, and write the model to ``out``.
+
+    Args:
+        job: photographs; their poses are exact and do not change.
+        out: existing folder for the model.
+        on_progress: called with the number of images and pairs done.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: an image is missing, damaged or not of its camera's size, or no point could be
+            triangulated.
+    """
+    with scratch(out) as folder:
+        database = job.database or folder / "database.db"
+        posed, features = match_posed(job, database, on_progress)
+        return _triangulate(posed, database, job.root, out), features
+
+
+def _triangulate(
+    posed: pycolmap.Reconstruction, database: Path, root: Path, out: Path
+) -> SparseMap:
+    result = pycolmap.triangulate_points(
+        posed, database, root, out, clear_points=True, options=pipeline_options()
+    )
+    if not result.num_points3D():
+        raise InputError(
+            f"no point could be triangulated from the {posed.num_images()} images of {root}: "
+            "they need overlap and texture"
+        )
+    write_model(result, out)
+    return read_model(out)
+
+
+def triangulate_matched(
+    root: Path,
+    images: Sequence[PosedImage],
+    database: Path,
+    out: Path,
+    known: SparseMap | None = None,
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Triangulate some of the images of a filled database again; their poses do not change.
+
+    Args:
+        root: folder that the names are relative to.
+        images: some of the images of ``database``; matches with others are ignored.
+        database: file filled by ``match_photographs``.
+        out: existing folder for the model.
+        known: map of some of the images, with the same poses and keypoints. What no other image
+            observes stays as it is, bit by bit.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: no point could be triangulated.
+    """
+    features = read_features(database, root)
+    wanted = {image.name: features[image.name] for image in images}
+    size = sum(24 * len(item.xy) for item in wanted.values())
+    with scratch(out, ROOM + 2 * size) as folder:
+        part = folder / "database.db"
+        posed, ids = posed_model(images, {name: item.xy for name, item in wanted.items()})
+        write_database(part, posed)
+        with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
+            old = {image.name: image.image_id for image in db.read_all_images()}
+            for name, item in wanted.items():
+                copy.write_keypoints(ids[name], item.xy)
+            for a, b in combinations(wanted, 2):
+                if db.exists_two_view_geometry(old[a], old[b]):
+                    geometry = db.read_two_view_geometry(old[a], old[b])
+                    copy.write_two_view_geometry(ids[a], ids[b], geometry)
+        if known is None:
+            return _triangulate(posed, part, root, out), wanted
+        add_map_points(posed, {name: ids[name] for name in known.names}, known)
+        added = {number: name for name, number in ids.items() if name not in known.images}
+        _extend(posed, part, set(added))
+        for number, name in added.items():
+            posed.extract_colors_for_image(number, root / name)
+        posed.update_point_3d_errors()
+        write_model(posed, out)
+        return read_model(out), wanted
+
+
+def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
+    """Triangulate the points of images that were added to a map.
+
+    Points are triangulated, adjusted and filtered in rounds, as COLMAP does for all of a map.
+
+    Args:
+        model: all images with their poses, and the points of the map.
+        database: keypoints and matches.
+        added: identifiers of the images whose points are triangulated.
+    """
+    options = pipeline_options()
+    cached = pycolmap.DatabaseCacheOptions()
+    cached.min_num_matches = options.min_num_matches
+    with pycolmap.Database.open(database) as db:
+        graph = pycolmap.DatabaseCache.create(db, cached).correspondence_graph
+    manager = pycolmap.ObservationManager(model, graph)
+    triangulator = pycolmap.IncrementalTriangulator(graph, model, manager)
+    before = {number: point.xyz.copy() for number, point in model.points3D.items()}
+    for image_id in sorted(added):
+        triangulator.triangulate_image(options.triangulation, image_id)
+    touched = _shown(model, added)
+    for _ in range(options.ba_global_max_refinements):
+        changed = triangulator.complete_tracks(options.triangulation, _shown(model, added))
+        changed += triangulator.merge_tracks(options.triangulation, _shown(model, added))
+        shown = _shown(model, added)
+        if not shown:
+            break
+        touched |= shown
+        _adjust_points(model, shown)
+        changed += manager.filter_points3D(
+            options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, shown
+        )
+        if changed <= options.ba_global_max_refinement_change * len(shown):
+            break
+    # An image whose observation of a point was filtered does not change it.
+    for number in (touched - _shown(model, added)) & before.keys():
+        if model.exists_point3D(number):
+            model.point3D(number).xyz = before[number]
+
+
+def _shown(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
+    """Return the identifiers of the points that some images of a model observe."""
+    return {
+        point.point3D_id
+        for image_id in images
+        for point in model.image(image_id).points2D
+        if point.has_point3D()
+    }
+
+
+def _adjust_points(model: pycolmap.Reconstruction, points: set[int]) -> None:
+    """Adjust some points of a model; nothing else of it changes."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for point_id in points:
+        config.add_variable_point(point_id)
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = options.refine_extra_params = False
+    options.ceres.solver_options.num_threads = 1
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+
+
+def pipeline_options() -> pycolmap.IncrementalPipelineOptions:
+    """Return the options of COLMAP's mapper: seeded, on one thread, with fixed calibration."""
+    pipeline = pycolmap.IncrementalPipelineOptions()
+    pipeline.random_seed = pipeline.triangulation.random_seed = SEED
+    pipeline.mapper.random_seed = SEED
+    pipeline.num_threads = 1  # with more threads sums are rounded differently from run to run
+    pipeline.ba_refine_focal_length = False
+    pipeline.ba_refine_extra_params = False
+    # Otherwise the first image of every camera would change its calibration.
+    pipeline.mapper.abs_pose_refine_focal_length = False
+    pipeline.mapper.abs_pose_refine_extra_params = False
+    return pipeline

@@ -1,0 +1,194 @@
+"""Export to the tree of Extended CMU Seasons: photographs, poses and map, slice by slice.
+
+The licence of that data set forbids shipping it, so a simulated drive in its tree stands in for it.
+Pose files hold the camera's centre, not a translation, with six decimals, and photographs are
+distorted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports.cmu_names import (
+    CAMERAS,
+    FIRST_SLICES,
+    SIMULATED,
+    ImageName,
+    surroundings,
+)
+from objconnect.scene.exports.lens import coefficients
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+
+
+class _Photograph(NamedTuple):
+    """One frame of the scene, and its name in the tree.
+
+    Attributes:
+        source: name in the scene.
+        name: name in the tree.
+        is_reference: whether it belongs to the map.
+        camera: under the model OPENCV.
+        cam_from_world: (4, 4).
+    """
+
+    source: str
+    name: ImageName
+    is_reference: bool
+    camera: Camera
+    cam_from_world: NDArray[np.float64]
+
+    def line(self) -> str:
+        """Return its pose as the data set writes it: the quaternion, then the camera's centre."""
+        pose = Pose.from_matrix(self.cam_from_world)
+        numbers = [*pose.quaternion().tolist(), *pose.centre().tolist()]
+        return " ".join([str(self.name), *(f"{x:.6f}" for x in numbers)]) + "\n"
+
+
+def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
+    """Write a scene's map and queries as slices 2 (urban), 9 (suburban) and 18 (park).
+
+    A photograph belongs to the slice in whose surroundings its camera stands. The poses of all
+    queries are public. The SIFT databases that the real data set has are left out. The arguments
+    are those of ``formats.Writer``; the scene has objects with surroundings, and a map.
+
+    Raises:
+        InputError: the place has no surroundings, the scene has no map, the photographs are not of
+            two cameras whose distortion OPENCV can describe, or a slice would have queries and no
+            map.
+    """
+    cameras = _two_cameras(sessions)
+    slices: dict[str, list[_Photograph]] = {name: [] for name in FIRST_SLICES}
+    for part, photograph in _photographs(scene, sessions, cameras):
+        if part not in slices:
+            raise InputError(
+                f"{scene.path}: {photograph.source} was taken in no urban, suburban or park part: "
+                "simulate a scene with --preset street"
+            )
+        slices[part].append(photograph)
+    sparse_map = scene.sparse_map()
+    lines = [f"{name} {_opencv(camera)}\n" for camera, name in cameras.items()]
+    (folder / "intrinsics.txt").write_text(
+        f"{SIMULATED}\n# camera model w h fx fy cx cy k1 k2 p1 p2\n" + "".join(lines), "utf-8"
+    )
+    (folder / "README.md").write_text(
+        f"Simulated by ObjConnect (preset {scene.manifest.preset}, seed {scene.manifest.seed}) in "
+        "the tree of Extended CMU Seasons. No photograph of that data set is in it.\n",
+        "utf-8",
+    )
+    for part, photographs in slices.items():
+        if photographs:
+            _write_slice(scene, sparse_map, FIRST_SLICES[part], photographs, folder)
+
+
+def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
+    """Return the names that the cameras get, in the order of the sessions."""
+    cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
+    if len(cameras) != len(CAMERAS):
+        raise InputError(
+            f"this tree is of two cameras, c0 and c1, and these sessions have {len(cameras)}: give "
+            "half of them another camera"
+        )
+    if any(camera.is_fisheye for camera in cameras):
+        raise InputError("this tree is of OPENCV cameras: a fisheye is none")
+    return dict(zip(cameras, CAMERAS, strict=True))
+
+
+def _opencv(camera: Camera) -> Camera:
+    """Return the same camera under the model of this data set.
+
+    Raises:
+        InputError: its lens has more coefficients.
+    """
+    bent = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
+    params = (*camera.focal, *camera.principal, *bent.values())
+    return Camera("OPENCV", camera.width, camera.height, params)
+
+
+def _photographs(
+    scene: Scene, sessions: Mapping[str, Frames], cameras: Mapping[Camera, str]
+) -> Iterator[tuple[str | None, _Photograph]]:
+    """Yield every frame, numbered from 1, with the surroundings that it was taken in."""
+    mapped = set(scene.splits.map)
+    number = 0
+    for frames in sessions.values():
+        parts = scene.objects.surroundings_at(frames.poses.centre().numpy())
+        for k, part in enumerate(parts):
+            number += 1
+            camera = frames.cameras[k]
+            name = ImageName(number, cameras[camera], round(1e6 * float(frames.time[k])))
+            source = frames.names[k]
+            pose = frames.cam_from_world[k]
+            yield part, _Photograph(source, name, source in mapped, _opencv(camera), pose)
+
+
+def _write_slice(
+    scene: Scene, whole: SparseMap, number: int, photographs: list[_Photograph], root: Path
+) -> None:
+    """Write the photographs, poses and map of one slice into the tree ``root``."""
+    name = f"slice{number}"
+    folder = root / name
+    for part in ("database", "query", "camera-poses", "sparse"):
+        (folder / part).mkdir(parents=True)
+    for photograph in photographs:
+        place = folder / ("database" if photograph.is_reference else "query")
+        shutil.copyfile(scene.images_root / photograph.source, place / str(photograph.name))
+    references = [p for p in photographs if p.is_reference]
+    queries = [p for p in photographs if not p.is_reference]
+    images = [PosedImage(str(p.name), p.camera, p.cam_from_world) for p in references]
+    sparse_map = _submap(whole, references)
+    if not len(sparse_map.xyz):
+        raise InputError(
+            f"the map of {scene.path} has no point that two photographs of its "
+            f"{surroundings(number)} part see: fly more map frames there"
+        )
+    write_posed(images, sparse_map, folder / "sparse")
+    ground_truth = "".join(p.line() for p in references)
+    (folder / f"ground-truth-database-images-{name}.txt").write_text(ground_truth, "utf-8")
+    listed = "".join(f"{p.name}\n" for p in queries)
+    (folder / f"test-images-{name}.txt").write_text(listed, "utf-8")
+    for day in sorted({p.name.day for p in queries}):
+        file = folder / "camera-poses" / f"slice-{number}-gt-query-images-{day:%Y%m%d}.txt"
+        file.write_text("".join(p.line() for p in queries if p.name.day == day), "utf-8")
+
+
+def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
+    """Return the points that two or more of the references observe, under their new names."""
+    mapped = [p for p in references if p.source in whole.images]
+    seen = np.zeros(len(whole.xyz), np.int64)
+    for photograph in mapped:
+        rows = whole.images[photograph.source].point_rows
+        seen += np.bincount(rows[rows >= 0], minlength=len(seen))
+    kept = np.flatnonzero(seen >= 2)
+    row_of = np.full(len(seen) + 1, -1)  # the last stands for no point
+    row_of[kept] = np.arange(len(kept))
+
+    def renamed(photograph: _Photograph) -> MapImage:
+        image = whole.images[photograph.source]
+        return dataclasses.replace(
+            image,
+            name=str(photograph.name),
+            camera=photograph.camera,
+            point_rows=row_of[image.point_rows],
+        )
+
+    return SparseMap(
+        images={str(p.name): renamed(p) for p in mapped},
+        xyz=whole.xyz[kept],
+        rgb=whole.rgb[kept],
+        error=whole.error[kept],
+        track_length=seen[kept],
+    )

@@ -1,0 +1,54 @@
+"""Export to COLMAP: a binary model, and a database of features and matches.
+
+It holds the poses of all frames in world metres and, where the scene has a map, the map's points
+with their observations. Image names are relative to the scene's folder ``sessions``. The
+database has the identifiers of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.colmap.database import write_matched
+from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.exports.matches import described_map, matched_pairs
+from objconnect.scene.maps.photographs import PosedImage
+
+
+def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
+    """Write ``cameras.bin``, ``images.bin`` and ``points3D.bin``; see ``formats.Writer``."""
+    sparse_map = scene.sparse_map() if scene.map_path.is_dir() else None
+    write_posed(_images(sessions), sparse_map, folder)
+
+
+def write_with_database(
+    scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path
+) -> None:
+    """Write the model and ``database.db``: cameras, images, features and verified matches.
+
+    Photographs that are not in the map are in the database without features. The arguments are
+    those of ``formats.Writer``.
+
+    Raises:
+        InputError: the scene has no map, or its features are missing or are not the map's.
+    """
+    sparse_map, features = described_map(scene)
+    images = _images(sessions)
+    write_posed(images, sparse_map, folder)
+    names = {image.name for image in images}
+    matches = [one for one in matched_pairs(scene, sparse_map) if {one[0], one[1]} <= names]
+    described = {name: features[name] for name in sparse_map.names if name in names}
+    write_matched(folder / "database.db", images, described, matches)
+
+
+def _images(sessions: Mapping[str, Frames]) -> list[PosedImage]:
+    return [
+        PosedImage(name, camera, pose)
+        for frames in sessions.values()
+        for name, camera, pose in zip(
+            frames.names, frames.cameras, frames.cam_from_world, strict=True
+        )
+    ]

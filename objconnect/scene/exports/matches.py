@@ -1,0 +1,81 @@
+"""The features of a map and their matches, for exports that hold them.
+
+Matches are those that the map's points confirm: keypoints of two photographs that observe one
+point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.covisibility import COVISIBLE
+from objconnect.scene.bundle.scene import FEATURES, Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.maps.features import FeatureFile
+from objconnect.scene.maps.sparse_map import SparseMap
+
+LEAST_MATCHES: Final = 15
+"""Pairs of photographs with fewer matches are left out, as COLMAP does."""
+
+
+def described_map(scene: Scene) -> tuple[SparseMap, FeatureFile]:
+    """Return a scene's map with the keypoints of its features alone, and the features.
+
+    Points that were added to the map, and their keypoints, are left out: they have no descriptors
+    of the same kind.
+
+    Raises:
+        InputError: the scene has no map, or its features are missing or are not the map's.
+    """
+    whole = scene.sparse_map()
+    sparse_map = whole.without(scene.added_points(whole))
+    features = FeatureFile(scene.map_path / FEATURES)
+    images = {}
+    for name, image in sparse_map.images.items():
+        count = len(features[name].xy) if name in features else -1
+        if not 0 <= count <= len(image.xy):
+            raise InputError(
+                f"{features.path} does not hold the features of {name} in the map: run "
+                f"'objconnect map {scene.path}'"
+            )
+        rows = image.point_rows[:count]
+        images[name] = replace(image, xy=image.xy[:count], point_rows=rows)
+    return replace(sparse_map, images=images), features
+
+
+def map_pairs(scene: Scene) -> list[tuple[str, str]]:
+    """Return the pairs of covisible frames of a scene's map, in its order.
+
+    Raises:
+        InputError: the scene has no covisibility.
+    """
+    names = scene.splits.map
+    mutual = np.triu(scene.covisibility.of(names).mutual, 1)
+    return [(names[i], names[j]) for i, j in np.argwhere(mutual >= COVISIBLE)]
+
+
+def matched_pairs(
+    scene: Scene, sparse_map: SparseMap
+) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """Yield the names and matches of the covisible pairs of a map.
+
+    Matches are (K, 2) keypoints of the first and of the second photograph, K of ``LEAST_MATCHES``
+    or more.
+    """
+    seen = {}
+    for name, image in sparse_map.images.items():
+        keypoints = np.flatnonzero(image.point_rows >= 0)
+        points, first = np.unique(image.point_rows[keypoints], return_index=True)
+        seen[name] = points, keypoints[first]
+    for a, b in map_pairs(scene):
+        if a not in seen or b not in seen:
+            continue
+        (points_a, keypoints_a), (points_b, keypoints_b) = seen[a], seen[b]
+        _, i, j = np.intersect1d(points_a, points_b, assume_unique=True, return_indices=True)
+        if len(i) >= LEAST_MATCHES:
+            yield a, b, np.stack([keypoints_a[i], keypoints_b[j]], -1)

@@ -1,0 +1,247 @@
+"""Export to GIS: an orthophoto and a surface model, as GeoTIFFs of one grid.
+
+``orthophoto.tif`` has 8-bit colours and an alpha band, ``dsm.tif`` the height of the highest
+surface in each pixel, in metres above the ellipsoid. Both are fused from the depth of the
+photographs: exact depth in simulated scenes, estimated depth where ``dense`` was run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports.depth_views import DepthView, depth_views
+from objconnect.scene.geo.crs import Projection
+from objconnect.scene.geo.grids import units_of_metre
+from objconnect.scene.geo.local import LocalProjection
+from objconnect.scene.geo.rasters import Box, Grid, Patch, raster_writer
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.runtime.progress import progress_bar
+
+Array = NDArray[np.float64]
+
+ORTHOPHOTO: Final = "orthophoto.tif"
+SURFACE: Final = "dsm.tif"
+
+# Side of the tiles that are fused in memory, pixels.
+_TILE = 2048
+# What lies in a pixel at most this much below its highest point (m), or at most a slope of 45
+# degrees below it, belongs to the same surface: the rest is its wall.
+_SAME_SURFACE_M = 0.3
+# Pixels that no photograph saw are filled from their neighbours this many times.
+_FILLS = 3
+_MOST_PIXELS = 1 << 32
+# Every so many rows and columns of a photograph are looked at to learn how far it reaches.
+_SPARSE = 8
+
+
+# More than six parameters: four are those of every writer, two are options of this format.
+def write(
+    scene: Scene,
+    sessions: Mapping[str, Frames],
+    folder: Path,
+    final: Path,
+    resolution: float | None = None,
+    crs: str | None = None,
+) -> None:
+    """Write ``orthophoto.tif`` and ``dsm.tif``; see ``formats.Writer``.
+
+    Photographs of the map are used; where the chosen sessions have none, all their photographs.
+
+    Args:
+        scene: scene with depth.
+        sessions: frames by session.
+        folder: folder to write to.
+        final: path that the folder gets.
+        resolution: side of a pixel on the ground, metres; by default that of the photographs.
+        crs: reference system, by default the zone of UTM.
+
+    Raises:
+        InputError: no photograph has depth, the reference system has other units than metres, or
+            the files would be larger than 4 billion pixels.
+    """
+    origin = scene.manifest.origin
+    projection = Projection(crs or utm_of(origin))
+    if not projection.is_metric:
+        raise InputError(
+            f"{projection.name} has other units than metres: choose another system, such as "
+            f"{utm_of(origin)}"
+        )
+    views = depth_views(scene, sessions)
+    seen = [view.points(_SPARSE)[0] for view in views]
+    views = [view for view, points in zip(views, seen, strict=True) if len(points)]
+    seen = [points for points in seen if len(points)]
+    if not views:
+        raise InputError(f"the photographs of {scene.path} show no surface")
+    low = np.min([points.min(0) for points in seen], axis=0)
+    high = np.max([points.max(0) for points in seen], axis=0)
+    local = LocalProjection.fit(projection, origin, low, high)
+    boxes = [_box(local.coordinates(points)) for points in seen]
+    pixel = max(units_of_metre(projection, origin)) * (resolution or _usual_pixel(views, seen))
+    grid = _grid(projection, boxes, pixel)
+    _write(folder, grid, local, views, boxes)
+
+
+def utm_of(place: Geodetic) -> str:
+    """Return the EPSG code of the UTM zone of a place.
+
+    Example:
+        >>> utm_of(Geodetic(47.0, 8.0, 450.0)), utm_of(Geodetic(-33.0, 151.0, 0.0))
+        ('EPSG:32632', 'EPSG:32756')
+    """
+    zone = min(60, math.floor((place.longitude + 180) / 6) + 1)
+    return f"EPSG:{(32600 if place.latitude >= 0 else 32700) + zone}"
+
+
+def _usual_pixel(views: Sequence[DepthView], seen: Sequence[Array]) -> float:
+    """Return the side of a pixel on the ground, metres, rounded to two digits."""
+    sides = []
+    for view, points in zip(views, seen, strict=True):
+        depth = points @ view.cam_from_world[2, :3] + view.cam_from_world[2, 3]
+        sides.append(float(np.median(depth)) / view.camera.focal[0])
+    return float(f"{np.median(sides):.2g}")
+
+
+def _box(coordinates: Array) -> Box:
+    (left, bottom, _), (right, top, _) = coordinates.min(0), coordinates.max(0)
+    return Box(float(left), float(bottom), float(right), float(top))
+
+
+def _grid(projection: Projection, boxes: Sequence[Box], pixel: float) -> Grid:
+    """Return the grid that holds all boxes, whose edges are multiples of its pixel."""
+    left = math.floor(min(box.left for box in boxes) / pixel)
+    top = math.ceil(max(box.top for box in boxes) / pixel)
+    width = math.ceil(max(box.right for box in boxes) / pixel) - left
+    height = top - math.floor(min(box.bottom for box in boxes) / pixel)
+    width, height = max(width, 1), max(height, 1)
+    if width * height > _MOST_PIXELS:
+        raise InputError(
+            f"{width} x {height} pixels are more than a GeoTIFF should hold: choose a larger "
+            "--resolution"
+        )
+    return Grid(projection, left * pixel, top * pixel, (pixel, pixel), width, height)
+
+
+def _write(
+    folder: Path,
+    grid: Grid,
+    local: LocalProjection,
+    views: Sequence[DepthView],
+    boxes: Sequence[Box],
+) -> None:
+    """Write both files, tile by tile."""
+    tiles = []
+    for tile in _tiles(grid):
+        near = [v for v, box in zip(views, boxes, strict=True) if _overlap(box, tile.box)]
+        tiles.append((tile, near))
+    with ExitStack() as stack:
+        surface = stack.enter_context(raster_writer(folder / SURFACE, "surface model", grid))
+        colours = stack.enter_context(raster_writer(folder / ORTHOPHOTO, "orthophoto", grid))
+        total = sum(2 * len(near) for _, near in tiles)
+        advance = stack.enter_context(progress_bar("orthophoto", total))
+        steps = count(1)
+        for tile, near in tiles:
+            # Pixels at the edge of a tile are filled from neighbours in the next one.
+            wide = tile.part(-_FILLS, -_FILLS, tile.height + 2 * _FILLS, tile.width + 2 * _FILLS)
+            fused = _fuse(_Tile(wide, local), near, lambda: advance(next(steps)))
+            inner = fused[:, _FILLS:-_FILLS, _FILLS:-_FILLS]
+            surface(Patch(tile, inner[:1]))
+            colours(Patch(tile, inner[1:]))
+
+
+def _tiles(grid: Grid) -> Iterator[Grid]:
+    for row in range(0, grid.height, _TILE):
+        for column in range(0, grid.width, _TILE):
+            height, width = min(_TILE, grid.height - row), min(_TILE, grid.width - column)
+            yield grid.part(row, column, height, width)
+
+
+def _overlap(a: Box, b: Box) -> bool:
+    # Between the pixels that were looked at, a photograph reaches a little further.
+    margin = 0.05 * max(a.right - a.left, a.top - a.bottom) + 1
+    apart_x = a.right + margin < b.left or b.right < a.left - margin
+    return not (apart_x or a.top + margin < b.bottom or b.top < a.bottom - margin)
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """A tile, and the way from the world to its pixels."""
+
+    grid: Grid
+    local: LocalProjection
+
+    def cells(self, view: DepthView) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
+        """Return what a photograph shows in the tile.
+
+        Returns:
+            Cell (n,), height (n,), weight (n,) of each point, and the pixels of the photograph that
+            show them, (H, W). Views from above weigh more: they see roofs whole.
+        """
+        points, seen = view.points()
+        at = self.local.coordinates(points)
+        x, y = self.grid.columns_rows(at[:, 0], at[:, 1])
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        inside = (column >= 0) & (column < self.grid.width) & (row >= 0) & (row < self.grid.height)
+        centre = -view.cam_from_world[:3, :3].T @ view.cam_from_world[:3, 3]
+        down = centre - points[inside]
+        weight = (down[:, 2] / np.linalg.norm(down, axis=1)) ** 4
+        seen[seen] = inside
+        cell = (row * self.grid.width + column)[inside]
+        return cell, at[inside, 2], np.maximum(weight, 1e-6), seen
+
+
+def _fuse(
+    tile: _Tile, views: Sequence[DepthView], advance: Callable[[], None]
+) -> NDArray[np.float32]:
+    """Return height and colours of a tile, (4, h, w), NaN where nothing was seen.
+
+    They are weighted means over all photographs of what belongs to the highest surface of a pixel.
+    """
+    shape = (tile.grid.height, tile.grid.width)
+    top = np.full(shape[0] * shape[1], -np.inf)
+    for view in views:
+        cell, height, _, _ = tile.cells(view)
+        np.maximum.at(top, cell, height)
+        advance()
+    floor = top - max(_SAME_SURFACE_M, tile.grid.pixel[0])
+    sums = np.zeros((5, len(top)))
+    for view in views:
+        cell, height, weight, seen = tile.cells(view)
+        upper = height >= floor[cell]
+        cell, weight = cell[upper], weight[upper]
+        rgb = view.rgb()[seen][upper]
+        for total, values in zip(sums, (1, height[upper], *rgb.T), strict=True):
+            total += np.bincount(cell, weight * values, len(top))
+        advance()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.asarray(sums[1:] / sums[0], np.float32).reshape(4, *shape)
+    for _ in range(_FILLS):
+        means = _filled(means)
+    return means
+
+
+def _filled(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Give each empty pixel of (bands, H, W) the mean of its eight neighbours that are not."""
+    known = np.isfinite(values[0])
+    padded = np.pad(np.where(known, values, 0), ((0, 0), (1, 1), (1, 1)))
+    counted = np.pad(known.astype(np.float32), 1)
+    height, width = known.shape
+    parts = [(slice(r, r + height), slice(c, c + width)) for r in range(3) for c in range(3)]
+    count = sum(counted[part] for part in parts)
+    total = sum(padded[:, *part] for part in parts)
+    # A pixel with neighbours on one side alone lies outside of what was photographed.
+    inner = ~known & (np.asarray(count) >= 4)
+    filled = values.copy()
+    filled[:, inner] = (total / np.maximum(count, 1))[:, inner]
+    return filled

@@ -1,0 +1,117 @@
+"""Export to what a drone's camera records: ``SESSION.MP4`` with its telemetry in ``SESSION.SRT``.
+
+The subtitles are those of recent drones of DJI (``ingest.telemetry``): position and gimbal are the
+session's measured priors, with their noise. ``abs_alt`` is the altitude above the ellipsoid, as
+scenes know no sea level. ``SESSION-poses.txt`` has the truth, lines "name qw qx qy qz tx ty tz" of
+cam_from_world under the names that ``localize --video`` gives the frames, and ``SESSION-times.csv``
+the seconds of each frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.frames import Frames
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import geodetic_from_enu
+from objconnect.scene.geometry.gimbal import gimbal_angles
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.names import quote_name
+from objconnect.scene.storage.subtitles import Subtitle, compose_subtitles
+from objconnect.scene.storage.video import frame_name, write_video
+
+# Times of one rate differ from it by less than this share of an interval.
+_EVEN: Final = 0.05
+
+
+def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
+    """Write a video, subtitles and the truth for each session; see ``formats.Writer``.
+
+    Raises:
+        InputError: PyAV or srt is not installed, a session has fewer than two photographs, they
+            tell no time or were not taken at one rate, or they have several sizes or odd ones.
+    """
+    for name, frames in sessions.items():
+        rate_hz = _rate(name, frames)
+        (folder / f"{name}.SRT").write_text(
+            compose_subtitles(_subtitles(scene, frames, rate_hz)), "utf-8"
+        )
+        write_video(folder / f"{name}.MP4", _pictures(scene, frames), rate_hz)
+        names = [frame_name(name, index) for index in range(len(frames))]
+        lines = [
+            f"{quote_name(frame)} {' '.join(repr(value) for value in numbers)}\n"
+            for frame, numbers in zip(names, _numbers(frames.poses), strict=True)
+        ]
+        # Another header than that of answers, which 'localize' may replace.
+        header = "# true poses: name qw qx qy qz tx ty tz  (world to camera, metres)\n"
+        (folder / f"{name}-poses.txt").write_text(header + "".join(lines), "utf-8")
+        seconds = (f"{frame},{index / rate_hz:.6f}\n" for index, frame in enumerate(names))
+        (folder / f"{name}-times.csv").write_text("name,seconds\n" + "".join(seconds), "utf-8")
+
+
+def _rate(session: str, frames: Frames) -> float:
+    """Return the photographs a second of a session, from 1 a minute to 240.
+
+    Raises:
+        InputError: they have none.
+    """
+    steps = np.diff(frames.time)
+    even = len(steps) > 0 and bool(np.isfinite(steps).all())
+    step = float(np.median(steps)) if even else np.nan
+    if not even or not 1 / 240 <= step <= 60 or np.abs(steps - step).max() > _EVEN * step:
+        raise InputError(
+            f"the photographs of session {session} were not taken at one rate, as a video's frames "
+            "are: name a session of at least two photographs at even times"
+        )
+    return float((len(frames) - 1) / (frames.time[-1] - frames.time[0]))
+
+
+def _pictures(scene: Scene, frames: Frames) -> Iterator[NDArray[np.uint8]]:
+    for name, camera in zip(frames.names, frames.cameras, strict=True):
+        yield read_rgb(scene.images_root / name, camera)
+
+
+def _numbers(poses: Pose) -> list[list[float]]:
+    rows: list[list[float]] = np.hstack([poses.quaternion(), poses.translation]).tolist()
+    return rows
+
+
+def _subtitles(scene: Scene, frames: Frames, rate_hz: float) -> Iterator[Subtitle]:
+    """Yield a subtitle for each frame, as drones write them."""
+    for k in range(len(frames)):
+        start_s, end_s = k / rate_hz, (k + 1) / rate_hz
+        clock = datetime.fromtimestamp(float(frames.time[k]), UTC).isoformat(" ", "milliseconds")
+        text = (
+            f'<font size="28">FrameCnt: {k + 1}, DiffTime: {1000 / rate_hz:.0f}ms\n'
+            f"{clock[:23]}\n"
+            f"[focal_len: {36 * frames.cameras[k].focal[0] / frames.cameras[k].width:.2f}] "
+            f"{_position(scene, frames, k)}{_gimbal(frames, k)}</font>"
+        )
+        yield Subtitle(start_s, end_s, text)
+
+
+def _position(scene: Scene, frames: Frames, k: int) -> str:
+    """Return the words of a position, which are zeros without a fix."""
+    origin = scene.manifest.origin
+    if not frames.has_gps[k]:
+        return "[latitude: 0.000000] [longitude: 0.000000] "
+    fix = geodetic_from_enu(frames.gps_prior[k], origin)
+    return (
+        f"[latitude: {fix.latitude:.6f}] [longitude: {fix.longitude:.6f}] "
+        f"[rel_alt: {fix.altitude - origin.altitude:.3f} abs_alt: {fix.altitude:.3f}] "
+    )
+
+
+def _gimbal(frames: Frames, k: int) -> str:
+    if not frames.has_attitude[k]:
+        return ""
+    yaw, pitch, roll = gimbal_angles(Pose.from_quaternion(frames.attitude_prior[k], np.zeros(3)))
+    return f"[gb_yaw: {yaw:.1f} gb_pitch: {pitch:.1f} gb_roll: {roll:.1f}] "

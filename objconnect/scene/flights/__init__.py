@@ -1,0 +1,1 @@
+"""Text files of a flight: poses, priors, cameras, origin."""

@@ -1,0 +1,337 @@
+"""Strict readers of the text files that describe flights; errors name the file and the line."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.manifest import ALL_CONDITIONS
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.priors import PriorTable, StatedPrior
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.geometry.colmap_models import READ
+from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, is_on_earth
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.colmap_files import check_pose
+from objconnect.scene.quantities.position_columns import (
+    POSITION_COLUMNS,
+    Frame,
+    PositionColumns,
+    position_columns,
+)
+from objconnect.scene.storage.files import is_safe_path, read_text
+from objconnect.scene.storage.names import quote_name, split_name, split_words, unquote_cell
+from objconnect.scene.storage.tables import read_header, read_table
+
+_POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
+_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_SIGMA_M: Final = "sigma_m"
+_SIGMA_DEG: Final = "sigma_deg"
+_GPS: Final = ("name", "e", "n", "u")
+_CONDITIONS: Final = ("name", "condition")
+
+# Smallest sigma (metres, degrees): no receiver or gimbal is better, and weights would overflow.
+_LEAST_SIGMA: Final = 1e-6
+
+# A name ends where the model of a camera begins.
+_MODEL: Final = re.compile(rf"\s+(?=({'|'.join((*MODELS, *READ))})(\s|$))")
+_SPACE: Final = re.compile(r"\s+")
+
+T = TypeVar("T")
+
+
+def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
+    """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
+
+    Names are written as by ``quote_name``; a name without quotes may hold spaces.
+
+    Args:
+        path: text file.
+        centres: whether the last three columns are the camera's centre in the world instead of the
+            translation.
+
+    Returns:
+        cam_from_world by name, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, or a line has the wrong number of columns, a word that
+            is not a finite number, a quaternion off unit length by more than 0.001, a camera
+            farther away than any place on earth, or a name that was given before.
+    """
+    poses: dict[str, Pose] = {}
+    for where, line in _lines(path, "pose file"):
+        try:
+            name, numbers = split_name(line, len(_POSE) - 1)
+        except ValueError as error:
+            raise InputError(
+                f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), {error}"
+            ) from None
+        values = _numbers(where, numbers)
+        check_pose(values[:4], values[4:], f"{where}: {name}")
+        pose = Pose.from_quaternion(values[:4], values[4:])
+        if centres:
+            pose = Pose(pose.rotation, -(pose.rotation @ pose.translation))
+        _add(poses, name, pose, where)
+    return poses
+
+
+def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
+    """Return a line that ``read_poses`` reads, without the line break."""
+    numbers = [*cam_from_world.quaternion().tolist(), *cam_from_world.translation.tolist()]
+    return " ".join([quote_name(name), *(f"{number:.{decimals}f}" for number in numbers)])
+
+
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """Read cameras from lines ``name MODEL width height params...``.
+
+    Returns:
+        Cameras by name, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, a line does not describe a camera, or a name is given
+            twice.
+    """
+    cameras: dict[str, Camera] = {}
+    for where, line in _lines(path, "query list"):
+        try:
+            name, camera = _camera_of(line)
+        except ValueError as error:
+            raise InputError(f"{where}: {error}") from None
+        _add(cameras, name, camera, where)
+    return cameras
+
+
+def _camera_of(line: str) -> tuple[str, Camera]:
+    """Split a line into name and camera; the name may hold spaces before a camera's model."""
+    if line.startswith('"'):
+        name, *rest = split_words(line)
+        return name, Camera.parse(rest)
+    model = _MODEL.search(line) or _SPACE.search(line)
+    if model is None:
+        return line, Camera.parse([])
+    return line[: model.start()], Camera.parse(line[model.end() :].split())
+
+
+def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
+    """Read a pair list of hloc, which has lines ``query reference``.
+
+    Returns:
+        References by query, both in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, a line does not have two names, or there is no line.
+    """
+    pairs: dict[str, list[str]] = {}
+    for where, line in _lines(path, "pair list"):
+        try:
+            query, reference = split_words(line)
+        except ValueError:
+            raise InputError(
+                f"{where}: expected 'query reference', got {line!r}; names with spaces stand in "
+                "double quotes"
+            ) from None
+        pairs.setdefault(query, []).append(reference)
+    if not pairs:
+        raise InputError(f"pair list {path} holds no pair")
+    return {query: tuple(references) for query, references in pairs.items()}
+
+
+def read_priors(path: Path) -> PriorTable:
+    """Read a table of priors with the columns ``name,e,n,u`` or ``name,lat,lon,alt``.
+
+    East, north and up are metres in the map's frame, latitude and longitude degrees. The height may
+    be left out, or be empty in a row, where it is unknown. ``sigma_m`` says how exact positions
+    are. Attitudes are the columns ``qw,qx,qy,qz``, cam_from_world, and ``sigma_deg`` says how exact
+    they are. Sigmas hold per axis.
+
+    Returns:
+        What the rows state, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read; a column has no known meaning or unit, is missing or
+            has a rival; a word is not a finite number; a quaternion is off unit length by more than
+            0.001; a position is not on earth; a sigma is not positive or out of range; or a name
+            was given before.
+    """
+    header = read_header(path, "priors")
+    columns = _position_columns(path, header)
+    rows: dict[str, StatedPrior] = {}
+    for where, row in read_table(path, "priors", ("name",)):
+        _add(rows, _name(where, row), _stated(where, row, columns), where)
+    return PriorTable(path, rows)
+
+
+def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
+    """Return the columns of the position in a table of priors."""
+    attitude = [column for column in _QUATERNION if column in header]
+    found = position_columns(header, ("name", _SIGMA_M, *_QUATERNION, _SIGMA_DEG))
+    columns = found.require(f"{path}:1", f"{POSITION_COLUMNS}, and leave other columns out")
+    if attitude and len(attitude) < len(_QUATERNION):
+        missing = ", ".join(column for column in _QUATERNION if column not in header)
+        raise InputError(f"{path}:1: the attitude lacks the column {missing}")
+    if _SIGMA_DEG in header and not attitude:
+        raise InputError(
+            f"{path}:1: {_SIGMA_DEG} says how exact an attitude is, but there is none: add "
+            f"{', '.join(_QUATERNION)}"
+        )
+    return columns
+
+
+def _stated(where: str, row: Mapping[str, str], columns: PositionColumns) -> StatedPrior:
+    """Return what a row of a table of priors states; an empty cell states nothing."""
+    if row.get(""):
+        raise InputError(f"{where}: the column of {row['']!r} has no name")
+    first, second = (float(x) for x in _numbers(where, [row[name] for name in columns.horizontal]))
+    vertical = None if columns.vertical is None else _stated_number(where, row, columns.vertical)
+    if columns.frame is Frame.MAP:
+        if max(abs(first), abs(second), abs(vertical or 0.0)) > FARTHEST_M:
+            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+    elif not is_on_earth(Geodetic(first, second, vertical or 0.0)):
+        names = ", ".join(columns.horizontal)
+        raise InputError(
+            f"{where}: {names} are no place on earth: they are degrees, at most 90 and 180, and an "
+            "altitude is metres"
+        )
+    sigmas = {name: _stated_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}
+    _check_sigmas(where, {name: sigma for name, sigma in sigmas.items() if sigma is not None})
+    return StatedPrior(
+        where,
+        columns.frame,
+        (first, second),
+        vertical,
+        sigmas[_SIGMA_M],
+        _rotation(where, row),
+        sigmas[_SIGMA_DEG],
+    )
+
+
+def _stated_number(where: str, row: Mapping[str, str], column: str) -> float | None:
+    """Return the number in a cell; None where the column is missing or the cell is empty."""
+    return float(_numbers(where, [row[column]])[0]) if row.get(column) else None
+
+
+def _check_sigmas(where: str, sigmas: Mapping[str, float]) -> None:
+    """Refuse sigmas that are no standard deviations."""
+    names = " and ".join(sigmas)
+    if any(sigma <= 0 for sigma in sigmas.values()):
+        raise InputError(f"{where}: {names} must be positive")
+    if not all(_LEAST_SIGMA <= sigma <= FARTHEST_M for sigma in sigmas.values()):
+        raise InputError(f"{where}: {names} must lie between {_LEAST_SIGMA:g} and {FARTHEST_M:g}")
+
+
+def _rotation(where: str, row: Mapping[str, str]) -> NDArray[np.float64] | None:
+    """Return the attitude of a row, (3, 3); None where its cells are empty or missing."""
+    words = [row.get(column, "") for column in _QUATERNION]
+    if not any(words):
+        return None
+    quaternion = _numbers(where, words)
+    check_pose(quaternion, np.zeros(3), f"{where}: {row['name']}")
+    rotation: NDArray[np.float64] = Pose.from_quaternion(quaternion, np.zeros(3)).rotation.numpy()
+    return rotation
+
+
+def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Read the columns ``name``, ``e``, ``n``, ``u`` of a ``gps.csv``.
+
+    Returns:
+        (3,) east, north, up in metres by photograph, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing, a row has the wrong number of
+            columns, a word that is not a finite number, a place that is not on earth, or a name
+            that was given before.
+    """
+    fixes: dict[str, NDArray[np.float64]] = {}
+    for where, row in read_table(path, "GPS table", _GPS):
+        position = _numbers(where, [row[column] for column in _GPS[1:]])
+        if np.abs(position).max() > FARTHEST_M:
+            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+        _add(fixes, _name(where, row), position, where)
+    return fixes
+
+
+def read_conditions(path: Path) -> dict[str, str]:
+    """Read the columns ``name``, ``condition`` of a ``conditions.csv``.
+
+    Returns:
+        The condition of each photograph, such as ``winter-dusk``, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing, a row has the wrong number of
+            columns, a condition that is empty, not printable or called "all", or a name that was
+            given before.
+    """
+    conditions: dict[str, str] = {}
+    for where, row in read_table(path, "table of conditions", _CONDITIONS):
+        condition = row["condition"].strip()
+        if not condition or not condition.isprintable() or condition == ALL_CONDITIONS:
+            raise InputError(f"{where}: {condition!r} is no condition: give a name as winter-dusk")
+        _add(conditions, _name(where, row), condition, where)
+    return conditions
+
+
+def require_same_case(path: Path, listed: Collection[str], photographs: Collection[str]) -> None:
+    """Refuse a table whose names differ from those of the photographs in upper or lower case.
+
+    Without this check every row of such a table would silently go unused.
+
+    Args:
+        path: file of the table, for the message.
+        listed: names in the table.
+        photographs: names of the photographs.
+
+    Raises:
+        InputError: a name of the table equals a photograph's but for upper or lower case.
+    """
+    of = {name.casefold(): name for name in photographs if name not in listed}
+    for name in listed:
+        photograph = of.get(name.casefold())
+        if photograph is not None and name not in photographs:
+            raise InputError(
+                f"{path} lists {name!r}, but the photograph is called {photograph!r}: write names "
+                "as the files have them"
+            )
+
+
+def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
+    """Yield each line with its place ``file:line``; skip comments and blank lines."""
+    for number, line in enumerate(read_text(path, what).split("\n"), 1):
+        stripped = line.strip()
+        if stripped and not stripped.startswith("#"):
+            yield f"{path}:{number}", stripped
+
+
+def _name(where: str, row: Mapping[str, str]) -> str:
+    """Return the photograph that a row of a table is about; ``where`` is the row's place."""
+    try:
+        return unquote_cell(row["name"])
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
+    """Return words as finite numbers, (N,); ``where`` is their place in the file."""
+    values = []
+    for word in words:
+        try:
+            values.append(float(word))
+        except ValueError:
+            raise InputError(f"{where}: {word!r} is not a number") from None
+        if not math.isfinite(values[-1]):
+            raise InputError(f"{where}: {word!r} is not a finite number")
+    return np.array(values)
+
+
+def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
+    """Add an entry to a table that must not hold its name yet; ``where`` is its place."""
+    if not is_safe_path(name):
+        raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
+    if name in table:
+        raise InputError(f"{where}: {name} is listed twice")
+    table[name] = value

@@ -1,0 +1,244 @@
+"""Coordinate reference systems by their EPSG codes.
+
+This is the one module that imports pyproj, which the extra ``[geo]`` installs.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.extras import import_extra
+
+# Heights above the geoid EGM96, which autopilots and GPS receivers call sea level.
+_SEA_LEVEL = "EPSG:4326+5773"
+# WGS84 with ellipsoidal heights: what a Geodetic is.
+_WGS84 = "EPSG:4979"
+# How far beyond its area of use a system may be used, degrees.
+_BESIDE_DEG = 3.0
+# A way to WGS84 that is exact to less than this is worth a remark, metres. Systems that are in use
+# have ways of 1 to 4 m; the old ones of the last century have 8 to 50 m without their grids.
+_EXACT_M = 5.0
+# Side of the cross whose images tell the scale of a system, metres.
+_CROSS_M = 10.0
+# Descriptions that are longer than this are not repeated in messages.
+_SHORT = 60
+
+
+class Projection:
+    """Conversion between WGS84 and one coordinate reference system.
+
+    Heights are passed through where the system has only two dimensions: they stay metres above the
+    ellipsoid. Coordinates are in the order east, north (longitude, latitude), whatever order
+    the system's authority has. No conversion is a ballpark: PROJ calls one so that leaves out a
+    change of datum, or of what heights are above.
+    """
+
+    def __init__(self, crs: str, *, horizontal: bool = False, metric_heights: bool = False) -> None:
+        """Look a system up.
+
+        Args:
+            crs: ``EPSG:n``, or another description that PROJ reads, such as WKT.
+            horizontal: leave the system's heights out.
+            metric_heights: have heights in metres, also where those of the system are not.
+
+        Raises:
+            InputError: pyproj is not installed, it knows no such system, the system has no
+                horizontal coordinates, its heights point down, or PROJ has no conversion, for
+                example because a grid is not installed.
+        """
+        pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
+        label = for_terminal(crs) if len(crs) <= _SHORT else "the description"
+        try:
+            self._crs: Any = pyproj.CRS.from_user_input(crs)
+        except pyproj.exceptions.ProjError:
+            raise InputError(
+                f"{label} is no coordinate reference system that PROJ knows: give "
+                "EPSG:n, such as EPSG:32632"
+            ) from None
+        if horizontal:
+            self._crs = _without_heights(self._crs)
+        if not (self._crs.is_projected or self._crs.is_geographic):
+            raise InputError(
+                f"{label} ({self.name}) has no eastings and northings: give a "
+                "projected or geographic system, such as EPSG:32632"
+            )
+        if any(axis.direction == "down" for axis in self._crs.axis_info):
+            raise InputError(
+                f"heights in {self.name} point down: give a system with heights that point up"
+            )
+        self._up = (self.height_unit_m or 1.0) if metric_heights else 1.0
+        try:
+            self._from = _transformer(pyproj, _WGS84, self._crs)
+            self._to = _transformer(pyproj, self._crs, _WGS84)
+        except pyproj.exceptions.ProjError:
+            raise InputError(self._no_way(pyproj)) from None
+
+    @property
+    def name(self) -> str:
+        """Name of the system, such as ``WGS 84 / UTM zone 32N``."""
+        return str(self._crs.name)
+
+    @property
+    def wkt(self) -> str:
+        """The system as WKT, for files of other programs."""
+        return str(self._crs.to_wkt())
+
+    @property
+    def heights(self) -> str:
+        """Name of what heights are above: the vertical part of the system, else the ellipsoid."""
+        vertical = self._crs.sub_crs_list[1:]
+        return str(vertical[0].name) if vertical else "ellipsoid"
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether the system states what heights are above and in which unit."""
+        return len(self._crs.axis_info) > 2
+
+    @property
+    def horizontal_units(self) -> tuple[str, ...]:
+        """Names of the units of the two horizontal axes, such as ``metre``."""
+        return tuple(str(axis.unit_name) for axis in self._crs.axis_info[:2])
+
+    @property
+    def is_geographic(self) -> bool:
+        """Whether coordinates are longitude and latitude in degrees."""
+        return bool(self._crs.is_geographic)
+
+    @property
+    def is_metric(self) -> bool:
+        """Return whether all coordinates are metres: whether it is a map's grid, not degrees."""
+        grid = all(axis.unit_conversion_factor == 1 for axis in self._crs.axis_info[:2])
+        return bool(self._crs.is_projected) and grid and (self.height_unit_m or 1.0) == self._up
+
+    @property
+    def height_unit_m(self) -> float | None:
+        """Length of the unit of the system's heights, metres; None where it has no heights."""
+        units = [axis.unit_conversion_factor for axis in self._crs.axis_info[2:]]
+        return float(units[0]) if units else None
+
+    def scale_at(self, place: Geodetic) -> tuple[float, float]:
+        """Return how many units of the system a metre of ground is, along its east and north.
+
+        They are close to 1 in the grids of surveys, and 1 / cos(latitude) in Mercator's of the web.
+        """
+        ends = np.array([[_CROSS_M, 0, 0], [-_CROSS_M, 0, 0], [0, _CROSS_M, 0], [0, -_CROSS_M, 0]])
+        at = np.array([self.from_geodetic(geodetic_from_enu(x, place))[:2] for x in ends])
+        units = np.stack([at[0] - at[1], at[2] - at[3]], -1) / (2 * _CROSS_M)
+        if not np.isfinite(units).all() or not np.linalg.det(units):
+            raise InputError(f"{self.name} has no scale at {place.latitude:g}, {place.longitude:g}")
+        metres = np.linalg.norm(np.linalg.inv(units), axis=0)
+        return float(1 / metres[0]), float(1 / metres[1])
+
+    def doubt_at(self, place: Geodetic) -> str:
+        """Return a phrase where coordinates at a place are exact to no better than 5 m."""
+        pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
+        self.from_geodetic(place)
+        try:
+            used = self._from.get_last_used_operation()
+        except pyproj.exceptions.ProjError:  # the system does not reach there
+            return ""
+        if used.accuracy <= _EXACT_M:
+            return ""
+        grid = _missing_grid(pyproj, self._crs)
+        remedy = ": PROJ's grids, which projsync installs, make it better" if grid else ""
+        return f"positions in {self.name} are exact to {used.accuracy:g} m on earth{remedy}"
+
+    def _no_way(self, pyproj: Any) -> str:
+        """Return why there is no conversion."""
+        if not self._crs.axis_info[2:]:
+            return (
+                f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark, which "
+                "leaves out the change of datum: give the system of the datum, such as EPSG:n"
+            )
+        if grid := _missing_grid(pyproj, self._crs):
+            return (
+                f"heights in {self.name} need the grid {grid}, which is not installed: run "
+                f"'projsync --file {grid}', or give the horizontal system alone"
+            )
+        return (
+            f"PROJ knows no conversion between heights in {self.name} and the ellipsoid but a "
+            "ballpark: give the horizontal system alone"
+        )
+
+    def reaches(self, place: Geodetic) -> bool:
+        """Return whether a place has coordinates here: within the area of use, or near its border,
+        as sites that two zones share."""
+        area = _area_of(self._crs)
+        if area is not None:
+            east = (place.longitude - area.west) % 360
+            width = (area.east - area.west) % 360 or 360
+            if min(max(0, east - width), 360 - east) > _BESIDE_DEG:
+                return False
+            if not area.south - _BESIDE_DEG <= place.latitude <= area.north + _BESIDE_DEG:
+                return False
+        return bool(np.isfinite(self.from_geodetic(place)).all())
+
+    def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
+        """Return east, north and height of a place, (3,) in the system's units."""
+        x, y, h = self._from.transform(place.longitude, place.latitude, place.altitude)
+        return np.array([x, y, h * self._up])
+
+    def to_geodetic(self, coordinates: NDArray[np.float64]) -> Geodetic:
+        """Return the place of east, north and height, (3,) in the system's units.
+
+        Raises:
+            InputError: the system does not reach there.
+        """
+        x, y, h = coordinates
+        longitude, latitude, altitude = self._to.transform(x, y, h / self._up)
+        if not np.isfinite([longitude, latitude, altitude]).all():
+            at = ", ".join(f"{value:g}" for value in coordinates)
+            raise InputError(f"{at} is no position in {self.name}")
+        return Geodetic(latitude, longitude, altitude)
+
+
+def geoid_undulation(place: Geodetic) -> float | None:
+    """Return the height of the geoid (EGM96) above the ellipsoid at a place, metres.
+
+    It is None where pyproj or its grid ``us_nga_egm96_15.tif`` is not installed.
+    """
+    try:
+        above_sea = Projection(_SEA_LEVEL).from_geodetic(place)[2]
+    except InputError:
+        return None
+    undulation = place.altitude - float(above_sea)
+    return undulation if np.isfinite(undulation) else None
+
+
+def _transformer(pyproj: Any, start: Any, end: Any) -> Any:
+    return pyproj.Transformer.from_crs(start, end, always_xy=True, allow_ballpark=False)
+
+
+def _area_of(crs: Any) -> Any:
+    """Return the area of use, which WKT names by a code alone; None where it is not known."""
+    if crs.area_of_use is not None:
+        return crs.area_of_use
+    horizontal = _without_heights(crs)
+    code = horizontal.to_epsg(min_confidence=100)
+    return horizontal.area_of_use if code is None else type(crs).from_epsg(code).area_of_use
+
+
+def _without_heights(crs: Any) -> Any:
+    """Return the horizontal part of a system."""
+    if crs.is_compound:
+        return crs.sub_crs_list[0].to_2d()
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
+
+
+def _missing_grid(pyproj: Any, crs: Any) -> str | None:
+    """Return the grid that the best conversion to a system lacks."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it says the same in many lines
+        group = pyproj.transformer.TransformerGroup(_WGS84, crs, always_xy=True)
+    for operation in group.unavailable_operations:
+        lacking = [grid for grid in operation.grids if not grid.available]
+        if lacking:
+            return str(lacking[0].short_name)
+    return None

@@ -1,0 +1,111 @@
+"""Coordinate reference systems as the first lines of ODM's files name them.
+
+A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or words of PROJ. The unit of heights is the system's
+own where it has heights. A system of two dimensions does not state it: heights are metres beside
+metres or degrees, and unknown beside feet, unless the line states ``+vunits`` or ``+vto_meter``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.crs import Projection
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.quantities.lengths import metres_per
+from objconnect.scene.quantities.numbers import parse_number
+from objconnect.scene.quantities.reading import Reading, known, unknown
+from objconnect.scene.runtime.escaping import for_terminal
+
+_UTM = re.compile(r"WGS ?84[ /]*UTM(?: zone)? ?(\d{1,2}) ?([NS])", re.IGNORECASE)
+_VERTICAL = re.compile(r"\s*\+(vunits|vto_meter)=(\S+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class NamedSystem:
+    """A system with the unit of its heights.
+
+    Attributes:
+        projection: the horizontal system, or one with heights of its own.
+        height_unit: metres in a unit of height; 1 where the system has heights of its own, which
+            the projection converts.
+    """
+
+    projection: Projection
+    height_unit: Reading[float]
+
+    def to_geodetic(self, coordinates: NDArray[np.float64], where: str) -> Geodetic:
+        """Return the place of x (east), y (north) and height, (3,) in the system's units.
+
+        Raises:
+            InputError: the system does not reach there, or the unit of heights is unknown.
+        """
+        unit = self.height_unit.require(
+            where,
+            "name a system with heights, or add +vunits=us-ft, +vunits=ft or +vunits=m to the line",
+        )
+        return self.projection.to_geodetic(coordinates * [1.0, 1.0, unit])
+
+
+def named_system(line: str, where: str) -> NamedSystem:
+    """Return the system that a line names.
+
+    Args:
+        line: the text.
+        where: file and line, for messages.
+
+    Raises:
+        InputError: PROJ knows no such system, or pyproj is not installed.
+    """
+    words = " ".join(line.split()).strip("'\"").strip()
+    stated: list[tuple[str, str]] = []
+    if not words.startswith("+"):  # PROJ knows these words itself, but not beside a code
+        stated = _VERTICAL.findall(words)
+        words = _VERTICAL.sub("", words).strip()
+    utm = _UTM.fullmatch(words)
+    if utm is not None:
+        if not 1 <= int(utm[1]) <= 60:
+            raise InputError(f"{where}: UTM has no zone {utm[1]}")
+        words = f"EPSG:{326 if utm[2].upper() == 'N' else 327}{int(utm[1]):02d}"
+    try:
+        projection = Projection(words)
+    except InputError as error:
+        if "pyproj" in str(error):
+            raise
+        raise InputError(f"{where}: {error}") from None
+    return NamedSystem(projection, _height_unit(words, projection, stated, where))
+
+
+def _height_unit(
+    words: str, projection: Projection, stated: list[tuple[str, str]], where: str
+) -> Reading[float]:
+    """Return how many metres a unit of height has."""
+    factors = {_stated(word, text, where) for word, text in stated}
+    if len(factors) > 1:
+        raise InputError(f"{where}: +vunits and +vto_meter contradict each other")
+    if projection.has_heights:
+        if stated:
+            raise InputError(
+                f"{where}: {projection.name} has heights of its own: leave +{stated[0][0]} out"
+            )
+        return known(1.0, projection.heights)
+    if factors:
+        return known(factors.pop(), f"+{stated[0][0]}")
+    units = projection.horizontal_units
+    if set(units) <= {"metre", "degree"}:
+        return known(1.0, projection.name)
+    return unknown(
+        "the unit of heights",
+        f"{for_terminal(words)} has eastings in {units[0]} and no heights",
+    )
+
+
+def _stated(word: str, text: str, where: str) -> float:
+    factor = metres_per(text) if word.lower() == "vunits" else parse_number(text)
+    if factor is None or not factor > 0:
+        raise InputError(f"{where}: +{word}={text} is no unit of length: give m, ft or us-ft")
+    return factor

@@ -1,0 +1,113 @@
+"""COLMAP's camera models that equal a model of this project, for all parameters or for some.
+
+A fisheye with fewer coefficients is an OPENCV_FISHEYE whose other ones are zero. A model with more
+coefficients equals a smaller one where those that the smaller one lacks are zero: so FULL_OPENCV
+becomes OPENCV. Anything else is refused by its name: no camera is replaced by a similar one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from objconnect.scene.errors import InputError
+
+_FISHEYE: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
+_PINHOLE: Final = ("fx", "fy", "cx", "cy")
+
+# Our model, and the parameters in COLMAP's order by our names. Those that our model does not have
+# must be zero.
+_EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+    "SIMPLE_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy")),
+    "FISHEYE": ("OPENCV_FISHEYE", _PINHOLE),
+    "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1")),
+    "RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
+    "THIN_PRISM_FISHEYE": (
+        "OPENCV_FISHEYE",
+        (*_PINHOLE, "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+    ),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        "OPENCV_FISHEYE",
+        (*_FISHEYE, "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4"),
+    ),
+    "FOV": ("PINHOLE", (*_PINHOLE, "omega")),
+    "SIMPLE_DIVISION": ("SIMPLE_PINHOLE", ("f", "cx", "cy", "k")),
+    "DIVISION": ("PINHOLE", (*_PINHOLE, "k")),
+}
+_OURS: Final = {
+    "OPENCV_FISHEYE": _FISHEYE,
+    "PINHOLE": _PINHOLE,
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+}
+
+MODEL_IDS: Final[dict[int, str]] = {
+    0: "SIMPLE_PINHOLE",
+    1: "PINHOLE",
+    2: "SIMPLE_RADIAL",
+    3: "RADIAL",
+    4: "OPENCV",
+    5: "OPENCV_FISHEYE",
+    6: "FULL_OPENCV",
+    7: "FOV",
+    8: "SIMPLE_RADIAL_FISHEYE",
+    9: "RADIAL_FISHEYE",
+    10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE",
+    12: "SIMPLE_DIVISION",
+    13: "DIVISION",
+    14: "SIMPLE_FISHEYE",
+    15: "FISHEYE",
+    16: "EUCM",
+    17: "EQUIRECTANGULAR",
+}
+"""COLMAP's names by the identifiers of its binary format."""
+
+# Numbers of parameters of FULL_OPENCV and of OPENCV, with which it begins.
+_FULL, _SHORT = 12, 8
+
+READ: Final = tuple(_EQUAL)
+"""Models of COLMAP that are read as another one."""
+
+
+def parameter_count(model: str) -> int | None:
+    """Return how many parameters one of the models ``READ`` has; None for another model."""
+    return len(_EQUAL[model][1]) if model in _EQUAL else None
+
+
+def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, ...]]:
+    """Return the equal camera of this project's models.
+
+    Args:
+        model: name of COLMAP. A name that is none of ``READ`` is returned as it is, except for
+            FULL_OPENCV.
+        params: parameters in COLMAP's order.
+
+    Returns:
+        Name and parameters; they project every point to the same pixel.
+
+    Raises:
+        InputError: a coefficient that the equal model lacks is not zero, or the number of
+            parameters is wrong.
+
+    Example:
+        >>> equal_model("SIMPLE_RADIAL_FISHEYE", (500.0, 320.0, 240.0, 0.01))
+        ('OPENCV_FISHEYE', (500.0, 500.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0))
+    """
+    if model == "FULL_OPENCV" and len(params) == _FULL and not any(params[_SHORT:]):
+        return "OPENCV", tuple(params[:_SHORT])
+    if model not in _EQUAL:
+        return model, tuple(params)
+    ours, names = _EQUAL[model]
+    if len(params) != len(names):
+        raise InputError(f"camera model {model} takes {len(names)} parameters, got {len(params)}")
+    value = dict(zip(names, params, strict=True))
+    if "f" in value and "f" not in _OURS[ours]:
+        value["fx"] = value["fy"] = value.pop("f")
+    rest = [name for name in value if name not in _OURS[ours] and value[name] != 0]
+    if rest:
+        raise InputError(
+            f"camera model {model} is supported only where {', '.join(rest)} "
+            f"{'is' if len(rest) == 1 else 'are'} zero: undistort the photographs, or calibrate "
+            f"them as {ours}"
+        )
+    return ours, tuple(value.get(name, 0.0) for name in _OURS[ours])

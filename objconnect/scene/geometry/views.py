@@ -1,0 +1,317 @@
+"""Photographs turned north up and brought to one scale, as networks recognise places again.
+
+Photographs of a survey are turned every way, every second line by half a turn, and flown at any
+height. The map's poses say how, the query's prior to a few degrees and metres. A photograph turned
+and resized is that of another camera, with the same lens turned. One that looks at the ground more
+flatly than the map's photographs is seen as by a camera at its place that is tilted less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+
+# Numerical guard: features this near (px of the view) to where the photograph ends see the black
+# beyond it.
+MARGIN: Final = 8.0
+# Vertical component of the optical axis in the flattest view that counts as one from above: what
+# `looks_down` means.
+_LEVEL: Final = -0.5
+# Numerical guard: radians and share below which a photograph is left as it is.
+_SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
+# Largest turn of the optical axis, radians: what was flat is stretched the more.
+_MOST_LEVELLED: Final = np.pi / 4
+# Distance from the axis of a levelled view, in focal lengths, beyond which it shows nothing.
+_WIDEST: Final = 2.2
+# A levelled view has at most so many pixels for each pixel that the photograph would have.
+_MOST_PIXELS: Final = 2.0
+
+
+def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
+    """Return whether a camera of this rotation (3, 3) looks at least 30 degrees downwards."""
+    return bool(cam_from_world[2, 2] <= _LEVEL)
+
+
+def north_angle(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the clockwise angle (rad) from the picture's up to north on the ground.
+
+    Views within 30 degrees of the horizon, as from a street, are given the angle to the sky
+    instead, wherever they look.
+
+    Args:
+        cam_from_world: rotation (3, 3).
+
+    Example:
+        A camera that looks straight down, with north at the top of its picture:
+
+        >>> north_angle(np.diag([1.0, -1.0, -1.0]))
+        0.0
+    """
+    if not looks_down(cam_from_world):
+        up_axis = cam_from_world[:, 2]
+        return float(np.arctan2(up_axis[0], -up_axis[1]))
+    return map_angle(cam_from_world)
+
+
+def map_angle(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the clockwise angle (rad) by which a picture lies closest to a map, north up.
+
+    It is that of ``north_angle`` for views from above, and is defined for flat views too.
+
+    Args:
+        cam_from_world: rotation (3, 3).
+    """
+    east_axis, north_axis, _ = cam_from_world.T
+    # The turn about the optical axis that best brings east to the right and north up.
+    return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
+
+
+def tilt(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the angle (rad) between a camera's axis and the plumb line; 0 looks straight down.
+
+    Example:
+        >>> tilt(np.diag([1.0, -1.0, -1.0]))
+        0.0
+    """
+    return float(np.arccos(np.clip(-cam_from_world[2, 2], -1, 1)))
+
+
+def levelled(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a camera turned down to a tilt of ``least`` rad, north up.
+
+    The axis turns by 45 degrees at most. A camera of less tilt is only turned north up.
+    """
+    down = np.diag([1.0, -1.0, -1.0])
+    north_up = roll_rotation(map_angle(cam_from_world)) @ cam_from_world
+    vector = cv2.Rodrigues(north_up @ down)[0][:, 0]
+    angle = float(np.linalg.norm(vector))
+    kept = max(least, angle - _MOST_LEVELLED)
+    if angle <= kept:
+        return np.asarray(north_up)
+    return np.asarray(cv2.Rodrigues(vector * (kept / angle))[0] @ down)
+
+
+def roll_rotation(angle: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of camera coordinates when the picture turns counter-clockwise."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+
+
+def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a camera turned about its axis so that north is up."""
+    return np.asarray(roll_rotation(north_angle(cam_from_world)) @ cam_from_world)
+
+
+def with_heading(pose: Pose, heading: float) -> Pose:
+    """Turn a camera about its axis so that ``north_angle`` of it is ``heading`` (rad)."""
+    rotation = torch.from_numpy(roll_rotation(-heading) @ upright(pose.rotation.numpy()))
+    return Pose(rotation, -rotation @ pose.centre())
+
+
+_Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class WarpedImage:
+    """A photograph turned and resized.
+
+    Attributes:
+        picture: (h, w, 3) uint8; black where the photograph has ended.
+        camera: the camera that would have taken it.
+        view_from_camera: (3, 3) rotation from the photograph's camera frame.
+        in_photograph: maps pixels of the view (N, 2) to pixels of the photograph; NaN where these
+            cannot be.
+        scale: pixels of the view per pixel of the photograph, along its axis.
+        size: size (2,) of the photograph, width and height.
+    """
+
+    picture: NDArray[np.uint8]
+    camera: Camera
+    view_from_camera: NDArray[np.float64]
+    in_photograph: _Map
+    scale: float
+    size: NDArray[np.int64]
+
+    def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
+        there, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
+        (x, y), (wide, high) = there.T, self.size - margin
+        inside = (x >= margin) & (x <= wide) & (y >= margin) & (y <= high)
+        return np.asarray(inside.reshape(xy.shape[:-1]))
+
+    @cached_property
+    def whole(self) -> bool:
+        """Return whether the photograph fills the view."""
+        return bool(np.allclose(self.view_from_camera, np.eye(3)))
+
+    def middle(self, side: int) -> WarpedImage:
+        """Return the middle of the view, of at most ``side`` pixels in width and height."""
+        whole = np.array([self.camera.width, self.camera.height])
+        size = np.minimum(whole, side)
+        corner = (whole - size) // 2
+        if not corner.any():
+            return self
+        (left, top), (wide, high) = corner.tolist(), size.tolist()
+        return replace(
+            self,
+            picture=np.ascontiguousarray(self.picture[top : top + high, left : left + wide]),
+            camera=self.camera.cropped(left, top, wide, high),
+            in_photograph=partial(_beyond_corner, self.in_photograph, corner),
+        )
+
+    def pose(self, cam_from_world: Pose) -> Pose:
+        """Return the view's pose, given the photograph's."""
+        return _turned(torch.from_numpy(self.view_from_camera), cam_from_world)
+
+    def photograph_pose(self, view_from_world: Pose) -> Pose:
+        """Return the photograph's pose, given the view's."""
+        return _turned(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
+
+    def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of the photograph's pose, given that of the view's.
+
+        One that is infinite, as nothing is known of the pose, stays as it is.
+        """
+        if not np.isfinite(covariance).all():
+            return covariance
+        back = np.kron(np.eye(2), self.view_from_camera.T)
+        return np.asarray(back @ covariance @ back.T)
+
+
+def _turned(by: torch.Tensor, pose: Pose) -> Pose:
+    return Pose(by @ pose.rotation, pose.translation @ by.T)
+
+
+def warp_image(
+    rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0
+) -> WarpedImage:
+    """Turn a photograph counter-clockwise and resize it; all of it is in the view.
+
+    Args:
+        rgb: (H, W, 3) the photograph.
+        camera: the camera that took it.
+        angle: radians, for instance from ``north_angle``.
+        scale: pixels of the view per pixel of the photograph.
+    """
+    size = np.array([camera.width, camera.height])
+    if abs(angle) < _SAME_ANGLE and abs(scale - 1) < _SAME_SCALE:
+        return WarpedImage(rgb, camera, np.eye(3), lambda xy: xy, 1.0, size)
+    # Pixels become square, so that the turned lens is described by the same camera model.
+    focal = np.array(camera.focal)
+    per_axis = scale * focal.mean() / focal
+    turn = roll_rotation(angle)
+    extent = np.abs(turn[:2, :2]) @ (size * per_axis)
+    wide = np.ceil(extent - 1e-6).astype(int)
+    linear = turn[:2, :2] * per_axis
+    affine = np.column_stack([linear, wide / 2 - linear @ (size / 2)])
+    params = (*(focal * per_axis), *(linear @ camera.principal + affine[:, 2]))
+    if camera.is_fisheye:
+        model, lens = "OPENCV_FISHEYE", camera.distortion
+    else:
+        k1, k2, p1, p2, *more = camera.distortion
+        # Radial distortion has no direction; tangential distortion turns with the picture.
+        p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
+        model, lens = "FULL_OPENCV" if more else "OPENCV", (k1, k2, p1, p2, *more)
+    turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
+    # The inverse of a rotation after a scaling. LAPACK would wake its threads, which takes 2 ms.
+    inverse = turn[:2, :2].T / per_axis[:, None]
+    back = partial(_affine_back, inverse, affine[:, 2])
+    along = float(np.linalg.norm(affine[:, 0]))
+    return WarpedImage(resampled(rgb, affine, wide), turned, turn, back, along, size)
+
+
+def level_image(
+    rgb: NDArray[np.uint8], camera: Camera, view_from_camera: NDArray[np.float64], scale: float
+) -> WarpedImage:
+    """See a photograph as a camera without distortion would that is turned at its place.
+
+    Ground that the photograph shows at an angle is stretched, as far as 65 degrees off the axis.
+
+    Args:
+        rgb: (H, W, 3) the photograph.
+        camera: the camera that took it.
+        view_from_camera: (3, 3) how to turn it, for instance to a rotation of ``levelled``.
+        scale: pixels of the view per pixel of the photograph, along the axis of either. It becomes
+            less where the view would have many more pixels than the photograph.
+    """
+    size = np.array([camera.width, camera.height])
+    edge = np.linspace(0, 1, 33)
+    x, y = np.meshgrid(edge * size[0], edge * size[1])
+    rays, valid = camera.unproject(torch.from_numpy(np.stack([x.ravel(), y.ravel()], -1)))
+    turned = rays[valid].double().numpy() @ view_from_camera.T
+    flat = turned[:, :2] / np.maximum(turned[:, 2:], 1e-6)
+    flat = flat[np.linalg.norm(flat, axis=1) <= _WIDEST]
+    extent = np.ptp(flat, axis=0)
+    focal = float(np.mean(camera.focal))
+    pixels = float(np.prod(extent)) * focal**2 / float(np.prod(size))
+    focal *= scale * min(1.0, (_MOST_PIXELS / pixels) ** 0.5)
+    wide, high = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
+    principal = (-flat.min(0) * focal).tolist()
+    view = Camera("PINHOLE", wide, high, (focal, focal, *principal))
+    back = partial(_turned_back, view, view_from_camera, camera)
+    grid = view.pixel_grid(torch.float64).reshape(-1, 2).numpy()
+    shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
+    small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+    # OpenCV counts from the first pixel's centre.
+    there = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(high, wide, 2)
+    there = np.nan_to_num(there, nan=-1e4)
+    picture = cv2.remap(small, there[..., 0], there[..., 1], cv2.INTER_LINEAR)
+    along = focal / float(np.mean(camera.focal))
+    return WarpedImage(np.asarray(picture, np.uint8), view, view_from_camera, back, along, size)
+
+
+def _beyond_corner(
+    in_photograph: _Map, corner: NDArray[np.int64], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return in_photograph(xy + corner)
+
+
+def _affine_back(
+    linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    # Written out: a product of so many rows would wake the threads of BLAS.
+    (a, b), (c, d) = linear.tolist()
+    x, y = (xy - shift).T
+    return np.stack([a * x + b * y, c * x + d * y], -1)
+
+
+def _turned_back(
+    view: Camera, view_from_camera: NDArray[np.float64], camera: Camera, xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    rays, _ = view.unproject(torch.from_numpy(np.asarray(xy, np.float64)))
+    projected = camera.project(rays.double() @ torch.from_numpy(view_from_camera))
+    return np.where(projected.valid[:, None].numpy(), projected.xy.numpy(), np.nan)
+
+
+def resampled(
+    rgb: NDArray[np.uint8], affine: NDArray[np.float64], size: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Warp a picture by ``affine`` (2, 3), pixels counted from the edge, into width and height.
+
+    A picture that becomes smaller is averaged over areas first, so that no pixel is skipped.
+    """
+    height, width = rgb.shape[:2]
+    scale = np.linalg.norm(affine[:, :2], axis=0)
+    if (scale < 1).any():
+        small = np.maximum(np.round(np.array([width, height]) * np.minimum(scale, 1)), 1)
+        small = small.astype(int)
+        rgb = np.asarray(cv2.resize(rgb, small.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+        affine = np.column_stack([affine[:, :2] * ([width, height] / small), affine[:, 2]])
+    moved = from_pixel_centres(affine)
+    return np.asarray(cv2.warpAffine(rgb, moved, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
+
+
+def from_pixel_centres(affine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an affine map (2, 3) of pixels as OpenCV counts them, from the first one's centre."""
+    shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
+    return np.column_stack([affine[:, :2], shift])

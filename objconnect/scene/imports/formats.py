@@ -1,0 +1,65 @@
+"""The formats of poses by name, and the recognition of any of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.imports.poses import ForeignPoses, Format, Frame
+from objconnect.scene.imports.strangers import refuse_stranger
+from objconnect.scene.registry import Lazy, Registry
+
+# Formats are asked in this order.
+FORMATS: Final[Registry[Format]] = Registry(
+    "pose format",
+    "objconnect.imports",
+    {
+        "colmap": Lazy("objconnect.scene.imports.colmap:FORMAT", "folder of a binary COLMAP model"),
+        "splatting": Lazy(
+            "objconnect.scene.imports.splatting:FORMAT", "cameras.json of 3D Gaussian splatting"
+        ),
+        "opensfm": Lazy(
+            "objconnect.scene.imports.opensfm:FORMAT", "reconstruction.json of ODM or OpenSfM"
+        ),
+        "nerfstudio": Lazy(
+            "objconnect.scene.imports.nerfstudio:FORMAT", "transforms.json, or its folder"
+        ),
+        "metashape": Lazy("objconnect.scene.imports.metashape:FORMAT", "cameras.xml of Metashape"),
+        "table": Lazy("objconnect.scene.imports.table:FORMAT", "CSV of positions"),
+        "tum": Lazy("objconnect.scene.imports.tum:FORMAT", "TUM trajectory"),
+    },
+    accepts=lambda found: isinstance(found, Format),
+)
+
+
+FRAMED: Final = "a reconstruction.json of ODM or OpenSfM"
+"""The files whose frame a user may state."""
+
+
+def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
+    """Read poses with the first format that knows a path.
+
+    Args:
+        path: file or folder.
+        frame: frame of the poses, where the file may leave it open; None states none.
+
+    Raises:
+        InputError: the path does not exist, no format knows it, anything inside it is wrong, or a
+            frame is stated of a format whose files leave no doubt of theirs.
+    """
+    if not path.exists():
+        raise InputError(f"file of poses {path} does not exist")
+    refuse_stranger(path)
+    known = []
+    for name in FORMATS:
+        form = FORMATS.load(name)
+        with FORMATS.blame(name, f"cannot read {path}"):
+            if form.is_one(path):
+                if frame is None:
+                    return form.read(path)
+                if form.read_in is not None:
+                    return form.read_in(path, frame)
+                raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
+        known.append(form.holds)
+    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(known)}")

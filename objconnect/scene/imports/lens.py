@@ -1,0 +1,152 @@
+"""Lenses of other programs as cameras of this project.
+
+Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two of them are
+those of COLMAP's OPENCV, and three those of its FULL_OPENCV without a denominator. Where there are
+four, or skew, the nearest such camera is fitted, and a lens that it cannot describe is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+
+MOST_OFF: Final = 1e-3
+"""Largest distance between a lens and the camera that stands in for it, in longer sides of the
+picture."""
+
+LONGEST_FOCAL: Final = 100.0
+"""No lens of these programs has a focal length of more longer sides of the picture."""
+
+LARGEST_SIDE: Final = 1_000_000
+"""No picture is wider or higher (pixels)."""
+
+# Rays of the fit: directions around the axis, and steps from the axis to the corner.
+_DIRECTIONS, _STEPS = 48, 60
+# Iterations that bring the fit from the least squares near the least maximum (Lawson's method).
+_ROUNDS = 20
+
+
+def require_inside(
+    principal: tuple[float, float], size: tuple[int, int], names: tuple[str, str]
+) -> None:
+    """Refuse a principal point (pixels) that lies outside the picture.
+
+    Args:
+        principal: (cx, cy), COLMAP pixels.
+        size: width and height, pixels.
+        names: fields of the file, for the message.
+
+    Raises:
+        InputError: it does; another program counts it from another point, or in another unit.
+    """
+    for at, side, name in zip(principal, size, names, strict=True):
+        if not 0 <= at <= side:
+            raise InputError(
+                f"{name} puts the principal point at {at:.0f} of {side} pixels, outside the "
+                "picture: it is counted from another point or in another unit"
+            )
+
+
+@dataclass(frozen=True)
+class BrownLens:
+    """A lens of the Brown model, in OpenCV's order and sign of coefficients.
+
+    A point (x, y) = (X/Z, Y/Z) of radius r is at x (1 + k1 r^2 + ... + k4 r^8) + 2 p1 x y +
+    p2 (r^2 + 2 x^2), and y likewise with p1 and p2 exchanged, then multiplied by the focal lengths.
+
+    Attributes:
+        size: width and height, pixels.
+        focal: (fx, fy), pixels.
+        principal: (cx, cy), COLMAP pixels.
+        radial: (k1, k2, k3, k4).
+        tangential: (p1, p2).
+        skew: pixels of x per unit of y.
+    """
+
+    size: tuple[int, int]
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+    skew: float = 0.0
+
+    def camera(self) -> Camera:
+        """Return the camera of this lens: OPENCV, FULL_OPENCV with k3, or the nearest of these.
+
+        Raises:
+            InputError: the numbers are those of no camera, or none is within ``MOST_OFF``.
+        """
+        k1, k2, k3, k4 = self.radial
+        exact = self._with((*self.focal, *self.principal, k1, k2, *self.tangential, k3))
+        if not (k4 or self.skew):
+            return exact
+        numbers = (k4, self.skew)
+        if not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e9:
+            raise InputError("camera parameters are out of range")
+        return self._fitted()
+
+    def _with(self, params: Sequence[float]) -> Camera:
+        """Return the camera of fx, fy, cx, cy, k1, k2, p1, p2 and k3."""
+        *most, k3 = params
+        if k3 == 0:
+            return Camera("OPENCV", *self.size, tuple(most))
+        return Camera("FULL_OPENCV", *self.size, (*most, k3, 0.0, 0.0, 0.0))
+
+    def project(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pixels (N, 2) of rays (x, y, 1), each (N,)."""
+        r2, (p1, p2) = x * x + y * y, self.tangential
+        k1, k2, k3, k4 = self.radial
+        stretch = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
+        u = x * stretch + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        v = y * stretch + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
+        (fx, fy), (cx, cy) = self.focal, self.principal
+        return np.stack([fx * u + self.skew * v + cx, fy * v + cy], -1)
+
+    def _rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the rays (x, y), each (N,), that fall into the picture before the model folds."""
+        angle = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)[:, None]
+        reach = 2 * np.hypot(self.size[0] / self.focal[0], self.size[1] / self.focal[1])
+        radius = np.linspace(0, reach, 4 * _STEPS)[None, :]
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        xy = self.project(x.ravel(), y.ravel()).reshape(*x.shape, 2)
+        inside = ((xy >= 0) & (xy <= np.array(self.size))).all(-1)
+        out = np.linalg.norm(xy - np.array(self.principal), axis=-1)
+        inside[:, 1:] &= np.diff(out, axis=1) > 0
+        kept = np.logical_and.accumulate(inside, axis=1)
+        return x[kept], y[kept]
+
+    def _fitted(self) -> Camera:
+        """Fit focal length and five coefficients by least squares over the picture."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, y = self._rays()
+        r2, ratio = x * x + y * y, self.focal[1] / self.focal[0]
+        if len(x) < _STEPS:
+            raise InputError("the lens folds within the picture: its coefficients are no lens's")
+        along_x = np.stack([x, x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], -1)
+        along_y = np.stack([y, y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], -1)
+        rows = np.concatenate([along_x, along_y])
+        # Focal length times each coefficient is linear in the pixels.
+        pixels = ((self.project(x, y) - np.array(self.principal)) / [1.0, ratio]).T.ravel()
+        weight = np.ones(len(x))
+        for _ in range(_ROUNDS):
+            root = np.sqrt(np.tile(weight, 2))
+            solution = np.linalg.lstsq(rows * root[:, None], pixels * root, rcond=None)[0]
+            off = np.linalg.norm((rows @ solution - pixels).reshape(2, -1), axis=0)
+            if not off.any():
+                break
+            weight *= off / (weight @ off)
+        f, *bent = solution.tolist()
+        most = float(off.max()) / max(self.size)
+        if not (most <= MOST_OFF and f > 0):
+            raise InputError(
+                f"the lens is {most * max(self.size):.1f} px from the nearest FULL_OPENCV camera: "
+                "undistort the photographs, or calibrate without skew and with fewer coefficients"
+            )
+        return self._with((f, f * ratio, *self.principal, *(value / f for value in bent)))

@@ -1,0 +1,159 @@
+"""Poses of Agisoft Metashape: the XML that "Export Cameras" writes.
+
+A camera's ``transform`` is a row-major matrix, chunk from camera, with OpenCV's camera axes. The
+transform of the component (or, in older files, of the chunk) leads from the chunk to geocentric
+metres, or to a local system. Components have frames of their own, and so have chunks.
+``metashape_lens`` reads calibrations.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.geodesy import Geodetic, enu_axes, geodetic_from_ecef
+from objconnect.scene.imports.metashape_lens import camera_of, numbers_of
+from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, posed
+from objconnect.scene.quantities.flags import parse_flag
+from objconnect.scene.storage.files import read_text
+
+Array = NDArray[np.float64]
+
+# Distances from the middle of the earth (m) between which geocentric coordinates lie.
+_ON_EARTH_M = (6.2e6, 6.6e6)
+
+
+def _read(path: Path) -> ForeignPoses:
+    """Read the photographs that are aligned and enabled."""
+    chunk = _chunk(path)
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
+    aligned = [camera for camera in chunk.iter("camera") if _is_aligned(camera)]
+    # A sensor that no photograph uses has an empty calibration.
+    used = dict.fromkeys(camera.get("sensor_id") for camera in aligned)
+    cameras = {name: camera_of(path, sensors[name]) for name in used if name in sensors}
+    worlds = _worlds(path, chunk, aligned)
+    names, lenses, matrices = [], [], []
+    for camera in aligned:
+        name = camera.get("label", "")
+        chunk_from_cam = numbers_of(path, camera.find("transform"), 16, f"transform of {name!r}")
+        chunk_from_cam = _with_last_row(path, chunk_from_cam.reshape(4, 4), name)
+        names.append(name)
+        lenses.append(cameras.get(camera.get("sensor_id")))
+        matrices.append(_moved(chunk_from_cam, worlds[camera.get("component_id")]))
+    world_from_cam, origin = _on_earth(np.array(matrices).reshape(-1, 4, 4))
+    if origin is None and len(worlds) > 1:
+        raise InputError(
+            f"{path}: its photographs are in {len(worlds)} components, which nothing places in one "
+            "frame: export one component, or align and reference them together"
+        )
+    return posed(path, names, lenses, world_from_cam, origin)
+
+
+def _chunk(path: Path) -> ET.Element:
+    """Return the one chunk that has photographs."""
+    chunks = list(_parsed(path).iter("chunk"))
+    if not chunks:
+        raise InputError(f"{path} has no chunk: export it with Metashape's Export Cameras")
+    full = [chunk for chunk in chunks if any(map(_is_aligned, chunk.iter("camera")))]
+    if len(full) > 1:
+        raise InputError(
+            f"{path} has {len(full)} chunks, each in a frame of its own: export the cameras of one"
+        )
+    return full[0] if full else chunks[0]
+
+
+def _is_aligned(camera: ET.Element) -> bool:
+    """Return whether a photograph has a pose and is enabled."""
+    enabled = parse_flag(camera.get("enabled", "true"))
+    return camera.find("transform") is not None and enabled is not False
+
+
+def _worlds(
+    path: Path, chunk: ET.Element, aligned: Sequence[ET.Element]
+) -> dict[str | None, Array | None]:
+    """Return world from chunk for each component that photographs are in; None if it is local.
+
+    Older files have one transform, that of the chunk.
+    """
+    own = {one.get("id"): _similarity(path, one) for one in chunk.iter("component")}
+    used = dict.fromkeys(camera.get("component_id") for camera in aligned)
+    worlds = {name: own.get(name) for name in used}
+    if not any(world is not None for world in own.values()) and len(worlds) == 1:
+        return dict.fromkeys(worlds, _similarity(path, chunk))
+    placed = [world is not None for world in worlds.values()]
+    if any(placed) and not all(placed):
+        raise InputError(f"{path}: some photographs are in a component without a transform")
+    return worlds
+
+
+def _with_last_row(path: Path, matrix: Array, name: str) -> Array:
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
+        raise InputError(f"{path}: the transform of {name!r} does not end with the row 0 0 0 1")
+    return matrix
+
+
+def _parsed(path: Path) -> ET.Element:
+    text = read_text(path, "Metashape's cameras")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can grow to any size
+        raise InputError(f"{path} declares a document type, which Metashape does not write")
+    try:
+        return ET.fromstring(text)
+    except (ET.ParseError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not valid XML: {error}") from None
+
+
+def _similarity(path: Path, holder: ET.Element) -> Array | None:
+    """Return world from chunk of a component or chunk as (4, 4): scale, rotation, translation."""
+    transform = holder.find("transform")
+    if transform is None or not len(transform):
+        return None
+    parts = {}
+    for part, count in (("rotation", 9), ("translation", 3), ("scale", 1)):
+        element = transform.find(part)
+        if element is None:
+            raise InputError(
+                f"{path}: the transform of {holder.tag} {holder.get('label', '')!r} has no {part}"
+            )
+        parts[part] = numbers_of(path, element, count, part)
+    if not parts["scale"][0] > 0:
+        raise InputError(f"{path}: the scale of {holder.tag} must be positive")
+    matrix = np.eye(4)
+    matrix[:3, :3] = parts["rotation"].reshape(3, 3) * parts["scale"][0]
+    matrix[:3, 3] = parts["translation"]
+    return matrix
+
+
+def _moved(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
+    """Return world from camera, (4, 4), whose rotation has no scale."""
+    if world_from_chunk is None:
+        return chunk_from_cam
+    moved = np.asarray(world_from_chunk @ chunk_from_cam)
+    scale = np.cbrt(np.linalg.det(world_from_chunk[:3, :3]))
+    moved[:3, :3] /= scale if scale > 0 else np.nan
+    return moved
+
+
+def _on_earth(world_from_cam: Array) -> tuple[Array, Geodetic | None]:
+    """Return geocentric poses as east, north, up around their middle; others as they are."""
+    if not len(world_from_cam):
+        return world_from_cam, None
+    middle = np.median(world_from_cam[:, :3, 3], axis=0)
+    if not _ON_EARTH_M[0] < float(np.linalg.norm(middle)) < _ON_EARTH_M[1]:
+        return world_from_cam, None
+    origin = geodetic_from_ecef(middle)
+    enu_from_ecef = np.eye(4)
+    enu_from_ecef[:3, :3] = enu_axes(origin)
+    enu_from_ecef[:3, 3] = -enu_axes(origin) @ middle
+    return np.asarray(enu_from_ecef @ world_from_cam), origin
+
+
+FORMAT = Format(
+    lambda path: path.suffix.lower() == ".xml" and begins_with(path, "<"),
+    _read,
+    "a cameras.xml of Metashape",
+)

@@ -1,0 +1,305 @@
+"""The frame of ODM's reconstructions: metres east, north and up, or a projected system.
+
+OpenSfM writes ``reconstruction.json`` in metres east, north and up from ``reference_lla``. ODM then
+runs ``export_geocoords --reconstruction``, which moves it to a UTM zone minus an offset by one
+affine map, and puts the result in the place of the first file, which it keeps as
+``reconstruction.topocentric.json``. Both have the same fields and the same ``reference_lla``. They
+are told apart by the file beside them, by their names, by GPS positions of the shots, which the
+move leaves along east and north, by the project of plain OpenSfM, which moves nothing, or by the
+user. A frame that nothing tells is an error, and so are two that contradict each other.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.named_systems import NamedSystem, named_system
+from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
+from objconnect.scene.imports.poses import Frame
+from objconnect.scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
+from objconnect.scene.quantities.reading import Reading, known, unknown
+from objconnect.scene.storage.files import read_text
+
+Array = NDArray[np.float64]
+
+log = logging.getLogger(__name__)
+
+TOPOCENTRIC: Final = "reconstruction.topocentric.json"
+"""The name under which ODM keeps the reconstruction in metres east, north and up."""
+
+_REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt beside it"
+_NAMES: Final[dict[str, Frame]] = {
+    TOPOCENTRIC: "topocentric",
+    "reconstruction.geocoords.json": "projected",  # of export_geocoords
+}
+_FRAMES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
+_OPTION: Final = "--poses-frame"
+# Plain OpenSfM's folder has all of these; ODM lists its photographs in a file and has no images.
+_OF_OPENSFM: Final = ("images", "exif", "camera_models.json")
+_OF_ODM: Final = "image_list.txt"
+# A camera lies no further than this from the origin of its world, metres.
+_FARTHEST_M: Final = 100_000.0
+# Two files are of one reconstruction where a similarity maps poses so closely (m, radians, and
+# parts of the extent); a projected system's scale is so near to one.
+_SAME_M, _SAME_RAD, _SAME_PART, _SCALE = 0.02, 2e-3, 1e-3, 0.01
+# Axes closer than this are not told apart (radians): over a flight they differ by centimetres.
+_SMALL_TURN: Final = 2e-4
+
+
+@dataclass(frozen=True)
+class Shots:
+    """N shots of a reconstruction.
+
+    Attributes:
+        names: file names.
+        world_from_cam: (N, 4, 4) in the frame of the file.
+        measured: (N, 3) GPS positions, metres east, north and up; NaN where there is none.
+        origin: place of the world's origin.
+        frame: frame that the file itself states; None where it states none.
+    """
+
+    names: Sequence[str]
+    world_from_cam: Array
+    measured: Array
+    origin: Geodetic
+    frame: Frame | None = None
+
+    @property
+    def centres(self) -> Array:
+        """Return the camera centres, (N, 3)."""
+        return self.world_from_cam[:, :3, 3]
+
+
+def topocentric(
+    path: Path, shots: Shots, beside: Shots | None, stated: Frame | None = None
+) -> Shots:
+    """Return shots in metres east, north and up from their origin.
+
+    Args:
+        path: file of the shots.
+        shots: shots as the file has them.
+        beside: shots of the file ``TOPOCENTRIC`` in the same folder; None without one.
+        stated: frame that the user states; None where nothing is stated.
+
+    Raises:
+        InputError: the frame of the file cannot be told, or contradicts the files beside it or
+            what the user states.
+    """
+    if not _is_sane(shots) or not len(shots.names):
+        return shots  # as the file has it: ``poses.posed`` says what is wrong
+    if path.name == TOPOCENTRIC:
+        return _alone(path, shots, stated)
+    if beside is not None and not _is_sane(beside):
+        raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
+    if beside is not None:
+        found = _from_beside(path, shots, beside, stated)
+        if found is not None:
+            return found
+    system = _system_of(path)
+    if system is not None:
+        return _from_system(path, shots, *system, stated)
+    return _alone(path, shots, stated)
+
+
+def _is_sane(shots: Shots) -> bool:
+    return bool((np.abs(shots.world_from_cam) <= FARTHEST_M).all())
+
+
+def _near(path: Path, shots: Shots) -> Shots:
+    """Refuse cameras that no flight around the origin has."""
+    if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
+        raise InputError(
+            f"{path}: its shots are not in metres from reference_lla but in a projected system, as "
+            f"export_geocoords writes: give the reconstruction from before, or {TOPOCENTRIC}"
+        )
+    return shots
+
+
+def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) -> Shots | None:
+    """Return the poses of the topocentric file, where it has all shots."""
+    row = {name: k for k, name in enumerate(beside.names)}
+    if not set(shots.names) <= row.keys():
+        return None
+    if not is_same_place(shots.origin, beside.origin, _SAME_M):
+        raise InputError(
+            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: move the file that "
+            "is of another reconstruction away"
+        )
+    there = beside.world_from_cam[[row[name] for name in shots.names]]
+    if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
+        _agreed(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
+        return shots
+    if not _is_moved(shots.world_from_cam, there):
+        raise InputError(
+            f"{path} and {TOPOCENTRIC} beside it are of two reconstructions: give the latter, or "
+            "move it away"
+        )
+    _agreed(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
+    log.warning("%s is in a projected system: poses are those of %s", path, TOPOCENTRIC)
+    return replace(shots, world_from_cam=there, origin=beside.origin)
+
+
+def _is_moved(projected: Array, there: Array) -> bool:
+    """Return whether a turn about the vertical, a shift and a scale near one map both."""
+    left, _, right = np.linalg.svd(
+        (projected[:, :3, :3] @ there[:, :3, :3].transpose(0, 2, 1)).sum(0)
+    )
+    turn = left @ right
+    off = turn @ there[:, :3, :3] - projected[:, :3, :3]
+    if np.abs(off).max() > _SAME_RAD or turn[2, 2] < math.cos(_SAME_RAD):
+        return False
+    own = projected[:, :3, 3] - projected[:, :3, 3].mean(0)
+    other = (there[:, :3, 3] - there[:, :3, 3].mean(0)) @ turn.T
+    extent = float(np.linalg.norm(other, axis=1).max())
+    spread = float((other**2).sum())
+    scale = float((own * other).sum()) / spread if spread > 0 else 1.0
+    most = float(np.abs(own - scale * other).max())
+    return abs(scale - 1) < _SCALE and most < _SAME_M + _SAME_PART * extent
+
+
+def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
+    """Return the projected system of ODM's project and its offset (2,), from coords.txt."""
+    place = path.parent.resolve()  # of a relative path, ``parent.parent`` may be ``parent``
+    for folder in (place / "odm_georeferencing", place.parent / "odm_georeferencing"):
+        for file in (folder / "coords.txt", folder / "odm_georeferencing_model_geo.txt"):
+            if file.is_file():
+                return _stated(file)
+    beside = place / "coords.txt"
+    return _stated(beside) if beside.is_file() else None
+
+
+def _stated(file: Path) -> tuple[NamedSystem, Array]:
+    header, *rest = read_text(file, "ODM's coordinate system").split("\n")
+    try:
+        offset = np.array([float(word) for word in rest[0].split()])
+    except (ValueError, IndexError):
+        offset = np.zeros(0)
+    if len(offset) != 2 or not np.isfinite(offset).all():
+        raise InputError(f"{file}:2: expected the offsets east and north, as ODM writes them")
+    return named_system(header, f"{file}:1"), offset
+
+
+def _from_system(
+    path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: Frame | None
+) -> Shots:
+    """Undo ODM's move where there was one."""
+    linear, shift = _move(path, shots.origin, system, offset)
+    turn = math.atan2(linear[1, 0], linear[0, 0])
+    back = _moved_back(shots, linear, shift)
+    between = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
+    if between < _SAME_M and abs(turn) < _SMALL_TURN:
+        return back
+    if _frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
+        return _near(path, shots)
+    log.warning("%s is in %s: its poses are moved back", path, system.projection.name)
+    return _near(path, back)
+
+
+def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> tuple[Array, Array]:
+    """Return the linear part (3, 3) and shift (3,) of what export_geocoords does."""
+    steps = np.vstack([np.zeros(3), np.eye(3)])
+    places = [geodetic_from_enu(step, origin) for step in steps]
+    seen = np.array([system.projection.from_geodetic(place) for place in places])
+    if not np.isfinite(seen).all():
+        raise InputError(f"{path}: reference_lla is no place in {system.projection.name}")
+    # OpenSfM leaves the altitude as it is: the system's own heights have no part in it.
+    seen[:, 2] = [place.altitude for place in places]
+    shift = seen[0] - [*offset, 0.0]
+    if np.abs(shift[:2]).max() > _FARTHEST_M:
+        raise InputError(f"{path}: reference_lla is not near the offset in ODM's coords.txt")
+    return (seen[1:] - seen[0]).T, shift
+
+
+def _moved_back(shots: Shots, linear: Array, shift: Array) -> Shots:
+    left, _, right = np.linalg.svd(linear)
+    there = shots.world_from_cam.copy()
+    there[:, :3, :3] = (left @ right).T @ there[:, :3, :3]
+    there[:, :3, 3] = np.linalg.solve(linear, (shots.centres - shift).T).T
+    return replace(shots, world_from_cam=there)
+
+
+def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
+    """Check the frame of a file that nothing of ODM lies beside, or whose name tells its frame."""
+    _near(path, shots)
+    zone = utm_zone(shots.origin.longitude)
+    grid = f"a UTM grid as of zone {zone}"
+    frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
+    if frame.value == "projected":
+        raise InputError(
+            f"{path}: its poses are in a projected system by {frame.source}, and nothing tells its "
+            f"offset: {_REMEDY}"
+        )
+    return shots
+
+
+def _frame(
+    path: Path, shots: Shots, turn: float, stated: Frame | None, grid: str
+) -> Reading[Frame]:
+    """Return the frame of a file as everything that tells it agrees.
+
+    Args:
+        path: file of the shots.
+        shots: shots as the file has them.
+        turn: angle from east and north to the axes of the projected system, radians.
+        stated: frame that the user states.
+        grid: name of the projected system, for messages.
+
+    Raises:
+        InputError: nothing tells the frame, or two things contradict each other.
+    """
+    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], turn)
+    why, seen = axes.why, None
+    if axes.value is not None and abs(turn) > _SMALL_TURN:
+        seen = _FRAMES[axes.value]
+    elif axes.value is not None:
+        why = f"{axes.source} cannot tell axes that are turned by less than 0.02 degrees"
+    frame = _agreed(
+        path,
+        {
+            "its name": _NAMES.get(path.name),
+            f"gps_position ({why})" if why else "gps_position": seen,
+            "its field frame": shots.frame,
+            "OpenSfM's project around it": "topocentric" if _is_plain(path.parent) else None,
+            _OPTION: stated,
+        },
+    )
+    if not frame.known:
+        raise InputError(
+            f"{path}: whether its poses are topocentric (metres east and north of reference_lla) "
+            f"or projected ({grid}) cannot be told ({why}): {_REMEDY}, or state {_OPTION}"
+        )
+    return frame
+
+
+def _agreed(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
+    """Return the frame that sources tell, from the first of them; unknown where none tells it.
+
+    Raises:
+        InputError: two sources contradict each other.
+    """
+    heard = [(source, frame) for source, frame in told.items() if frame is not None]
+    if not heard:
+        return unknown(", ".join(told))
+    first, frame = heard[0]
+    for source, other in heard[1:]:
+        if other != frame:
+            remedy = f"leave out {_OPTION}" if source == _OPTION else "give OpenSfM's own file"
+            raise InputError(
+                f"{path}: its poses are {frame} by {first}, but {other} by {source}: {remedy}"
+            )
+    return known(frame, first)
+
+
+def _is_plain(folder: Path) -> bool:
+    """Return whether a folder is a project of OpenSfM that ODM has not made."""
+    made = all((folder / name).exists() for name in _OF_OPENSFM)
+    return made and not (folder / _OF_ODM).exists()

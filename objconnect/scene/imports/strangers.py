@@ -1,0 +1,84 @@
+"""Files of poses, lenses and places that no reader of this room takes, by their names.
+
+Their endings are those of files that are read, so that they are told by their contents.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import parse_json, read_text
+
+_HEAD_BYTES: Final = 4096
+_SHOWN: Final = 4
+
+# Beginnings of texts, what they are, and what to give instead.
+_TEXTS: Final = (
+    (r"# Bundle file", "a bundle of Bundler", "export to COLMAP"),
+    (r"NVM_V3", "a model of VisualSFM", "export to COLMAP"),
+    (r"imageName\s+X\s+Y\s+Z\s+Omega", "Pix4D's external parameters", "export to COLMAP"),
+    (r"#(name|cameras)\b.*[,;]", "a table of RealityCapture", "export to COLMAP"),
+    (r"Label\b.*\b(Omega|Yaw)", "a table of Metashape's reference", "use Export Cameras"),
+    (r"(<\?xml[^>]*>\s*)?<BlocksExchange", "blocks of ContextCapture", "export to COLMAP"),
+)
+
+
+def refuse_stranger(path: Path) -> None:
+    """Refuse a file that is known, or seen, to be of none of the formats of this room.
+
+    A damaged file, and a folder, are left to the readers.
+
+    Raises:
+        InputError: it is such a file; the message names what it is.
+    """
+    if not path.is_file():
+        return
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES).decode("utf-8", "replace").lstrip("\ufeff \t\r\n")
+    except OSError:
+        return
+    found = _json(path) if head[:1] in ("{", "[") else _text(head)
+    if found is not None:
+        what, remedy = found
+        raise InputError(f"{path} is no file of poses that is known: it is {what}: {remedy}")
+
+
+def _text(head: str) -> tuple[str, str] | None:
+    for pattern, what, remedy in _TEXTS:
+        if re.match(pattern, head, re.IGNORECASE):
+            return what, f"{remedy} and give that"
+    return None
+
+
+def _json(path: Path) -> tuple[str, str] | None:
+    try:
+        value = parse_json(read_text(path, "file of poses"))
+    except (ValueError, InputError):
+        return None
+    if isinstance(value, list):
+        first = value[0] if value and isinstance(value[0], dict) else None
+        if first is None or "shots" in first or "cameras" in first or _is_splatting(first):
+            return None
+        return _unknown(first)
+    if not isinstance(value, dict) or "frames" in value:
+        return None
+    if value.get("type") == "FeatureCollection":
+        return "GeoJSON, such as ODM's shots.geojson", "give reconstruction.topocentric.json"
+    lenses = value.values()
+    if value and all(isinstance(one, dict) and "projection_type" in one for one in lenses):
+        return "lenses without poses, as cameras.json of ODM", "give reconstruction.json"
+    return _unknown(value)
+
+
+def _is_splatting(first: Mapping[str, Any]) -> bool:
+    return {"img_name", "position", "rotation"} <= first.keys()
+
+
+def _unknown(keys: Mapping[str, Any]) -> tuple[str, str]:
+    names = ", ".join(repr(key) for key in list(keys)[:_SHOWN]) or "nothing"
+    return f"JSON with {names[:200]}", "give a file of COLMAP, ODM, nerfstudio or Metashape"

@@ -1,0 +1,204 @@
+"""Local features of images: keypoints and descriptors, in memory and in an HDF5 file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.storage.files import require_readable
+from objconnect.scene.storage.hdf5 import array, attribute, group, groups, set_text
+from objconnect.scene.storage.hdf5_writing import hdf5_file
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+# A group is named like its image, with "\" for "/". The group of an image whose name contains "\"
+# has a number for a name instead, and the image's name in this attribute.
+_NAME = "name"
+# What the features of a file depend on: see ``features_key``.
+_MADE_OF = "made_of"
+
+
+@dataclass(frozen=True)
+class Features:
+    """Keypoints and descriptors of one image.
+
+    Attributes:
+        xy: keypoints, (N, 2) float32 COLMAP pixels.
+        scale: sizes of the keypoints, (N,) float32 pixels.
+        descriptors: (N, D), as the extractor returns them: vectors of float32 or uint8 (COLMAP's
+            RootSIFT is 128 uint8 of length 512), or bits packed in uint8.
+
+    Example:
+        >>> features = Features(
+        ...     xy=np.array([[10.5, 20.5]], np.float32),
+        ...     scale=np.array([2.0], np.float32),
+        ...     descriptors=np.array([[3, 4]], np.uint8),
+        ... )
+        >>> unit_descriptors(features.descriptors)
+        tensor([[0.6000, 0.8000]])
+    """
+
+    xy: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    descriptors: NDArray[Any]
+
+
+def unit_descriptors(descriptors: NDArray[Any]) -> Tensor:
+    """Return vector descriptors (N, D) as float32 of unit length, ready to match."""
+    import torch
+
+    return torch.nn.functional.normalize(torch.from_numpy(descriptors).float(), dim=-1)
+
+
+def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
+    """Return binary descriptors (N, D) uint8 as (N, 8 D) float32 of unit length.
+
+    Bits become signs, so that the squared distance of two descriptors is 4 / (8 D) times their
+    Hamming distance.
+    """
+    import torch
+
+    bits = torch.from_numpy(np.unpackbits(descriptors, axis=1))
+    return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
+
+
+def features_key(photographs: Sequence[tuple[str, str]], options: str, *others: object) -> str:
+    """Return a digest of all that features depend on.
+
+    Args:
+        photographs: names and digests, in the order of the names.
+        options: of the extractor, as text.
+        others: digest of its weights, views of the photographs.
+    """
+    weights, *views = others or (None,)
+    parts = f"{list(photographs)} {options} {weights} {''.join(str(view or '') for view in views)}"
+    return hashlib.sha256(parts.encode()).hexdigest()
+
+
+class AddFeatures(Protocol):
+    """Adds the features of an image to a file."""
+
+    def __call__(self, name: str, item: Features, made_of: str = "") -> None:
+        """Add the features of the image of a name; ``made_of`` is its own ``features_key``."""
+        ...
+
+
+@contextmanager
+def feature_writer(path: Path, made_of: str = "") -> Iterator[AddFeatures]:
+    """Write a feature file atomically, one image at a time.
+
+    Args:
+        path: of the file.
+        made_of: what ``features_key`` returned; empty where it is not known.
+
+    Yields:
+        A function that adds the features of an image.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with hdf5_file(path) as file:
+        if made_of:
+            set_text(file, _MADE_OF, made_of)
+
+        def add(name: str, item: Features, made_of: str = "") -> None:
+            # HDF5 would take the slashes of a name for nested groups.
+            if "\\" in name:
+                group = file.create_group(f"\\{len(file)}")
+                set_text(group, _NAME, name)
+            else:
+                group = file.create_group(name.replace("/", "\\"))
+            group["xy"], group["scale"] = item.xy, item.scale
+            group["descriptors"] = item.descriptors
+            if made_of:
+                set_text(group, _MADE_OF, made_of)
+
+        yield add
+
+
+def _image_name(group_name: str, node: h5py.Group) -> str:
+    return str(attribute(node, _NAME)) if _NAME in node.attrs else group_name.replace("\\", "/")
+
+
+def write_features(path: Path, features: Mapping[str, Features], made_of: str = "") -> None:
+    """Write a file with the features of several images, by image name, atomically.
+
+    ``made_of`` is that of ``feature_writer``.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with feature_writer(path, made_of) as add:
+        for name, item in features.items():
+            add(name, item)
+
+
+class FeatureFile(Mapping[str, Features]):
+    """A mapping from image name to features that reads each image from the file when asked for it.
+
+    Nothing is cached. The file stays open, so it may be removed in the meantime. The mapping can be
+    shared between threads.
+
+    Attributes:
+        path: of the file.
+        made_of: digest of all that the features depend on; empty where it is not known.
+
+    Raises:
+        InputError: the file is missing or damaged; this can also be raised on access.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            require_readable(path, "feature file")
+            self._file = h5py.File(path, "r")
+            self._groups = {_image_name(key, node): key for key, node in groups(self._file)}
+            known = _MADE_OF in self._file.attrs
+            self.made_of = str(attribute(self._file, _MADE_OF)) if known else ""
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._groups)
+
+    def __getitem__(self, name: str) -> Features:
+        key = self._groups[name]
+        try:
+            node = group(self._file, key)
+            return Features(*(array(node, part) for part in ("xy", "scale", "descriptors")))
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def by_key(self) -> dict[str, str]:
+        """Return the names of the images of which is known what their features depend on, by the
+        ``features_key`` of each."""
+        try:
+            nodes = ((name, group(self._file, key)) for name, key in self._groups.items())
+            return {str(attribute(n, _MADE_OF)): name for name, n in nodes if _MADE_OF in n.attrs}
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"feature file {self.path} is missing or damaged: {error}")
+
+
+def read_features(path: Path) -> dict[str, Features]:
+    """Read all features of a file that ``write_features`` wrote, by image name.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    return dict(FeatureFile(path))

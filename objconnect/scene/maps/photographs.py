@@ -1,0 +1,47 @@
+"""The photographs that a map is built from, with a known pose or without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """A photograph with a known pose, as triangulation needs it.
+
+    Attributes:
+        name: path relative to the folder of all images.
+        camera: calibrated camera.
+        cam_from_world: (4, 4) float64.
+    """
+
+    name: str
+    camera: Camera
+    cam_from_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph without a known pose, as structure from motion takes it.
+
+    Attributes:
+        name: path relative to the folder of all images.
+        camera: calibration, or a first guess of it.
+        lens: name of the lens; photographs with the same lens share one camera, which is refined
+            from all of them.
+        calibrated: whether ``camera`` is exact and must not be refined.
+        focal_known: whether the focal length of ``camera`` was measured, for example from EXIF.
+        focal_doubt: why the photograph's own fields do not tell it; empty where they say nothing.
+    """
+
+    name: str
+    camera: Camera
+    lens: str
+    calibrated: bool = False
+    focal_known: bool = False
+    focal_doubt: str = ""

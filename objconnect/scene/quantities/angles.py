@@ -1,0 +1,180 @@
+"""Latitudes and longitudes, in every spelling that photographs have for them.
+
+EXIF has degrees, minutes and seconds without a sign, and the hemisphere in a tag of its own. XMP
+has a text: ``46,50.556N`` in the namespace ``exif``, and signed decimal degrees in those of drones.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from objconnect.scene.quantities.numbers import parse_number, plain_text, to_number
+from objconnect.scene.quantities.reading import Reading, known, unknown
+
+# A number that differs from a whole one by less is whole.
+_WHOLE: Final = 1e-9
+_PARTS: Final = ("degrees", "minutes", "seconds")
+# Marks of a text that divide degrees, minutes and seconds.
+_DIVIDE = re.compile(r"[\s,;:°º'\"′″]+")
+_LETTER = re.compile(r"^(.*?)\s*([A-Za-z]+)\.?$", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Latitude or longitude.
+
+    Attributes:
+        tag: Name of its field in EXIF.
+        positive: Name of the hemisphere of positive values, in lower case.
+        negative: Name of that of negative ones.
+        limit: The largest value, degrees.
+    """
+
+    tag: str
+    positive: str
+    negative: str
+    limit: float
+
+    @property
+    def reference(self) -> str:
+        """Return the name of the field of its hemisphere in EXIF."""
+        return f"{self.tag}Ref"
+
+
+LATITUDE: Final = Axis("GPSLatitude", "north", "south", 90.0)
+LONGITUDE: Final = Axis("GPSLongitude", "east", "west", 180.0)
+
+
+def read_hemisphere(value: object, axis: Axis) -> Reading[int]:
+    """Return the sign of a hemisphere, 1 or -1.
+
+    It is a letter or an English word, in capitals or not, padded or not.
+    """
+    if value is None:
+        return unknown(axis.reference, f"{axis.reference} is missing")
+    text = plain_text(value).rstrip(".").lower()
+    for word, sign in ((axis.positive, 1), (axis.negative, -1)):
+        if text in (word, word[0], f"{word}ern"):
+            return known(sign, axis.reference)
+    if not text:
+        return unknown(axis.reference, f"{axis.reference} is empty")
+    return unknown(axis.reference, f"{axis.reference} {text!r} is no hemisphere of it")
+
+
+def read_degrees(value: object, axis: Axis) -> Reading[float]:
+    """Return an angle without its hemisphere, degrees from 0 to the limit of the axis.
+
+    Args:
+        value: One to three numbers, or a text of them. The last number that is there may have a
+            fraction; those after it are missing, zero or 0/0.
+        axis: What it is.
+    """
+    if isinstance(value, str | bytes):
+        parts = _split(plain_text(value))
+    elif isinstance(value, Sequence):
+        parts = [to_number(part) for part in value]
+    else:
+        parts = [to_number(value)]
+    return _degrees(parts, axis, axis.tag)
+
+
+def read_coordinate(value: object, reference: object, axis: Axis) -> Reading[float]:
+    """Return a latitude or longitude of EXIF, degrees, negative in the south and west."""
+    if value is None:
+        return unknown(axis.tag, f"{axis.tag} is missing")
+    degrees, sign = read_degrees(value, axis), read_hemisphere(reference, axis)
+    if degrees.value is None:
+        return degrees
+    if sign.value is None:
+        return unknown(axis.tag, *sign.doubts)
+    return known(sign.value * degrees.value, axis.tag)
+
+
+def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Reading[float]:
+    """Return a latitude or longitude of a text, degrees, negative in the south and west.
+
+    Args:
+        text: As ``46,50.556N``, ``46,50,33.36N`` or ``+46.8426``.
+        axis: What it is.
+        source: Name of the field.
+        signed: Whether the field is one of signed degrees, where no sign means north and east.
+    """
+    text = plain_text(text)
+    lettered = _LETTER.match(text)
+    if lettered is None:
+        value = _signed(text)
+        if value is None:
+            return unknown(source, f"{source} {text!r} is no number of degrees")
+        if not signed and text[0] not in "+-":
+            return unknown(source, f"{source} {text!r} tells no hemisphere")
+        if not abs(value) <= axis.limit:
+            return unknown(source, f"{source} {text!r} is beyond {axis.limit:.0f} degrees")
+        return known(value, source)
+    sign = read_hemisphere(lettered[2], axis)
+    degrees = _degrees(_split(lettered[1]), axis, source)
+    if sign.value is None:
+        return unknown(source, f"{source} {text!r} tells no hemisphere")
+    if degrees.value is None:
+        return degrees
+    return known(sign.value * degrees.value, source)
+
+
+def _signed(text: str) -> float | None:
+    """Return decimal degrees; a comma with few digits after it may divide degrees and minutes."""
+    if "," in text and len(text.rpartition(",")[2]) <= 2:
+        return None
+    return parse_number(text)
+
+
+def _split(text: str) -> list[float]:
+    """Return the numbers of a text, which may be fractions; NaN where one is no number."""
+    words = [word for word in _DIVIDE.split(text) if word]
+    return [_fraction(word) for word in words]
+
+
+def _fraction(word: str) -> float:
+    top, divided, bottom = word.partition("/")
+    above, below = parse_number(top), parse_number(bottom) if divided else 1.0
+    return math.nan if above is None or not below else above / below
+
+
+def _degrees(parts: Sequence[float], axis: Axis, source: str) -> Reading[float]:
+    """Return degrees, minutes and seconds as degrees, or why they do not tell them."""
+    why = _fault(parts)
+    if why:
+        return unknown(source, f"{source} {why}")
+    degrees = sum(part / 60**k for k, part in enumerate(parts) if not math.isnan(part))
+    if not degrees <= axis.limit:
+        return unknown(source, f"{source} is beyond {axis.limit:.0f} degrees")
+    return known(float(degrees), source)
+
+
+def _fault(parts: Sequence[float]) -> str:
+    """Return what is wrong with degrees, minutes and seconds; empty where nothing is."""
+    if not parts:
+        return "is empty"
+    if len(parts) > 3:
+        return f"has {len(parts)} numbers"
+    there = list(parts)
+    while there and math.isnan(there[-1]):
+        there.pop()
+    if not there:
+        return "is 0/0"
+    if not all(map(math.isfinite, there)):
+        return f"has {_PARTS[there.index(next(p for p in there if not math.isfinite(p)))]} of 0/0"
+    if min(there) < 0 or math.copysign(1, min(there)) < 0:
+        return "has a sign, which only its reference has in EXIF"
+    for name, part in zip(_PARTS[1:], there[1:], strict=False):
+        if part > 60:  # programs round 59.99999 to 60
+            return f"has {part:g} {name}"
+    for k, part in enumerate(there):
+        if abs(part - round(part)) > _WHOLE and any(there[k + 1 :]):
+            return f"has a fraction of {_PARTS[k]} and {_PARTS[k + 1]} as well"
+    last = there[-1]
+    if len(there) < len(_PARTS) and abs(last - round(last)) <= _WHOLE:
+        return f"ends with whole {_PARTS[len(there) - 1]}"
+    return ""

@@ -1,0 +1,68 @@
+"""The decimal mark of a file: a point or a comma, as its own numbers tell."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from objconnect.scene.quantities.numbers import parse_number
+
+_WITH_COMMA: Final = re.compile(r"[-+]?\d*,\d+")
+_WITH_POINT: Final = re.compile(r"[-+]?\d*\.\d+")
+# A mark before three digits may divide thousands.
+_THOUSANDS: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
+
+
+@dataclass(frozen=True)
+class DecimalMarks:
+    """Which marks of a file's numbers are decimal marks.
+
+    Attributes:
+        comma: A comma is one.
+        point: A point is one, also before three digits.
+        doubt: Why a comma is none although numbers have commas; empty where it is clear.
+    """
+
+    comma: bool
+    point: bool
+    doubt: str = ""
+
+    @staticmethod
+    def of(texts: Iterable[str]) -> DecimalMarks:
+        """Return the marks of a file from the texts of its numbers.
+
+        A comma is a decimal mark where no number has a point and some comma cannot divide
+        thousands. Where a file has both marks, numbers with a comma are not understood, and
+        neither are those with a point that may divide thousands.
+
+        Example:
+            >>> DecimalMarks.of(["47,0004", "60,000"]).parse("60,000")
+            60.0
+            >>> DecimalMarks.of(["47.0004", "1,234"]).parse("1,234") is None
+            True
+        """
+        written = set(texts)
+        commas = [text for text in written if _WITH_COMMA.fullmatch(text)]
+        points = [text for text in written if _WITH_POINT.fullmatch(text)]
+        if not commas:
+            return DecimalMarks(comma=False, point=True)
+        sure = [text for text in commas if not _THOUSANDS.fullmatch(text)]
+        if sure and not points:
+            return DecimalMarks(comma=True, point=False)
+        example = min(sure or commas)
+        return DecimalMarks(
+            comma=False,
+            point=not sure,
+            doubt=f"whether the comma of {example} is a decimal mark is not told by the file",
+        )
+
+    def parse(self, text: str) -> float | None:
+        """Return the number that a text holds and nothing else; None where that is not sure."""
+        text = text.strip()
+        if "," in text and not self.comma:
+            return None
+        if not self.point and _THOUSANDS.fullmatch(text) and "." in text:
+            return None
+        return parse_number(text)

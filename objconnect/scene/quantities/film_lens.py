@@ -1,0 +1,114 @@
+"""Focal lengths on 35 mm film and digital zoom, as drones write them.
+
+A focal length is written in millimetres (``162.00``) or in tenths (``240``), and a zoom as a ratio
+(``2.00``) or in ten-thousandths (``20000, delta:0``). The size of a number does not tell which: a
+tele camera has 162 mm and a wide one 24.0. What tells is how the file writes its numbers, or the
+lens of the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Final
+
+from objconnect.scene.quantities.reading import Reading, known, unknown
+
+SAME_LENS: Final = 0.15
+"""Focal lengths of one lens differ by less than this share."""
+# No lens of a drone is shorter or longer on 35 mm film (mm); no digital zoom is larger.
+_SHORTEST_MM: Final = 8.0
+_LONGEST_MM: Final = 3000.0
+_MOST_ZOOM: Final = 100.0
+# No lens has a larger f-number.
+_MOST_F_NUMBER: Final = 64.0
+_TEN_THOUSANDTHS: Final = 1e4
+
+
+def has_decimals(text: str) -> bool:
+    """Return whether a number is written with a decimal mark."""
+    return "." in text or "," in text
+
+
+def whole_numbers_are_scaled(f_numbers: Collection[str], zooms_with_delta: bool) -> bool | None:
+    """Return whether a file writes whole numbers for parts of a unit.
+
+    Args:
+        f_numbers: Texts of the aperture, such as ``2.8`` or ``280``.
+        zooms_with_delta: Whether the file writes zooms in ten-thousandths, with a ``delta``.
+
+    Returns:
+        True where some number of the file can be nothing else, False where a whole number stands
+        for itself; None where nothing tells, or both.
+    """
+    whole = [float(text) for text in f_numbers if text.isdecimal() and float(text) > 0]
+    scaled = zooms_with_delta or any(number > _MOST_F_NUMBER for number in whole)
+    plain = any(number <= _MOST_F_NUMBER for number in whole)
+    return None if scaled == plain else scaled
+
+
+def millimetres_per_unit(
+    texts: Sequence[str],
+    numbers: Sequence[float],
+    scaled: bool | None,
+    lenses: Collection[float] = (),
+) -> Reading[float]:
+    """Return by what the numbers of ``focal_len`` in a file are to be multiplied to be millimetres.
+
+    Args:
+        texts: The numbers as they are written; at least one.
+        numbers: Their values.
+        scaled: What ``whole_numbers_are_scaled`` says.
+        lenses: Focal lengths of the map's cameras on 35 mm film, mm.
+    """
+    source = "focal_len"
+    if any(map(has_decimals, texts)):
+        return known(1.0, source)
+    if scaled:
+        return known(0.1, source)
+    number = numbers[0]
+    fitting = [
+        unit
+        for unit in (1.0, 0.1)
+        if any(abs(unit * value / lens - 1) < SAME_LENS for value in numbers for lens in lenses)
+    ]
+    if len(fitting) == 1:
+        told = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, as the map's lens is"
+        return known(fitting[0], source, told)
+    return unknown(
+        source, f"whether focal_len {number:g} is in millimetres or in tenths is not told"
+    )
+
+
+def focal_on_film(focal_mm: float) -> float | None:
+    """Return a focal length on 35 mm film, mm; None where no lens has it."""
+    return focal_mm if _SHORTEST_MM <= focal_mm <= _LONGEST_MM else None
+
+
+def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) -> Reading[float]:
+    """Return a digital zoom as a ratio, at least 1.
+
+    A whole number below 10 is a ratio in every scale that could be meant. A larger one is known
+    only where the file writes ten-thousandths.
+
+    Args:
+        text: The number as it is written.
+        number: Its value.
+        in_ten_thousandths: Whether the file writes whole numbers with a ``delta``.
+        name: Name of the field.
+
+    Example:
+        >>> zoom_ratio("2.00", 2.0, False, "dzoom_ratio").value
+        2.0
+        >>> zoom_ratio("20000", 20000.0, True, "dzoom_ratio").value
+        2.0
+        >>> zoom_ratio("20000", 20000.0, False, "dzoom_ratio").known
+        False
+    """
+    if not has_decimals(text):
+        if in_ten_thousandths:
+            number /= _TEN_THOUSANDTHS
+        elif number >= 10:
+            return unknown(name, f"the scale of {name} {text} is not told")
+    if 1 <= number <= _MOST_ZOOM:
+        return known(number, name)
+    return unknown(name, f"{name} {text} is no digital zoom")

@@ -1,0 +1,275 @@
+"""Heights that stand for no data although the file does not say so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import InputError
+
+LOWEST_M: Final = -500.0
+"""No ground on earth is lower: the shore of the Dead Sea lies at -440 m."""
+HIGHEST_M: Final = 9_000.0
+"""No ground on earth is higher."""
+
+_BINS = round(HIGHEST_M - LOWEST_M)
+# A constant that stands for no data is this far below all other heights, metres.
+_STEP_M = 10
+# A constant above all others is no roof where it is this far above them, metres.
+_CLIFF_M = 100
+# From this share and this far below all others, heights of 0 are worth a remark.
+_REMARK_SHARE, _REMARK_M = 0.01, 1
+# Heights of 0 between others are remarked where those within a metre are at most so many times as
+# many: rasters in steps of a tenth of a metre have more.
+_CROWD = 4
+# The fewest pixels of a constant that stands for no data, and their least share.
+_FEWEST, _LEAST_SHARE = 16, 1e-4
+# The most pixels within the step above the constant, as a share of its own: resampling leaves some.
+_BETWEEN = 0.1
+_MOST_HOLES = 4
+# Constants in fewer steps, or in a lesser share of the steps between them, are made surfaces.
+_FEW_STEPS, _CROWDED = 5, 0.5
+# Heights beside no data that are further outside all others are resampled with it, metres.
+_BELOW_M, _ABOVE_M = 10.0, 100.0
+# So many pixels beside no data are not asked for the lowest and highest ground.
+_BESIDE = 2
+# The fewest pixels that tell the lowest and the highest ground.
+_ENOUGH = 256
+
+Heights = NDArray[np.float32]
+
+
+@dataclass
+class Census:
+    """Counts of heights by steps of a metre, with the ends of each step.
+
+    Attributes:
+        counts: number of pixels in each step from ``LOWEST_M``.
+        low: lowest height in each, infinite where there is none.
+        high: highest one.
+        edge: heights at the edge of the raster.
+        zeros: number of heights of 0.
+    """
+
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS, np.int64))
+    low: Heights = field(default_factory=lambda: np.full(_BINS, np.inf, np.float32))
+    high: Heights = field(default_factory=lambda: np.full(_BINS, -np.inf, np.float32))
+    edge: set[float] = field(default_factory=set)
+    zeros: int = 0
+
+    def add(self, heights: Heights) -> None:
+        """Count finite heights between ``LOWEST_M`` and ``HIGHEST_M``."""
+        self.zeros += int((heights == 0).sum())
+        steps = (np.floor(heights) - LOWEST_M).astype(np.intp)
+        self.counts += np.bincount(steps, minlength=_BINS)
+        np.minimum.at(self.low, steps, heights)
+        np.maximum.at(self.high, steps, heights)
+
+    def add_edge(self, heights: Heights) -> None:
+        """Remember finite heights at the edge of the raster."""
+        self.edge.update(np.unique(heights).tolist())
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A height that stands for no data.
+
+    Attributes:
+        height: the height, metres.
+        share: share of the pixels that have it.
+        sure: whether it is no data; otherwise it can be a plain.
+        where: where it lies among the other heights.
+        remark: whether it can also be water, and is kept.
+    """
+
+    height: float
+    share: float
+    sure: bool
+    where: str = "far below all others"
+    remark: bool = False
+
+
+def holes(census: Census) -> list[Hole]:
+    """Return heights that many pixels share, far below or above all others, as no ground does.
+
+    A plain of one height with towers on it looks the same where the plain is most of the raster and
+    the towers have flat roofs; it is kept. Holes above 0 that are most of the raster are not sure.
+    Heights of 0 a little below all others, or between them, can be the sea and are only remarked.
+    """
+    counts = census.counts.copy()
+    total = int(counts.sum())
+    found: list[Hole] = []
+    while len(found) < _MOST_HOLES:
+        steps = np.flatnonzero(counts)
+        if not steps.size:
+            break
+        first = int(steps[0])
+        height, share = float(census.low[first]), counts[first] / total
+        rest = int(counts.sum() - counts[first])
+        constant = census.low[first] == census.high[first]
+        enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
+        # Water and plains of one height reach the edge too, but nothing rises from them by a cliff.
+        placed = height in census.edge or height == 0
+        if not (constant and enough and placed and rest) or _is_flat(census, steps[1:]):
+            break
+        if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
+            near = counts[first + 1 : first + 1 + _REMARK_M].sum()
+            if height == 0 and not near and share >= _REMARK_SHARE:
+                found.append(Hole(height, float(share), False, "below all others", remark=True))
+            break
+        found.append(Hole(height, float(share), sure=counts[first] <= rest or height <= 0))
+        counts[first] = 0
+    found += _above(census, counts, total)
+    if total and not any(hole.height == 0 for hole in found):
+        found += _zeros(census, counts, total)
+    return found
+
+
+def _above(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return the height that many pixels share far above all others, and remove it."""
+    steps = np.flatnonzero(counts)
+    if len(steps) < 2:
+        return []
+    last = int(steps[-1])
+    height, share = float(census.high[last]), counts[last] / total
+    constant = census.low[last] == census.high[last] and height in census.edge
+    enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
+    near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
+    if not (constant and enough) or near or _is_flat(census, steps[:-1]):
+        return []
+    sure = bool(2 * counts[last] <= counts.sum())
+    counts[last] = 0
+    return [Hole(height, float(share), sure, "far above all others")]
+
+
+def _zeros(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return heights of exactly 0 between others that are many, as a remark."""
+    zero = round(-LOWEST_M)
+    below = np.flatnonzero(counts[:zero])
+    share = census.zeros / total
+    beside = int(counts[zero - 1 : zero + 1].sum())
+    whole = bool((census.low[below] == census.high[below]).all())
+    if whole or share < _REMARK_SHARE or _CROWD * census.zeros < beside:
+        return []
+    return [Hole(0.0, float(share), False, "between the others", remark=True)]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Which heights of a surface model are ground.
+
+    Attributes:
+        lowest: lower heights are no data, metres.
+        highest: higher heights are no data, metres.
+        holes: heights that stand for no data, metres.
+        doubts: what was found out; a phrase each.
+    """
+
+    lowest: float = LOWEST_M
+    highest: float = HIGHEST_M
+    holes: tuple[float, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def ground_of(
+    strips: Callable[[], Iterator[Heights]], declared: bool, pixel_m: float, where: str
+) -> Ground:
+    """Find no data that a surface model does not declare.
+
+    Args:
+        strips: returns pieces of the raster from top to bottom, (H, W) metres; what is declared as
+            no data, and what is no ground on earth, is NaN.
+        declared: whether the file declares a value of no data.
+        pixel_m: size of a pixel on the ground, metres.
+        where: words for the raster in messages.
+
+    Raises:
+        InputError: most pixels share one height far from all others: no data or a plain.
+    """
+    census, unknown, last = Census(), False, None
+    for strip in strips():
+        finite = np.isfinite(strip)
+        unknown |= not finite.all()
+        census.add(strip[finite])
+        sides = np.concatenate(
+            [strip[:, 0], strip[:, -1], *([] if last is not None else [strip[0]])]
+        )
+        census.add_edge(sides[np.isfinite(sides)])
+        last = strip[-1]
+    if last is not None:
+        census.add_edge(last[np.isfinite(last)])
+    doubts, values = [], []
+    for hole in holes(census):
+        said = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
+        if hole.remark:
+            doubts.append(
+                f"{said}, {hole.where}: if it is no data, gdal_edit -a_nodata declares it"
+            )
+        elif not hole.sure and not declared:
+            raise InputError(
+                f"{where}: {said}, {hole.where}: no data or a plain? gdal_edit -a_nodata "
+                f"{hole.height:g} declares it, or another value where it is a plain"
+            )
+        elif hole.sure:
+            doubts.append(f"{said}, {hole.where}: taken as no data, which it is not declared as")
+            values.append(hole.height)
+    if not (unknown or values):
+        return Ground(doubts=tuple(doubts))
+    lowest, highest = _ends(strips(), values)
+    slope = 2 * _BESIDE * pixel_m
+    return Ground(
+        max(LOWEST_M, lowest - _BELOW_M - slope),
+        min(HIGHEST_M, highest + _ABOVE_M + slope),
+        tuple(values),
+        tuple(doubts),
+    )
+
+
+def _ends(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]:
+    """Return the lowest and the highest height that is not beside no data.
+
+    They are those of no ground on earth where too few pixels tell.
+    """
+    low, high, count = np.inf, -np.inf, 0
+    for heights, rows in _overlapping(strips):
+        unknown = ~np.isfinite(heights) | np.isin(heights, np.array(values, np.float32))
+        apart = heights[rows][~_beside(unknown)[rows]]
+        count += apart.size
+        if apart.size:
+            low, high = min(low, float(apart.min())), max(high, float(apart.max()))
+    return (low, high) if count >= _ENOUGH else (LOWEST_M, HIGHEST_M)
+
+
+def _overlapping(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
+    """Yield strips with rows of their neighbours, and which rows were not yielded before."""
+    before: Heights | None = None
+    for strip in strips:
+        joined = strip if before is None else np.concatenate([before, strip])
+        yield joined, slice(0 if before is None else _BESIDE, -_BESIDE)
+        before = joined[-2 * _BESIDE :]
+    if before is not None:
+        yield before, slice(-_BESIDE, None)
+
+
+def _beside(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels that are unknown or have an unknown one nearby."""
+    near = np.pad(unknown, _BESIDE)
+    for axis, size in enumerate(unknown.shape):
+        parts = [np.take(near, range(k, k + size), axis) for k in range(2 * _BESIDE + 1)]
+        near = np.logical_or.reduce(parts)
+    return np.asarray(near)
+
+
+def _is_flat(census: Census, others: NDArray[np.intp]) -> bool:
+    """Return whether heights in steps are a few constants, as in made surfaces.
+
+    Ground in whole metres has constants too, but in most steps between its lowest and highest.
+    """
+    if not (census.low[others] == census.high[others]).all():
+        return False
+    span = int(others[-1] - others[0]) + 1 if others.size else 0
+    return len(others) < _FEW_STEPS or len(others) < _CROWDED * span

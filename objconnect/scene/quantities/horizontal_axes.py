@@ -1,0 +1,80 @@
+"""Whether coordinates run along east and north, or along the grid of a projected system.
+
+Away from the middle of its zone, a grid is turned against east and north by the convergence of
+meridians. Positions that GPS measured, which run along east and north, tell which of both it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, longitude_difference
+from objconnect.scene.quantities.reading import Reading, known, unknown
+
+Axes = Literal["east and north", "grid"]
+
+_ZONE_DEG: Final = 6.0
+# A turn is that of one of both axes where the other one is this many times as far away,
+_CLEARER: Final = 3.0
+# and where the scatter of positions tells turns this many times as small as their difference. Few
+# positions tell their own scatter badly, so that they need more (of Student's distribution).
+_SIGMAS, _FEW = 3.0, 5.0
+
+
+def utm_zone(longitude: float) -> int:
+    """Return the number of the UTM zone at a longitude (degrees), without the exceptions."""
+    return int((longitude + 180) % 360 // _ZONE_DEG) + 1
+
+
+def convergence(place: Geodetic, zone: int) -> float:
+    """Return the angle from true north to a UTM grid's axes at a place, radians.
+
+    True north points to the left of the grid's north where the angle is positive.
+    """
+    middle = zone * _ZONE_DEG - 180 - _ZONE_DEG / 2
+    beside = math.radians(longitude_difference(place.longitude, middle))
+    return math.atan(math.tan(beside) * math.sin(math.radians(place.latitude)))
+
+
+def axes_of(
+    positions: NDArray[np.float64], measured: NDArray[np.float64], grid_turn: float
+) -> Reading[Axes]:
+    """Tell the horizontal axes of positions.
+
+    Args:
+        positions: (N, 2) metres along unknown axes, with any shift.
+        measured: (N, 2) metres east and north; NaN where not measured.
+        grid_turn: angle by which the grid's coordinates of a line are turned, radians
+            (``convergence``).
+
+    Returns:
+        The axes; unknown where the positions fit both, or none.
+    """
+    source = "gps_position"
+    there = (np.abs(measured) <= FARTHEST_M).all(1)
+    if there.sum() < 3:
+        return unknown(source, f"{source} is there for {there.sum()} photographs")
+    own, gps = positions[there], measured[there]
+    own, gps = own - own.mean(0), gps - gps.mean(0)
+    spread = float(np.linalg.norm(gps))
+    if not spread > 1e-6:
+        return unknown(source, f"{source} is the same for all photographs")
+    across = float((gps[:, 0] * own[:, 1] - gps[:, 1] * own[:, 0]).sum())
+    turn = math.atan2(across, float((gps * own).sum()))
+    cos, sin = math.cos(turn), math.sin(turn)
+    off = own - gps @ np.array([[cos, sin], [-sin, cos]])
+    free = 2 * len(own) - 4
+    sigma = float(np.sqrt((off**2).sum() / free)) / spread
+    from_east, from_grid = abs(turn), abs(turn - grid_turn)
+    said = f"turned by {math.degrees(turn):.2f} degrees against {source}"
+    if _SIGMAS * (1 + _FEW / free) * sigma > abs(grid_turn):
+        return unknown(source, f"{source} scatters too much to tell the axes")
+    if from_grid > _CLEARER * from_east:
+        return known("east and north", source)
+    if from_east > _CLEARER * from_grid:
+        return known("grid", source, said)
+    return unknown(source, said)

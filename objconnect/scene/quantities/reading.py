@@ -1,0 +1,84 @@
+"""What a file says of a quantity: a value with its source, or unknown with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from objconnect.scene.errors import InputError
+
+T = TypeVar("T")
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Reading(Generic[T]):
+    """A quantity as a file states it.
+
+    Attributes:
+        value: The value, in the units that the reader's documentation states; None if unknown.
+        source: Field or fields that the value comes from, such as ``GPSLatitude``.
+        doubts: What is missing, contradicts the value, or makes it unknown. Each is a phrase that
+            names the fields, such as "GPSLatitudeRef is missing".
+    """
+
+    value: T | None
+    source: str
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> bool:
+        """Return whether there is a value."""
+        return self.value is not None
+
+    @property
+    def why(self) -> str:
+        """Return the doubts as one phrase; empty where there is none."""
+        return "; ".join(self.doubts)
+
+    def require(self, where: object, remedy: str) -> T:
+        """Return the value.
+
+        Args:
+            where: File, or part of a file, for the message.
+            remedy: What a person can do where the value is unknown.
+
+        Raises:
+            InputError: The value is unknown.
+        """
+        if self.value is None:
+            raise InputError(f"{where}: {self.source} is unknown ({self.why}): {remedy}")
+        return self.value
+
+    def map(self, change: Callable[[T], S]) -> Reading[S]:
+        """Return the reading with another value, which is unknown where this one is."""
+        value = None if self.value is None else change(self.value)
+        return Reading(value, self.source, self.doubts)
+
+    def doubted(self, *doubts: str) -> Reading[T]:
+        """Return the reading with further doubts."""
+        return replace(self, doubts=(*self.doubts, *doubts))
+
+
+def known(value: T, source: str, *doubts: str) -> Reading[T]:
+    """Return a reading with a value."""
+    return Reading(value, source, doubts)
+
+
+def unknown(source: str, *doubts: str) -> Reading[T]:
+    """Return a reading without a value; ``doubts`` say why."""
+    return Reading(None, source, doubts)
+
+
+def first_known(first: Reading[T], *others: Reading[T]) -> Reading[T]:
+    """Return the first reading that has a value, with the doubts of those before it.
+
+    Where none has a value, the first is returned with the doubts of all.
+    """
+    doubts: list[str] = []
+    for reading in (first, *others):
+        doubts += reading.doubts
+        if reading.known:
+            return replace(reading, doubts=tuple(doubts))
+    return replace(first, doubts=tuple(doubts))

@@ -1,0 +1,147 @@
+"""Registries of entries that are chosen by name, of the project and of installed packages.
+
+A registry lists its built-in entries in a fixed order and imports one when it is first used. An
+installed package adds an entry by an entry point of the registry's group in its
+``pyproject.toml``::
+
+    [project.entry-points."objconnect.exports"]
+    mine = "my_package.my_format:write"
+
+A built-in entry wins over an entry point of the same name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar, cast
+
+from objconnect.scene.errors import InputError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """A built-in entry that is imported when it is first used.
+
+    Attributes:
+        target: "module:attribute".
+        summary: phrase that the help of the command line shows beside the name.
+    """
+
+    target: str
+    summary: str = ""
+
+    def load(self) -> Any:
+        """Import the module and return its attribute."""
+        module, _, attribute = self.target.partition(":")
+        return getattr(import_module(module), attribute)
+
+
+@dataclass(eq=False)
+class Registry(Mapping[str, T], Generic[T]):
+    """Entries of one kind by name.
+
+    The names are the built-in ones in their order, then those of installed packages, sorted. An
+    entry is imported when it is read.
+
+    Attributes:
+        kind: what an entry is called in error messages, for example "format".
+        group: group of the entry points by which installed packages add entries.
+        built_in: entries of the project in the order in which they are listed.
+        accepts: tells whether an object that an entry point names can be an entry.
+        unknown: error message for an unknown name, with the fields ``kind``, ``name`` and
+            ``names``.
+    """
+
+    kind: str
+    group: str
+    built_in: Mapping[str, Lazy | T]
+    accepts: Callable[[Any], bool] = callable
+    unknown: str = "unknown {kind} {name!r}: choose one of {names}"
+
+    def __iter__(self) -> Iterator[str]:
+        added = {each.name for each in entry_points(group=self.group)} - self.built_in.keys()
+        return iter((*self.built_in, *sorted(added)))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)  # tuple(self) would ask for the length
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and (
+            name in self.built_in or self.entry_point(name) is not None
+        )
+
+    def __getitem__(self, name: str) -> T:
+        if name not in self:
+            raise KeyError(name)
+        return self.load(name)
+
+    def entry_point(self, name: str) -> EntryPoint | None:
+        """Return the entry point that adds a name, or None for built-in and unknown names."""
+        if name in self.built_in:
+            return None
+        return next(iter(entry_points(group=self.group, name=name)), None)
+
+    def load(self, name: str, failure: str = "cannot be loaded") -> T:
+        """Return an entry and import it where that has not been done yet.
+
+        Args:
+            name: name of the entry.
+            failure: words of the error message when an entry point cannot be imported.
+
+        Raises:
+            InputError: the name is unknown, its entry point cannot be imported, or the imported
+                object is not of this registry's kind.
+        """
+        if name in self.built_in:
+            entry = self.built_in[name]
+            return cast("T", entry.load()) if isinstance(entry, Lazy) else entry
+        entry_point = self.entry_point(name)
+        if entry_point is None:
+            names = ", ".join(self)
+            raise InputError(self.unknown.format(kind=self.kind, name=name, names=names))
+        with self.blame(name, failure):
+            loaded = entry_point.load()
+        if not self.accepts(loaded):
+            raise InputError(
+                f"{self.kind} {name!r} ({entry_point.value}) {failure}: {entry_point.value} is of "
+                f"type {type(loaded).__name__}"
+            )
+        return cast("T", loaded)
+
+    def summaries(self) -> dict[str, str]:
+        """Return the phrases for the help of the built-in entries, by name."""
+        lazy = {name: entry for name, entry in self.built_in.items() if isinstance(entry, Lazy)}
+        return {name: entry.summary for name, entry in lazy.items() if entry.summary}
+
+    @contextmanager
+    def blame(self, name: str, failure: str) -> Iterator[None]:
+        """Report what goes wrong inside a package's entry as one line that names the package.
+
+        Errors of built-in entries pass through: they are faults of this project.
+
+        Args:
+            name: name of the entry that is used within the ``with`` block.
+            failure: words of the error message, for example "cannot be loaded".
+
+        Raises:
+            InputError: the entry is from a package, and the block raised anything but an
+                InputError.
+        """
+        try:
+            yield
+        except InputError:
+            raise
+        except Exception as error:
+            entry_point = self.entry_point(name)
+            if entry_point is None:
+                raise
+            raise InputError(
+                f"{self.kind} {name!r} ({entry_point.value}) {failure}: "
+                f"{type(error).__name__}: {error}"
+            ) from error

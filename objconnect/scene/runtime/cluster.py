@@ -1,0 +1,291 @@
+"""A pool of workers: this process, or the cores of a Ray cluster.
+
+This is the one module that imports Ray. It is written for Ray 2.48, the extra ``[cluster]``, which
+is loaded only when a cluster is asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import re
+import signal
+import socket
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
+
+from objconnect.scene.errors import InputError
+
+# How often a unit is repeated whose worker was lost, or that failed for another reason than input.
+_RETRIES: Final = 5
+# Timeout for an answer from the head of a cluster.
+_PATIENCE_S: Final = 10
+# Units submitted per core; the others wait in this process, so that few results fill Ray's memory.
+_AHEAD: Final = 2
+# Size of the object store, where this process starts Ray.
+_STORE_BYTES: Final = 200 << 20
+_ADDRESS: Final = re.compile(r"local|auto|[^/:\s]+:\d+")
+# Packages of which all nodes need the same version, for results to be the same bit for bit.
+_COMPUTING: Final = ("objconnect", "numpy", "torch", "pycolmap", "bpy")
+
+Item = TypeVar("Item")
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+Work = Callable[[Unit], Iterable[Result]]
+"""A function from a unit to its results. It returns the same results in the same order each time
+it is called with the same unit."""
+
+
+@dataclass(frozen=True)
+class _Fault:
+    """An InputError returned to the driver as a result, because Ray would repeat a unit that
+    raises."""
+
+    kind: type[InputError]
+    message: str
+
+
+class WorkerPool(Generic[Unit, Result]):
+    """Workers that apply one function to many units; without a cluster, this process alone.
+
+    Example:
+        >>> with worker_pool(None, lambda unit: [unit * unit]) as workers:
+        ...     list(workers.map([1, 2, 3]))
+        [1, 4, 9]
+    """
+
+    def __init__(self, work: Work[Unit, Result]) -> None:
+        self._work = work
+
+    @property
+    def cores(self) -> int:
+        """Return how many units are worked on at a time."""
+        return 1
+
+    def map(self, units: Iterable[Unit]) -> Generator[Result, None, None]:
+        """Apply the function to units; yield each result as soon as it is there, in any order of
+        units.
+
+        Raises:
+            InputError: a unit raised it, or was lost with its worker again and again.
+        """
+        for unit in units:
+            yield from self._work(unit)
+
+
+class _RayPool(WorkerPool[Unit, Result]):
+    """Worker processes, one per core.
+
+    A unit whose worker is lost is repeated by another one; results that it had already yielded are
+    not yielded twice.
+    """
+
+    def __init__(self, ray: Any, work: Work[Unit, Result]) -> None:
+        super().__init__(work)
+        self._ray = ray
+        self._put = ray.put(work)
+        self._do = ray.remote(
+            num_cpus=1, max_retries=_RETRIES, retry_exceptions=True, num_returns="streaming"
+        )(_do)
+
+    @property
+    def cores(self) -> int:
+        return int(self._ray.cluster_resources().get("CPU", 0))
+
+    def map(self, units: Iterable[Unit]) -> Generator[Result, None, None]:
+        ray = self._ray
+        left, running = iter(units), set[Any]()
+        home, versions = str(Path.cwd()), _versions()
+        try:
+            while True:
+                # The number of cores is asked again each time, because nodes come and go.
+                vacant = _AHEAD * max(1, self.cores) - len(running)
+                for unit in islice(left, max(0, vacant)):
+                    running.add(self._do.remote([self._put], unit, home, versions))
+                if not running:
+                    return
+                ready, _ = ray.wait(list(running), num_returns=1, fetch_local=False)
+                try:
+                    result = ray.get(next(ready[0]))
+                except StopIteration:
+                    running.discard(ready[0])
+                    continue
+                if isinstance(result, _Fault):
+                    raise result.kind(result.message)
+                yield result
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from None
+        except ray.exceptions.RayError as error:
+            reason = str(error).strip().splitlines()[0]
+            raise InputError(
+                f"a unit of work was lost {_RETRIES + 1} times: {reason}; run again to go on"
+            ) from None
+        finally:
+            for unfinished in running:
+                ray.cancel(unfinished, force=True)
+
+
+def require_address(address: str | None) -> None:
+    """Refuse an address that ``worker_pool`` does not take.
+
+    Raises:
+        InputError: the address has the wrong form.
+    """
+    if address is not None and not _ADDRESS.fullmatch(address):
+        raise InputError(f"--cluster takes local, auto or HOST:PORT, got {address!r}")
+
+
+@contextmanager
+def worker_pool(
+    address: str | None, work: Work[Unit, Result]
+) -> Iterator[WorkerPool[Unit, Result]]:
+    """Connect to a cluster; messages of its workers appear on this process's standard error.
+
+    Args:
+        address: "local" starts Ray on this machine alone and stops it afterwards; "auto" is the
+            cluster that this machine is a node of; "host:port" is that of its head. None uses this
+            process alone.
+        work: picklable function. Every worker process keeps its own copy, which may cache what is
+            expensive to make. Relative paths refer to this process's folder, if the machine of the
+            worker has it.
+
+    Raises:
+        InputError: Ray is not installed, the cluster does not exist, or it has no core.
+    """
+    if address is None:
+        yield WorkerPool(work)
+        return
+    require_address(address)
+    ray = _ray()
+    if ":" in address:
+        _require_answer(address)
+    own = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
+    try:
+        with _kept_handler():
+            ray.init(
+                address=address,
+                logging_level=logging.ERROR,
+                log_to_driver=True,
+                **(own if address == "local" else {}),
+            )
+    except Exception as error:  # Ray raises many different exceptions here
+        reason = " ".join(str(error).split("\n")[0].split())
+        raise InputError(
+            f"cannot work on the Ray cluster {address!r}: {reason or type(error).__name__}; run "
+            "this on a node of it, as docs/cluster.md says"
+        ) from None
+    try:
+        workers = _RayPool(ray, work)
+        if not workers.cores:
+            raise InputError(f"the Ray cluster {address!r} has no core to work with")
+        yield workers
+    finally:
+        ray.shutdown()
+
+
+def _ray() -> Any:
+    """Import Ray without usage statistics, and with patience for workers on a busy machine."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_worker_register_timeout_seconds", "600")
+    try:
+        import ray
+    except ImportError:
+        raise InputError(
+            "--cluster needs Ray, which is not installed: pip install 'objconnect[cluster]'"
+        ) from None
+    return ray
+
+
+@contextmanager
+def _kept_handler() -> Iterator[None]:
+    """Restore the handler of SIGTERM after the block: Ray installs one that skips our clean-up."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        # Only the main thread may set a handler; None means one not installed from Python.
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
+
+
+def _require_answer(address: str) -> None:
+    """Raise InputError if nothing listens at the address; Ray would take two minutes to notice."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
+    except (OSError, OverflowError) as error:
+        raise InputError(f"no Ray cluster answers at {address}: {error}") from None
+
+
+def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
+    """Divide items into units, large ones first, so that all workers finish at about the same time.
+
+    Each round consists of one unit per core, all of the same size, which together hold half of the
+    items that are left; the last round takes all of them (Hummel et al., "Factoring", CACM 1992).
+
+    Args:
+        items: items in order.
+        cores: number of workers.
+        least: smallest number of items worth a unit, if there are enough for every core.
+        most: largest number of items of a unit.
+
+    Example:
+        >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
+        [5, 5, 3, 3, 2, 2]
+    """
+    units: list[Sequence[Item]] = []
+    start = 0
+    while start < len(items):
+        each = math.ceil((len(items) - start) / cores)
+        size = min(most, each if each <= 2 * least else math.ceil(each / 2))
+        end = min(len(items), start + cores * size)
+        units += [items[first : min(end, first + size)] for first in range(start, end, size)]
+        start = end
+    return units
+
+
+# The function that this worker process works with, by its reference in the object store.
+_work_by_reference: dict[str, Work[Any, Any]] = {}
+
+
+def _do(
+    boxed: list[Any], unit: Any, home: str, versions: dict[str, str]
+) -> Generator[Any, None, None]:
+    """Run one unit on a worker. The function is in a list because Ray would unpack a bare
+    reference."""
+    try:
+        if _versions() != versions:
+            raise InputError(_differing(versions))
+        name = boxed[0].hex()
+        if name not in _work_by_reference:
+            with suppress(OSError):
+                os.chdir(home)
+            _work_by_reference[name] = _ray().get(boxed[0])
+        yield from _work_by_reference[name](unit)
+    except InputError as error:
+        yield _Fault(type(error), str(error))
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for package in _COMPUTING:
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return versions
+
+
+def _differing(wanted: dict[str, str]) -> str:
+    here = _versions()
+    package = next(p for p in _COMPUTING if here.get(p) != wanted.get(p))
+    return (
+        f"node {os.uname().nodename} has {package} {here.get(package, 'not')} and this machine "
+        f"{wanted.get(package, 'not')}: install the same on every node"
+    )

@@ -1,0 +1,189 @@
+"""Progress on standard error: bars on a terminal, lines in a log file.
+
+A bar that begins while another one is shown is a line below it, and goes when its work is done.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from time import monotonic
+from typing import Final
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from objconnect.scene.runtime.escaping import for_terminal
+
+# Without a terminal: seconds until the first line, seconds between lines, and the share of all
+# steps after which the next line is written sooner.
+_FIRST_S = 10.0
+_EVERY_S = 30.0
+_EVERY_SHARE = 0.1
+PATIENCE_S: Final = 5.0
+"""Seconds after which work within a step of a bar shows steps of its own."""
+
+
+class _Terminal:
+    """The bars on the terminal: those of all threads are lines of one display.
+
+    Attributes:
+        bars: the display; None while there is none.
+    """
+
+    bars: Progress | None = None
+
+
+# Since when the step of a bar lasts that this thread works on.
+_BEGAN: ContextVar[float | None] = ContextVar("began", default=None)
+
+
+@contextmanager
+def progress_bar(
+    what: str, total: int, clock: Callable[[], float] = monotonic
+) -> Iterator[Callable[[int], None]]:
+    """Show progress; call the yielded function with the number of steps done so far.
+
+    If standard error is not a terminal but a log file, a line is written now and then. Work of less
+    than ten seconds writes none there.
+
+    Args:
+        what: name of the work.
+        total: number of steps.
+        clock: function that returns seconds.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines(for_terminal(what), total, clock)
+        return
+    if _Terminal.bars is not None:
+        with _line(_Terminal.bars, what, total) as advance:
+            yield advance
+        return
+    columns = (
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bars:
+        task = bars.add_task(what, total=total)
+        _Terminal.bars = bars
+        try:
+            yield lambda done: bars.update(task, completed=done)
+        finally:
+            _Terminal.bars = None
+
+
+@contextmanager
+def one_step(clock: Callable[[], float] = monotonic) -> Iterator[None]:
+    """Work on one step of a bar, such as a query; ``progress_within`` counts time from here on."""
+    before = _BEGAN.set(clock())
+    try:
+        yield
+    finally:
+        _BEGAN.reset(before)
+
+
+@contextmanager
+def progress_within(
+    what: str, total: int, clock: Callable[[], float] = monotonic
+) -> Iterator[Callable[[int], None]]:
+    """Show progress within one step of a bar, once that step has lasted for ``PATIENCE_S``.
+
+    Nothing is shown outside of ``one_step``, nor without a terminal that shows a bar.
+
+    Args:
+        what: name of the work.
+        total: number of its steps.
+        clock: that of ``one_step``.
+    """
+    within = _Within(what, total, clock)
+    try:
+        within(0)
+        yield within
+    finally:
+        within.end()
+
+
+class _Within:
+    """A line below a bar that appears late, called with the number of steps done."""
+
+    def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
+        self._what, self._total, self._clock = what, total, clock
+        self._line: tuple[Progress, TaskID] | None = None
+
+    def __call__(self, done: int) -> None:
+        if self._line is None:
+            bars, began = _Terminal.bars, _BEGAN.get()
+            if bars is None or began is None or self._clock() - began < PATIENCE_S:
+                return
+            self._line = bars, bars.add_task(f"  {for_terminal(self._what)}", total=self._total)
+        bars, task = self._line
+        bars.update(task, completed=done)
+
+    def end(self) -> None:
+        """Take the line away."""
+        if self._line is not None:
+            bars, task = self._line
+            bars.remove_task(task)
+
+
+@contextmanager
+def _line(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a line below a bar until the work is done."""
+    task = bars.add_task(f"  {what}", total=total)
+    try:
+        yield lambda done: bars.update(task, completed=done)
+    finally:
+        bars.remove_task(task)
+
+
+class _Lines:
+    """A writer of progress lines, called with the number of steps done."""
+
+    def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
+        self._what, self._total, self._clock = what, total, clock
+        self._last = clock() + _FIRST_S - _EVERY_S
+        self._shown = 0
+        # Time and steps of the first call; the steps of an earlier run do not count for the pace.
+        self._first: tuple[float, int] | None = None
+
+    def __call__(self, done: int) -> None:
+        now = self._clock()
+        self._first = self._first or (now, done)
+        waited = now - self._last
+        further = done - self._shown >= _EVERY_SHARE * self._total and waited >= _FIRST_S
+        if waited < _EVERY_S and not (further and self._shown):
+            return
+        self._last, self._shown = now, done
+        left = self._left_s(now, done)
+        ending = "" if left is None else f", {_in_words(left)} left"
+        with suppress(OSError):  # standard error is closed
+            text = f"{self._what}: {done} of {self._total}{ending}"
+            print(text, file=sys.stderr, flush=True)
+
+    def _left_s(self, now: float, done: int) -> float | None:
+        """Return the seconds left at the pace since the first call; None before there is a pace."""
+        assert self._first is not None
+        began, before = self._first
+        if done <= before or done >= self._total:
+            return None
+        return (now - began) / (done - before) * (self._total - done)
+
+
+def _in_words(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 90 * 60:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

@@ -1,0 +1,384 @@
+"""Photographs: reading with one clear error, writing with the EXIF of a drone."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import IFDRational
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.quantities.altitudes import OF_SEA_LEVEL, read_altitude
+from objconnect.scene.quantities.focal import (
+    FILM_LENGTH,
+    FocalLength,
+    Lens,
+    is_turned,
+    read_focal,
+    size_taken,
+)
+from objconnect.scene.quantities.positions import read_position
+from objconnect.scene.quantities.reading import unknown
+from objconnect.scene.quantities.times import read_time
+from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.files import require_readable
+from objconnect.scene.storage.xmp import DroneXmp, parse_xmp
+
+# The exceptions that libraries raise on a damaged image or EXIF.
+_DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+# A file of a few bytes may claim any size. Pillow refuses twice the number that it warns of.
+_MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+# Pillow's warnings about large images and damaged EXIF do not help the user of a command.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+# The largest payload of a segment of a JPEG, with its identifier (bytes).
+_SEGMENT: Final = 65_500
+_TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"
+# A number that we write has this denominator.
+_PARTS: Final = 10_000
+# How a segment of XMP begins.
+_XMP: Final = b"http://ns.adobe.com/xap/1.0/\0"
+# EXIF's unit of resolution that we write.
+_CENTIMETRE = 3
+
+
+def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
+    """Read a photograph as stored, (H, W, 3) uint8 RGB; an EXIF rotation is not applied.
+
+    Grey values of more than 8 bits are scaled from the smallest to the largest value of the
+    photograph, because thermal and machine vision cameras use a small part of their range.
+
+    Args:
+        path: file to read.
+        camera: if given, the photograph must have the size of this camera.
+
+    Raises:
+        InputError: the file is missing, not a regular file, truncated, not an image, of more than
+            179 million pixels, or not of the size of ``camera``.
+    """
+    with _opened(path) as image:
+        if image.mode.startswith(("I", "F")):
+            pixels = _stretched(np.asarray(image), path)
+        else:
+            pixels = np.asarray(image.convert("RGB"))
+    if camera is not None and pixels.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"image {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels but its camera is "
+            f"{camera.width} x {camera.height}: resize the image or use its own calibration"
+        )
+    return pixels
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Open an image file; errors of the block are reported like those of opening it."""
+    if not path.exists() and not path.is_symlink():
+        hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
+        raise InputError(f"image {path} does not exist{hint}")
+    require_readable(path, "image")
+    try:
+        with Image.open(path) as image:
+            yield image
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is not an image this program can read") from None
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"image {path} has more than {_MOST_PIXELS / 1e6:.0f} million pixels: make it smaller"
+        ) from None
+    except _DAMAGE as error:
+        raise InputError(f"image {path} is damaged: {error}") from None
+
+
+def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
+    """Scale grey values (H, W) of any type from their range to 0..255, (H, W, 3) uint8."""
+    values = grey.astype(np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"image {path} has values that are not finite")
+    low, high = values.min(), values.max()
+    scaled = (values - low) * (255 / (high - low) if high > low else 0.0)
+    return np.repeat(np.rint(scaled).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
+    """Make sure that photographs exist, are whole, and have the size of their cameras.
+
+    COLMAP silently skips what it cannot read, and decodes half of a truncated file.
+
+    Args:
+        root: folder that the names are relative to.
+        cameras: cameras by image name.
+
+    Raises:
+        InputError: as for ``read_rgb``, about the first photograph with a fault.
+    """
+    for name, camera in cameras.items():
+        read_rgb(root / name, camera)
+
+
+@dataclass(frozen=True)
+class Exif:
+    """The metadata that a drone writes into a photograph.
+
+    Attributes:
+        position: measured position of the aircraft, or None. Its altitude is NaN where unknown.
+        time: time of the photograph, or None.
+        make: maker of the camera.
+        model: model of the camera.
+        focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
+        xmp: what the drone wrote into the XMP; it is read only.
+        place_doubts: what is unknown or contradicts itself of the position, with the names of
+            fields.
+        lens_doubts: the same of the focal length.
+        other_doubts: the same of time and attitude.
+        focals: focal lengths in longest sides that its fields state where none of them can be
+            believed before it is checked.
+    """
+
+    position: Geodetic | None
+    time: datetime | None
+    make: str = "ObjConnect"
+    model: str = "simulated camera"
+    focal_35mm: float | None = None
+    xmp: DroneXmp = field(default_factory=DroneXmp)
+    place_doubts: tuple[str, ...] = ()
+    lens_doubts: tuple[str, ...] = ()
+    other_doubts: tuple[str, ...] = ()
+    focals: tuple[float, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Return all that is unknown or contradicts itself."""
+        return (*self.place_doubts, *self.lens_doubts, *self.other_doubts)
+
+    @property
+    def is_above_sea(self) -> bool:
+        """Return whether the altitude is above sea level instead of the ellipsoid."""
+        return any(doubt.endswith(OF_SEA_LEVEL) for doubt in self.place_doubts)
+
+    def above_ellipsoid(self, undulation_m: float) -> Exif:
+        """Return the metadata with an altitude above the ellipsoid, where it is above the sea.
+
+        Args:
+            undulation_m: height of the geoid above the ellipsoid at its position, metres.
+        """
+        if self.position is None or not self.is_above_sea:
+            return self
+        up = self.position.altitude + undulation_m
+        doubts = tuple(each for each in self.place_doubts if not each.endswith(OF_SEA_LEVEL))
+        return replace(self, position=self.position._replace(altitude=up), place_doubts=doubts)
+
+    @property
+    def gimbal(self) -> tuple[float, float, float] | None:
+        """Return yaw clockwise from north, pitch above the horizon and roll of the camera, degrees;
+        None if unknown."""
+        return self.xmp.gimbal
+
+    @property
+    def focal_in_longest_sides(self) -> float | None:
+        """Return the focal length in longest sides of the picture; None if unknown."""
+        return None if self.focal_35mm is None else self.focal_35mm / FILM_LENGTH
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return width and height of a photograph as stored, pixels.
+
+    Raises:
+        InputError: the file is missing or not an image.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
+def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
+    """Write a photograph (H, W, 3) uint8 with EXIF.
+
+    Chroma is not subsampled, so that the compression has little effect on features.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    with atomic_write(path) as partial:
+        Image.fromarray(rgb).save(
+            partial,
+            "JPEG",
+            quality=quality,
+            subsampling=0,
+            exif=_encode(exif, (rgb.shape[1], rgb.shape[0])).tobytes(),
+        )
+
+
+def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
+    """Copy a photograph with its metadata, at most ``longest`` pixels wide and high.
+
+    Args:
+        source: photograph to copy.
+        out: JPEG to write.
+        longest: largest width and height, pixels.
+        over: rotate the image by 180 degrees.
+
+    Raises:
+        InputError: the photograph is missing or damaged, or ``out`` cannot be written.
+    """
+    rgb = read_rgb(source)
+    height, width = rgb.shape[:2]
+    scale = min(1.0, longest / max(width, height))
+    with atomic_write(out) as partial:
+        if scale == 1 and not over:
+            shutil.copyfile(source, partial)
+            return
+        size = (round(scale * width), round(scale * height))
+        with _opened(source) as original:
+            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
+        if len(kept.get("xmp", b"")) > _SEGMENT:
+            del kept["xmp"]
+        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails or maker notes
+            kept["exif"] = _encode(read_exif(source), size).tobytes()
+        picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
+        smaller = picture.resize(size, Image.Resampling.LANCZOS)
+        smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
+
+
+def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
+    tags = Image.Exif()
+    tags[ExifTags.Base.Make] = exif.make
+    tags[ExifTags.Base.Model] = exif.model
+    detail = tags.get_ifd(ExifTags.IFD.Exif)
+    if exif.time is not None:
+        stamp = exif.time.astimezone(UTC).strftime("%Y:%m:%d %H:%M:%S")
+        tags[ExifTags.Base.DateTime] = stamp
+        detail[ExifTags.Base.DateTimeOriginal] = stamp
+        detail[ExifTags.Base.OffsetTimeOriginal] = "+00:00"
+    if exif.focal_35mm is not None:
+        detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
+        detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
+        # The tag above holds whole millimetres only; the pixel pitch gives the exact value.
+        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * max(size) / FILM_LENGTH)
+        detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
+        detail[ExifTags.Base.ExifImageWidth], detail[ExifTags.Base.ExifImageHeight] = size
+    if exif.position is not None:
+        gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+        place = exif.position
+        gps[ExifTags.GPS.GPSLatitudeRef] = "N" if place.latitude >= 0 else "S"
+        gps[ExifTags.GPS.GPSLatitude] = _sexagesimal(abs(place.latitude))
+        gps[ExifTags.GPS.GPSLongitudeRef] = "E" if place.longitude >= 0 else "W"
+        gps[ExifTags.GPS.GPSLongitude] = _sexagesimal(abs(place.longitude))
+        if math.isfinite(place.altitude):
+            gps[ExifTags.GPS.GPSAltitudeRef] = b"\x00" if place.altitude >= 0 else b"\x01"
+            gps[ExifTags.GPS.GPSAltitude] = _rational(abs(place.altitude))
+    return tags
+
+
+def read_exif(path: Path) -> Exif:
+    """Read a photograph's metadata; fields that are missing or meaningless are None.
+
+    Fields that contradict each other are ``doubts``.
+
+    Raises:
+        InputError: the file is missing or not an image.
+    """
+    with _opened(path) as image:
+        size, packets, blocks = image.size, _packets(image), _blocks(image)
+        try:
+            tags = image.getexif()
+            detail = tags.get_ifd(ExifTags.IFD.Exif)
+            gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+        except _DAMAGE:  # the image itself may be whole
+            tags, detail, gps = Image.Exif(), {}, {}
+    fields, places = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
+    drone = parse_xmp(packets, size_taken(fields) or size)
+    focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
+    if drone.panorama:
+        why = f"it is a panorama (ProjectionType {drone.panorama[:40]}), which no lens takes"
+        focal = FocalLength(unknown("ProjectionType", why), agrees=False)
+    if not focal.agrees:
+        drone = replace(drone, camera=None)
+    if drone.gimbal and is_turned(fields, size, tags.get(ExifTags.Base.Orientation)):
+        turned = "it was turned, and GimbalYawDegree is of the picture as it was taken"
+        drone = replace(drone, gimbal=None, doubts=(*drone.doubts, turned))
+    time = read_time(fields, places)
+    position = read_position(places, drone.places)
+    altitude = read_altitude(places, drone.places)
+    where = None
+    if position.value is not None:
+        up = math.nan if altitude.value is None else altitude.value
+        where = Geodetic(*position.value, up)
+    # A calibration in XMP alone is no field of EXIF.
+    exact = focal.reading.value
+    return Exif(
+        position=where,
+        time=time.value,
+        make=_text(tags.get(ExifTags.Base.Make)),
+        model=_text(tags.get(ExifTags.Base.Model)),
+        focal_35mm=None if exact is None else exact * FILM_LENGTH,
+        xmp=drone,
+        place_doubts=(*position.doubts, *(() if where is None else altitude.doubts)),
+        lens_doubts=focal.reading.doubts,
+        other_doubts=(*drone.doubts, *time.doubts, *([_TWO_BLOCKS] if blocks > 1 else [])),
+        focals=focal.candidates,
+    )
+
+
+def _packets(image: Image.Image) -> list[bytes]:
+    """Return the packets of XMP, of which some programs write several into a JPEG."""
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    packets = [data[len(_XMP) :] for data in segments if data.startswith(_XMP)]
+    whole = image.info.get("xmp", b"")
+    return packets or [whole if isinstance(whole, bytes) else str(whole).encode()]
+
+
+def _blocks(image: Image.Image) -> int:
+    """Return the number of different blocks of EXIF in a JPEG, of which the first is read."""
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    begins = (b"Exif\0\0II*\0", b"Exif\0\0MM\0*")
+    return len({data for data in segments if data.startswith(begins)})
+
+
+def _text(value: object) -> str:
+    """Return a text field without the zero bytes that cameras pad it with."""
+    return str(value or "").strip("\0 ")
+
+
+def _names(tags: Mapping[int, object], known: Mapping[int, str]) -> dict[str, object]:
+    """Return the fields of a directory by name."""
+    return {known[tag]: value for tag, value in tags.items() if tag in known}
+
+
+def _lens(made: Camera | None, sized: bool) -> Lens | None:
+    return None if made is None else Lens(made.focal[0] / max(made.width, made.height), sized)
+
+
+def _rational(value: float, denominator: int = _PARTS) -> IFDRational:
+    return IFDRational(Fraction(round(value * denominator), denominator))
+
+
+def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
+    # Rounded first, so that no seconds become 60.
+    seconds = Fraction(round(degrees * 3600 * _PARTS), _PARTS)
+    minutes, seconds = divmod(seconds, 60)
+    return _rational(minutes // 60, 1), _rational(minutes % 60, 1), _rational(float(seconds))

@@ -1,0 +1,79 @@
+"""A cache bounded in bytes that drops the least recently used."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from threading import Lock
+from typing import Final, Generic, Protocol, TypeVar
+
+from objconnect.scene.runtime.memory import resident_bytes, return_freed
+
+MEGABYTE: Final = 2**20
+
+
+class _Sized(Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V", bound=_Sized)
+
+
+def room(bound_mb: int) -> int:
+    """Return the bytes that a cache may take so that the whole process stays below a bound.
+
+    This is half of what is left below the bound now, after memory that was freed has been given
+    back to the system. The other half is for another cache and what a query needs.
+
+    Args:
+        bound_mb: memory of the process, megabytes.
+    """
+    return_freed()
+    return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
+
+
+class LruCache(Generic[K, V]):
+    """A cache bounded in bytes that drops the least recently used.
+
+    Threads may share it.
+
+    Args:
+        read: reads the value of a key that is not in the cache.
+        memory: bytes that the values may take; a single larger value is kept all the same.
+
+    Attributes:
+        nbytes: bytes that the values take now.
+
+    Example:
+        >>> import numpy as np
+        >>> cache = LruCache(lambda size: np.zeros(size, np.uint8), memory=100)
+        >>> cache(60).size, cache(50).size
+        (60, 50)
+        >>> len(cache), cache.nbytes
+        (1, 50)
+    """
+
+    def __init__(self, read: Callable[[K], V], memory: int) -> None:
+        self._read = read
+        self._memory = memory
+        self._values: OrderedDict[K, V] = OrderedDict()
+        self._lock = Lock()
+        self.nbytes = 0
+
+    def __call__(self, key: K) -> V:
+        """Return the value of a key, read unless it is in the cache."""
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return self._values[key]
+            value = self._values[key] = self._read(key)
+            self.nbytes += value.nbytes
+            while self.nbytes > self._memory and len(self._values) > 1:
+                _, oldest = self._values.popitem(last=False)
+                self.nbytes -= oldest.nbytes
+            return value
+
+    def __len__(self) -> int:
+        return len(self._values)

@@ -1,0 +1,66 @@
+"""Temporary folders beside the cache or the output of a run."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from objconnect.scene.errors import WriteError
+from objconnect.scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
+from objconnect.scene.storage.files import require_disk_space
+from objconnect.scene.storage.leftovers import in_use, remove_abandoned
+
+
+@contextmanager
+def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
+    """Make a temporary folder and remove it when the block ends, however that ends.
+
+    It lies beside the results, where there is space for them: the system's folder for temporary
+    files may be small. Folders there that killed processes left are removed.
+
+    Args:
+        beside: folder of the cache or output; it is made if necessary, and removed again if it
+            stays empty. None uses the system's folder for temporary files.
+        needed: bytes that will be written.
+
+    Raises:
+        WriteError: the disk has less space, or the folder cannot be written.
+
+    Example:
+        >>> with scratch() as folder:
+        ...     _ = (folder / "part.txt").write_text("temporary")
+        >>> folder.exists()
+        False
+    """
+    root = Path(tempfile.gettempdir()) if beside is None else beside
+    made = [path for path in (root, *root.parents) if not path.exists()]
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(root)
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
+    except OSError as error:
+        raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
+    try:
+        require_disk_space(folder / "any", needed)
+        with in_use(folder):
+            yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        for path in made:
+            try:
+                path.rmdir()
+            except OSError:  # the folder is not empty
+                break
+
+
+@contextmanager
+def cache_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
+    """Yield the cache's folder, or a temporary one beside the output if there is no cache."""
+    if cache is not None:
+        yield cache
+        return
+    with scratch(beside) as folder:
+        yield folder

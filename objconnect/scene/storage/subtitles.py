@@ -1,0 +1,136 @@
+"""Subtitle files (SRT): texts with the times at which a video shows them.
+
+This is the one module that imports srt, which the extra ``[video]`` installs.
+"""
+
+from __future__ import annotations
+
+import codecs
+import logging
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Final
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.extras import import_extra
+from objconnect.scene.storage.files import require_readable
+
+# An hour of one subtitle for each of 60 frames a second has 100 MB; what is larger is none.
+_LARGEST = 1 << 29
+_BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    # Those of UTF-32 begin as those of UTF-16.
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+# A line of times; WebVTT leaves out hours, and settings follow there.
+_TIME: Final = r"(?:(\d+):)?(\d{1,2}):(\d{1,2})(?:[.,](\d{1,9}))?"
+_TIMES: Final = re.compile(rf"^[ \t]*{_TIME}[ \t]*-->[ \t]*{_TIME}(?=\s|$)", re.MULTILINE)
+# Which of the first four bytes are zero, without a byte order mark.
+_ZEROS = {
+    "x0x0": "utf-16-le",
+    "0x0x": "utf-16-be",
+    "x000": "utf-32-le",
+    "000x": "utf-32-be",
+}
+
+
+@dataclass(frozen=True)
+class Subtitle:
+    """A text and when it is shown.
+
+    Attributes:
+        start_s: seconds from the start of the video.
+        end_s: seconds from the start of the video.
+        text: lines of the subtitle.
+    """
+
+    start_s: float
+    end_s: float
+    text: str
+
+
+def read_subtitles(path: Path) -> list[Subtitle]:
+    """Read an SRT file in the order of its times.
+
+    The text is UTF-8, UTF-16 or UTF-32, or of an older encoding in which ASCII is ASCII. Its other
+    bytes are degree signs and names; they are replaced, because no number is among them.
+
+    Raises:
+        InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle.
+    """
+    srt = import_extra("srt", "video", "a subtitle file")
+    # It warns of every text that it skips.
+    logging.getLogger("srt").setLevel(logging.ERROR)
+    require_readable(path, "subtitles")
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path} is larger than {_LARGEST >> 20} MiB: it is no subtitle file")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None
+    text = data.decode(_encoding(data), errors="replace")
+    try:
+        items = [
+            Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
+            # What lies between subtitles and fits none is left out, as players do.
+            for item in srt.parse(_with_whole_times(_one_line_end(text)), ignore_errors=True)
+        ]
+    except (ValueError, OverflowError):
+        raise InputError(f"{path} holds a time that is no time: it is damaged") from None
+    if not items:
+        raise InputError(f"{path} holds no subtitle: give the SRT file of the video")
+    return sorted(items, key=lambda item: item.start_s)
+
+
+def compose_subtitles(subtitles: Iterable[Subtitle]) -> str:
+    """Return the text of an SRT file."""
+    srt = import_extra("srt", "video", "a subtitle file")
+    items = [
+        srt.Subtitle(
+            index=index,
+            start=timedelta(seconds=subtitle.start_s),
+            end=timedelta(seconds=subtitle.end_s),
+            content=subtitle.text,
+        )
+        for index, subtitle in enumerate(subtitles, 1)
+    ]
+    return str(srt.compose(items, reindex=False))
+
+
+def _encoding(data: bytes) -> str:
+    """Return the encoding of a text that begins with ASCII, from its byte order mark or zeros."""
+    for mark, encoding in _BYTE_ORDER_MARKS.items():
+        if data.startswith(mark):
+            return encoding
+    zeros = "".join("0" if byte == 0 else "x" for byte in data[:4])
+    return _ZEROS.get(zeros, "utf-8")
+
+
+def _one_line_end(text: str) -> str:
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _with_whole_times(text: str) -> str:
+    """Return a text whose times have hours and milliseconds of three digits.
+
+    Fractions of one length are decimal fractions of a second. Those of several lengths are
+    milliseconds without leading zeros.
+    """
+    lines = list(_TIMES.finditer(text))
+    digits = {len(part) for line in lines for part in line.group(4, 8) if part is not None}
+    padded = len(digits) <= 1 or max(digits) > 3
+
+    def time(hours: str | None, minutes: str, seconds: str, fraction: str | None) -> str:
+        fraction = fraction or "0"
+        fraction = fraction.ljust(3, "0")[:3] if padded else fraction.zfill(3)
+        return f"{int(hours or 0):02d}:{minutes:0>2}:{seconds:0>2},{fraction}"
+
+    return _TIMES.sub(
+        lambda line: f"{time(*line.groups()[:4])} --> {time(*line.groups()[4:])}", text
+    )

@@ -1,0 +1,82 @@
+"""CSV tables written by other programs; every error names file and line."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import read_text
+
+
+def read_table(
+    path: Path, what: str, columns: Sequence[str]
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the location of each row of a CSV file, as ``file:line``, and its values by column.
+
+    The table may have further columns. White space around values and blank lines are ignored.
+
+    Args:
+        path: file to read.
+        what: what the file is, for messages.
+        columns: columns that it must have.
+
+    Raises:
+        InputError: the file is unreadable, a column is missing or named twice, a row has another
+            number of values, or a quote is never closed.
+    """
+    rows = csv.reader(io.StringIO(read_text(path, what), newline=""))
+    line = 1
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        missing = [column for column in columns if column not in header]
+        if missing:
+            require_commas(header, f"{path}:1: {what}")
+            raise InputError(f"{path}:1: {what} lacks the column {', '.join(missing)}")
+        twice = [name for name, count in Counter(header).items() if name and count > 1]
+        if twice:
+            raise InputError(f"{path}:1: {what} has the column {twice[0]!r} twice")
+        line = rows.line_num + 1
+        for values in rows:
+            where, several, line = f"{path}:{line}", rows.line_num > line, rows.line_num + 1
+            if not any(values):
+                continue
+            if len(values) != len(header):
+                hint = ": is a quote never closed?" if several else ""
+                raise InputError(
+                    f"{where}: expected {len(header)} columns, got {len(values)}{hint}"
+                )
+            yield where, dict(zip(header, (value.strip() for value in values), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}:{line}: {error}: is a quote never closed?") from None
+
+
+def read_header(path: Path, what: str) -> list[str]:
+    """Return the names of the columns of a CSV file.
+
+    Args:
+        path: file to read.
+        what: what the file is, for messages.
+
+    Raises:
+        InputError: the file is unreadable, or its columns are not separated by commas.
+    """
+    try:
+        header = next(csv.reader(io.StringIO(read_text(path, what), newline="")), [])
+    except csv.Error as error:
+        raise InputError(f"{path}:1: {error}: is a quote never closed?") from None
+    require_commas(header, f"{path}:1: {what}")
+    return [name.strip() for name in header]
+
+
+def require_commas(header: Sequence[str], what: str) -> None:
+    """Refuse a header that other separators than commas keep in one piece.
+
+    Raises:
+        InputError: it has semicolons or tabs; the message begins with ``what``.
+    """
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InputError(f"{what} has other separators than commas: use commas")

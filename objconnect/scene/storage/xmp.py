@@ -1,0 +1,240 @@
+"""What a drone writes into a photograph as XMP: attitude, height, RTK, lens and shutter.
+
+The fields are DJI's of the namespace ``drone-dji``, as the manuals of Mavic 3 and Matrice 4 list
+them ("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in the
+namespaces of other makers count from other axes, and are not read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+from xml.parsers import expat
+
+import numpy as np
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.quantities.numbers import parse_number
+
+_RTK_FIXED: Final = 50
+# Standard deviations (m) outside this range and numbers beyond the other one are damaged values.
+_SIGMAS_M: Final = (1e-4, 1e3)
+_MOST: Final = 1e6
+# A longer text is none of the fields (characters).
+_LONGEST: Final = 1000
+# A principal point further from the middle, in sizes of the picture, belongs to another size.
+_FARTHEST: Final = 0.1
+# Names of attitudes, and of namespaces and prefixes in which they are those of DJI.
+_ATTITUDE: Final = re.compile(r"Gimbal(Yaw|Pitch|Roll)Degree")
+_DJIS: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
+# Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged.
+_TURNS: Final = (360.0, 180.0, 360.0)
+# Elements that hold the fields of other pictures, or of the places that a picture shows.
+_OTHERS: Final = re.compile(r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)")
+# Fields that tell where a photograph was taken.
+_PLACES: Final = (
+    *("GpsLatitude", "GpsLongitude", "GpsLongtitude", "Latitude", "Longitude"),
+    *("GPSLatitude", "GPSLongitude", "GPSAltitude", "GPSAltitudeRef"),
+    *("AbsoluteAltitude", "RelativeAltitude"),
+)
+
+
+@dataclass(frozen=True)
+class DroneXmp:
+    """The fields of a photograph's XMP; each is None where it is missing or meaningless.
+
+    Attributes:
+        gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera, degrees.
+        places: the texts of its fields by name, from which position and altitude are read.
+        rtk_sigma: standard deviations of the position to the east, north and up, metres, where it
+            is a fixed solution of RTK.
+        camera: calibration by the maker, of the picture in the size in which it was taken.
+        sized: whether the optical centre shows that the calibration is of that size.
+        speed: horizontal speed of the aircraft, m/s.
+        shutter: kind of the shutter, such as ``Mechanical``.
+        panorama: projection of a panorama, such as ``equirectangular``.
+        doubts: why the attitude is not believed although it is there.
+    """
+
+    gimbal: tuple[float, float, float] | None = None
+    places: Mapping[str, str] = field(default_factory=dict)
+    rtk_sigma: tuple[float, float, float] | None = None
+    camera: Camera | None = None
+    sized: bool = False
+    speed: float | None = None
+    shutter: str | None = None
+    panorama: str | None = None
+    doubts: tuple[str, ...] = ()
+
+
+def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneXmp:
+    """Return the fields of XMP packets, in which each is an attribute or an element.
+
+    A field that is there twice with several values has none of them.
+    Of a damaged packet, what stands before the damage is read. So it is with a document type, which
+    XMP does not have: no entity is ever expanded.
+
+    Args:
+        packets: a packet or several, each in an encoding that XML declares.
+        size: width and height of the picture when it was taken, pixels.
+    """
+    texts: dict[str, str] = {}
+    foreign: set[str] = set()
+    for packet in [packets] if isinstance(packets, bytes) else packets:
+        _Fields(texts, foreign).read(packet)
+    numbers = {name: value for name, text in texts.items() if (value := _number(text)) is not None}
+    gimbal, doubts = _gimbal(numbers, texts, foreign)
+    sigma = _three(numbers, "RtkStd{}", "Lon", "Lat", "Hgt")
+    fixed = numbers.get("RtkFlag") == _RTK_FIXED
+    if sigma is not None and not (
+        fixed and _SIGMAS_M[0] <= min(sigma) <= max(sigma) <= _SIGMAS_M[1]
+    ):
+        sigma = None
+    velocity = [numbers.get(f"Flight{axis}Speed", math.nan) for axis in "XY"]
+    return DroneXmp(
+        gimbal=gimbal,
+        places={name: texts[name] for name in _PLACES if name in texts},
+        rtk_sigma=sigma,
+        camera=_camera(numbers, texts.get("DewarpData", ""), size),
+        sized=all(f"CalibratedOpticalCenter{axis}" in numbers for axis in "XY"),
+        speed=math.hypot(*velocity) if np.isfinite(velocity).all() else None,
+        shutter=texts.get("ShutterType"),
+        panorama=texts.get("ProjectionType"),
+        doubts=doubts,
+    )
+
+
+class _Fields:
+    """The texts of attributes and elements of packets by their names without prefix.
+
+    Attributes:
+        texts: the texts; of two values that differ, both.
+        foreign: attitudes in namespaces of other makers, with their prefix.
+    """
+
+    def __init__(self, texts: dict[str, str], foreign: set[str]) -> None:
+        self.texts, self.foreign = texts, foreign
+        self._spaces: dict[str, str] = {}
+        self._inside: list[str] = []
+        self._others = 0
+
+    def read(self, packet: bytes) -> None:
+        """Add the fields of a packet; of a damaged one, those before the damage."""
+        # Namespaces are not resolved, for programs that edit photographs lose their declarations.
+        parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
+        parser.CharacterDataHandler = self._inside.append
+        parser.StartDoctypeDeclHandler = self._refuse
+        with contextlib.suppress(expat.ExpatError, ValueError, LookupError):
+            parser.Parse(packet.strip(b"\0\r\n\t "), True)
+
+    def _start(self, element: str, attributes: dict[str, str]) -> None:
+        self._inside.clear()
+        self._others += self._others > 0 or _OTHERS.fullmatch(element) is not None
+        for name, value in attributes.items():
+            if name.startswith("xmlns:"):
+                self._spaces[name.partition(":")[2]] = value
+        for name, value in attributes.items():
+            self._add(name, value)
+
+    def _end(self, element: str) -> None:
+        if text := "".join(self._inside).strip():
+            self._add(element, text)
+        self._inside.clear()
+        self._others -= self._others > 0
+
+    def _add(self, name: str, value: str) -> None:
+        prefix, _, local = name.rpartition(":")
+        value = value[:_LONGEST].strip()
+        if self._others:
+            return
+        if _ATTITUDE.fullmatch(local) and not _DJIS.search(
+            f"{prefix}:{self._spaces.get(prefix, '')}"
+        ):
+            self.foreign.add(f"{prefix}:{local}")
+            return
+        before = self.texts.get(local, value)
+        number = parse_number(value)
+        same = before == value or (number is not None and parse_number(before) == number)
+        self.texts[local] = before if same else f"{before} and {value}"[:_LONGEST]
+
+    def _refuse(self, *_: object) -> None:
+        raise ValueError("XMP has no document type")
+
+
+def _gimbal(
+    numbers: Mapping[str, float], texts: Mapping[str, str], foreign: set[str]
+) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
+    """Return yaw, pitch and roll, and why they are not believed although they are there."""
+    names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
+    bad = [
+        f"{name} {texts[name][:40]!r} is no angle"
+        for name, most in zip(names, _TURNS, strict=True)
+        if name in texts and not abs(numbers.get(name, math.nan)) <= most
+    ]
+    if bad:
+        return None, (bad[0],)
+    found = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
+    if found is None and foreign:
+        return None, (f"{min(foreign)} is not DJI's, and its axes are not known",)
+    return found, ()
+
+
+def _number(text: str) -> float | None:
+    value = parse_number(text)
+    return value if value is not None and abs(value) <= _MOST else None
+
+
+def _three(
+    numbers: Mapping[str, float], name: str, *parts: str
+) -> tuple[float, float, float] | None:
+    try:
+        first, second, third = (numbers[name.format(part)] for part in parts)
+    except KeyError:
+        return None
+    return first, second, third
+
+
+def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) -> Camera | None:
+    """Return the lens as it was measured, else as it was designed.
+
+    A picture that was dewarped has the designed lens, without distortion.
+    """
+    width, height = size
+    focal = numbers.get("CalibratedFocalLength", 0.0)
+    x, y = (
+        numbers.get(f"CalibratedOpticalCenter{a}", s / 2) for a, s in zip("XY", size, strict=True)
+    )
+    if not _amid(x - width / 2, y - height / 2, size):
+        return None
+    if numbers.get("DewarpFlag") != 1 and (measured := _measured(dewarp, size)) is not None:
+        return measured
+    return Camera("SIMPLE_PINHOLE", width, height, (focal, x, y)) if focal > 0 else None
+
+
+def _measured(dewarp: str, size: tuple[int, int]) -> Camera | None:
+    """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, cx and cy from the middle.
+
+    The coefficients are OpenCV's, and so is the camera.
+    """
+    try:
+        fx, fy, x, y, k1, k2, p1, p2, k3 = map(float, dewarp.rpartition(";")[2].split(","))
+        if not _amid(x, y, size):
+            return None
+        params = (fx, fy, size[0] / 2 + x, size[1] / 2 + y, k1, k2, p1, p2)
+        if k3 == 0:
+            return Camera("OPENCV", *size, params)
+        return Camera("FULL_OPENCV", *size, (*params, k3, 0.0, 0.0, 0.0))
+    except (ValueError, ArithmeticError, InputError):
+        return None
+
+
+def _amid(x: float, y: float, size: tuple[int, int]) -> bool:
+    """Return whether a point (x, y) from the middle of a picture can be its principal point."""
+    return abs(x) <= _FARTHEST * size[0] and abs(y) <= _FARTHEST * size[1]

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes
+from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.starts import parse_start
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Query, Status
+from tests.benchmark.made_data import FakeLocalizer
+
+SIZES = (Size(0, 0), Size(1, 2), Size(8, 10))
+
+
+class Believer(FakeLocalizer):
+    """Takes its prior for the pose."""
+
+    def localize(self, query: Query) -> Estimate:
+        self.seen.append(query)
+        assert query.prior is not None
+        assert query.prior.cam_from_world_rotation is not None
+        rotation = torch.from_numpy(query.prior.cam_from_world_rotation)
+        centre = torch.from_numpy(query.prior.position)
+        return Estimate(Status.OK, Pose(rotation, -(rotation @ centre)))
+
+
+def priors(method: Believer) -> list[np.ndarray]:
+    return [query.prior.position for query in method.seen if query.prior is not None]
+
+
+def test_errors_are_those_of_the_start_of_the_same_size(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    ours, theirs, other = Believer({}), Believer({}), Believer({})
+    basin(dataset, ours, tmp_path, [Size(3, 5)])
+    evaluate(dataset, theirs, tmp_path, parse_start("error=3m,5deg"))
+    assert np.array_equal(priors(ours), priors(theirs))
+    basin(dataset, other, tmp_path, [Size(3, 5)], seed=1)
+    centres = [query.reference.centre().numpy() for query in dataset.queries]
+    away = np.array(priors(other)) - centres
+    assert np.linalg.norm(away, axis=1) == pytest.approx(3)
+    assert (np.abs(np.array(priors(other)) - priors(ours)).max(1) > 0.1).all()
+
+
+def test_sizes_lie_on_one_line(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    method = Believer({})
+    basin(dataset, method, tmp_path, [Size(1, 2), Size(20, 2)])
+    centre = dataset.queries[0].reference.centre().numpy()
+    near, far = (position - centre for position in priors(method)[:2])
+    assert far == pytest.approx(20 * near)
+
+
+def test_recall_falls_with_the_error(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    method = Believer({})
+    made = basin(dataset, method, tmp_path, SIZES)
+    assert [list(level.correct.values()) for level in made.levels] == [
+        [3, 3, 3],
+        [0, 0, 3],
+        [0, 0, 0],
+    ]
+    recall = made.levels[1].recall("5m_10deg")
+    assert (recall.value, round(recall.low, 1)) == (100, 43.9)
+    assert load_basin(tmp_path / "meadow" / "fake.basin.json") == made
+    # One photograph is read once for all sizes, and no prior of the data set is handed on.
+    assert len(method.seen) == 9
+    assert {id(query.image) for query in method.seen[:3]} == {id(method.seen[0].image)}
+
+
+def test_failures_count_as_wrong(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    answers = {
+        "b.jpg": Estimate(Status.OK, dataset.queries[0].reference),
+        "d.jpg": Estimate(Status.FALLBACK, dataset.queries[1].reference, reason="prior"),
+        "f.jpg": ValueError("crash"),
+    }
+    (level,) = basin(dataset, FakeLocalizer(answers), tmp_path, [Size(1, 1)]).levels
+    assert (level.queries, level.failed, level.fallback) == (3, 1, 1)
+    assert set(level.correct.values()) == {1}
+
+
+def test_interrupted_leaves_nothing(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    with pytest.raises(KeyboardInterrupt):
+        basin(dataset, FakeLocalizer({"f.jpg": KeyboardInterrupt()}), tmp_path / "out", SIZES)
+    assert not (tmp_path / "out").exists()
+
+
+def test_sizes_from_words() -> None:
+    assert parse_sizes("1m/2deg, 3.5m/5deg") == (Size(1, 2), Size(3.5, 5))
+    assert parse_sizes(",".join(str(size) for size in DEFAULT_SIZES)) == DEFAULT_SIZES
+    for words, message in [
+        ("1m", "errors are listed as"),
+        ("", "errors are listed as"),
+        ("-1m/2deg", "errors are listed as"),
+        ("1m/2deg,1m/2deg", "listed twice"),
+        ("1m/200deg", "cannot be wrong by 200 degrees"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            parse_sizes(words)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"queries": 0},
+        {"queries": 10**400},
+        {"correct": {}},
+        {"failed": 3},
+        {"prior_t_m": -1},
+        {"colour": 1},
+    ],
+)
+def test_counts_that_contradict_themselves(
+    made_flight: Path, tmp_path: Path, change: dict[str, object]
+) -> None:
+    (dataset,) = open_datasets(made_flight)
+    basin(dataset, Believer({}), tmp_path, SIZES)
+    path = tmp_path / "meadow" / "fake.basin.json"
+    stored = json.loads(path.read_text())
+    stored["levels"][1] |= change
+    path.write_text(json.dumps(stored))
+    with pytest.raises(InputError, match=r"levels\.1.* in .*fake\.basin\.json"):
+        load_basin(path)

@@ -1,0 +1,163 @@
+"""The search finds a picture of made ground, whatever of its pose is not known."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from objconnect.localization.coarse.finder import PlaceOptions, hypotheses
+from objconnect.localization.coarse.grid import GroundGrid, ground_grid
+from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
+from objconnect.localization.coarse.search import Hypotheses, PlaceSearch
+from objconnect.localization.featuremetric.maps import FeatureMap
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose, so3_exp
+from objconnect.scene.geometry.views import WarpedImage, warp_image
+from objconnect.scene.localizer import Prior
+
+CELL, CHANNELS = 2.0, 8
+CAMERA = Camera("PINHOLE", 320, 320, (300.0, 300.0, 160.0, 160.0))
+DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+
+
+@pytest.fixture
+def mosaic() -> Mosaic:
+    """Ground of 160 x 200 m, smooth over a few cells, 5 m high."""
+    generator = torch.Generator().manual_seed(1)
+    noise = torch.randn((1, CHANNELS, 84, 104), generator=generator)
+    smooth = torch.nn.functional.avg_pool2d(noise, 5, 1)[0]
+    features = torch.nn.functional.normalize(smooth, dim=0)
+    grid = GroundGrid(np.array([-80.0, -100.0]), CELL, np.full((80, 100), 5.0))
+    known = torch.ones(grid.shape)
+    return Mosaic(grid, features, known, torch.zeros(CHANNELS), torch.eye(CHANNELS))
+
+
+def tilted(degrees: float) -> torch.Tensor:
+    """A camera that looks so far up from straight down, to the north."""
+    about_x = torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64)
+    return so3_exp(about_x) @ DOWN
+
+
+def seen(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
+    """What a perfect network sees from a pose: the ground's own features in each cell."""
+    picture = warp_image(np.zeros((320, 320, 3), np.uint8), CAMERA)
+    grid, stride = mosaic.grid, 16
+    steps = (torch.arange(20, dtype=torch.float64) + 0.5) * stride
+    xy = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1).reshape(-1, 2)
+    rays, _ = CAMERA.unproject(xy)
+    directions = rays @ pose.rotation
+    centre = pose.centre()
+    length = (5.0 - centre[2]) / directions[:, 2]
+    ground = (centre + length[:, None] * directions).numpy()
+    column, row = np.floor((ground[:, :2] - grid.origin) / CELL).astype(int).T
+    inside = (length.numpy() > 0) & (row >= 0) & (row < 80) & (column >= 0) & (column < 100)
+    features = torch.zeros(CHANNELS, 400)
+    features[:, inside] = mosaic.features[:, row[inside], column[inside]]
+    confidence = torch.from_numpy((length.numpy() > 0).astype(np.float32))
+    return picture, FeatureMap(
+        features.reshape(1, CHANNELS, 20, 20), confidence.reshape(1, 1, 20, 20), stride
+    )
+
+
+def posed(rotation: torch.Tensor, centre: tuple[float, float, float]) -> Pose:
+    return Pose(rotation, -rotation @ torch.tensor(centre, dtype=torch.float64))
+
+
+def off(found: Pose, true: Pose) -> tuple[float, float]:
+    metres, degrees = found.error_to(true)
+    return float(metres), float(degrees)
+
+
+@pytest.mark.parametrize(("tilt", "height"), [(0.0, 60.0), (45.0, 40.0)])
+def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, height: float) -> None:
+    base = tilted(tilt)
+    true = posed(base @ so3_exp(math.radians(130) * UP), (12.0, -20.0, 5.0 + height))
+    passes = [base @ so3_exp(math.radians(k * 10) * UP) for k in range(36)]
+    # The network sees the same whatever it is asked from: turning the picture is its caller's.
+    hypotheses = Hypotheses(passes, [0.0], [0.7 * height, height, 1.3 * height])
+    best, *others = PlaceSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 3)
+    metres, degrees = off(best.pose, true)
+    assert metres < 3 * CELL and degrees < 6
+    assert best.score > 0.6 and all(each.score < best.score for each in others)
+
+
+def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
+    true = posed(DOWN @ so3_exp(math.radians(18) * UP), (0.0, 10.0, 65.0))
+    turns = [math.radians(each) for each in (-18, 0, 18)]
+    hypotheses = Hypotheses([DOWN], turns, [60.0])
+    best = PlaceSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 1)[0]
+    metres, degrees = off(best.pose, true)
+    assert metres < 3 * CELL and degrees < 1
+
+
+def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
+    true = posed(DOWN, (12.0, -20.0, 65.0))
+    search = PlaceSearch(mosaic)
+    elsewhere = Hypotheses([DOWN], [0.0], [60.0], within=(-40.0, 40.0, 15.0))
+    for candidate in search(lambda _: seen(mosaic, true), elsewhere, 5):
+        x, y, _ = candidate.pose.centre().tolist()
+        assert math.hypot(x + 40, y - 40) <= 15
+        assert candidate.score < 0.4
+    there = Hypotheses([DOWN], [0.0], [60.0], within=(10.0, -15.0, 15.0))
+    assert search(lambda _: seen(mosaic, true), there, 1)[0].score > 0.6
+
+
+@pytest.mark.parametrize(("sigmas", "radius"), [(3.0, 19.0), (1.0, 9.0)])
+def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radius: float) -> None:
+    """By so many standard deviations and two cells, of 2 m each."""
+    known = Prior(np.array([10.0, 20.0, 65.0]), np.array([5.0, 4.0, 1.0]))
+    tried = hypotheses(known, PlaceOptions(reach_sigmas=sigmas), mosaic.grid, 80.0)
+    assert tried.within == (10.0, 20.0, radius)
+    assert tried.altitudes == [60.0]
+    unknown = hypotheses(None, PlaceOptions(), mosaic.grid, 80.0)
+    assert unknown.within is None
+    assert unknown.altitudes == [80.0 * part for part in PlaceOptions().altitudes]
+
+
+def test_candidates_are_apart(mosaic: Mosaic) -> None:
+    true = posed(DOWN, (12.0, -20.0, 65.0))
+    passes = [DOWN @ so3_exp(math.radians(each) * UP) for each in (-5, 0, 5)]
+    hypotheses = Hypotheses(passes, [0.0], [55.0, 60.0, 65.0])
+    found = PlaceSearch(mosaic, separation=12.0)(lambda _: seen(mosaic, true), hypotheses, 6)
+    centres = np.array([each.pose.centre().numpy() for each in found])
+    between = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
+    assert len(found) == 6
+    assert between[np.triu_indices(6, 1)].min() > 12.0
+
+
+def test_a_query_that_shows_no_ground_has_no_place(mosaic: Mosaic) -> None:
+    upwards = torch.eye(3, dtype=torch.float64)
+    level = seen(mosaic, posed(DOWN, (0.0, 0.0, 65.0)))
+    assert PlaceSearch(mosaic)(lambda _: level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
+
+
+def test_a_mosaic_comes_back_from_its_file(mosaic: Mosaic, tmp_path: Path) -> None:
+    path = tmp_path / "mosaic.h5"
+    mosaic.write(path)
+    again = Mosaic.read(path)
+    np.testing.assert_array_equal(again.grid.heights, mosaic.grid.heights)
+    assert again.grid.cell == CELL
+    torch.testing.assert_close(again.features, mosaic.features, atol=1e-3, rtol=0)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match="damaged"):
+        Mosaic.read(path)
+    assert empty_mosaic(mosaic.grid).is_empty and not mosaic.is_empty
+
+
+def test_cells_take_the_median_height_of_their_points() -> None:
+    rng = np.random.default_rng(0)
+    flat: NDArray[np.float64] = np.column_stack([rng.uniform(0, 40, (4000, 2)), np.zeros(4000)])
+    flat[flat[:, 0] > 20, 2] = 7.0
+    stray = np.array([[500.0, 500.0, 90.0]])
+    grid = ground_grid(np.concatenate([flat, stray]), 4.0)
+    assert grid.shape == (10, 10)
+    assert (grid.height_at(5, 5), grid.height_at(35, 5), grid.height_at(900, 5)) == (0, 7, 7)
+    hole = flat[(flat[:, 0] < 8) | (flat[:, 0] > 30)]
+    assert np.isfinite(ground_grid(hole, 4.0).heights).all()

@@ -1,0 +1,161 @@
+"""The map's features, which are not computed before a query needs them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.pipeline.localize import localize, open_place
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.methods import create
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError, PreparationError
+from objconnect.scene.localizer import (
+    By,
+    Estimate,
+    PreparesLater,
+    Prior,
+    Query,
+    Status,
+    prepare_first,
+)
+from tests.baselines.pixloc.made_map import write_map
+
+# Twelve inliers are an answer: that a query needs no alignment is what counts here.
+OPTIONS: dict[str, Any] = {"search": {"matched_answer_inliers": 12}}
+
+
+@pytest.fixture(scope="module")
+def hamlet(rendered: Scene) -> Dataset:
+    (dataset,) = open_datasets(rendered.path)
+    return dataset
+
+
+@pytest.fixture
+def left(hamlet: Dataset, tmp_path: Path) -> FeaturemetricLocalizer:
+    """A method that has prepared what comes first."""
+    method = create("objconnect", OPTIONS)
+    assert isinstance(method, FeaturemetricLocalizer) and isinstance(method, PreparesLater)
+    prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path / "cache")
+    return method
+
+
+def told_nothing(hamlet: Dataset) -> Query:
+    return next(query for query in hamlet.queries if "summer" in query.name).load()
+
+
+def told_all(hamlet: Dataset) -> Query:
+    query = next(query for query in hamlet.queries if "summer" in query.name)
+    pose = query.reference
+    prior = Prior(pose.centre().numpy() + 0.3, np.full(3, 1.0), pose.rotation.numpy(), 1.0)
+    return query.load(prior)
+
+
+def kept(folder: Path) -> set[str]:
+    """The kinds of the files in a cache."""
+    return {path.name.rpartition("-")[0] for path in folder.iterdir()}
+
+
+def same(one: Estimate, other: Estimate) -> bool:
+    """Whether two answers are one, bit by bit, but for the time they took."""
+    assert one.cam_from_world is not None and other.cam_from_world is not None
+    poses = [each.cam_from_world.matrix() for each in (one, other) if each.cam_from_world]
+    alike = [
+        (each.status, each.by, each.inliers, each.iterations, str(each.covariance))
+        for each in (one, other)
+    ]
+    return bool((poses[0] == poses[1]).all()) and alike[0] == alike[1]
+
+
+def test_matches_need_no_features_of_the_network(
+    hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
+) -> None:
+    found = left.localize(told_nothing(hamlet))
+    assert (found.status, found.by) == (Status.OK, By.MATCHES)
+    assert set(found.seconds) == {"matches"}
+    assert kept(tmp_path / "cache") == {"sift-points"}
+
+
+def test_the_first_query_that_needs_them_says_how_long_they_took(
+    hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
+) -> None:
+    first, second = (left.localize(told_all(hamlet)) for _ in range(2))
+    assert first.seconds["preparation"] > 10 * first.seconds["retrieval"]
+    assert "preparation" not in second.seconds
+    assert (first.status, first.by) == (Status.OK, By.ALIGNMENT) and same(first, second)
+
+
+@pytest.mark.thorough
+def test_answers_and_files_are_those_of_a_map_prepared_at_once(
+    hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
+) -> None:
+    left.localize(told_all(hamlet))
+    whole = create("objconnect", OPTIONS)
+    whole.prepare(hamlet.load_map(), hamlet.images, tmp_path / "whole")
+    assert {path.name for path in (tmp_path / "whole").iterdir()} == {
+        path.name for path in (tmp_path / "cache").iterdir()
+    }
+    assert {"objconnect", "mosaic", "objects", "sift-points"} <= kept(tmp_path / "cache")
+    for query in (told_all(hamlet), told_nothing(hamlet)):
+        answer = whole.localize(query)
+        assert same(answer, left.localize(query)) and "preparation" not in answer.seconds
+
+
+def test_what_goes_wrong_then_is_no_failure_of_a_query(
+    hamlet: Dataset, left: FeaturemetricLocalizer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr("objconnect.localization.featuremetric.localizer.references", broken)
+    with pytest.raises(PreparationError, match="could not be prepared: RuntimeError: no memory"):
+        localize_safely(left, told_all(hamlet))
+    assert localize_safely(left, told_nothing(hamlet)).status is Status.OK
+
+
+def test_a_photograph_that_is_gone_by_then_is_named(rendered_copy: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(rendered_copy)
+    method, sparse_map = create("objconnect", OPTIONS), dataset.load_map()
+    prepare_first(method, sparse_map, dataset.images, tmp_path / "cache")
+    (dataset.images / sparse_map.names[0]).unlink()
+    with pytest.raises(InputError, match=Path(sparse_map.names[0]).name):
+        localize_safely(method, told_all(dataset))
+
+
+def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    sparse_map = write_map(images)
+    for method, options in (("pixloc", {}), ("objconnect", {"matches": None})):
+        localizer = create(method, options)
+        prepare_first(localizer, sparse_map, images, tmp_path / method)
+        assert method in kept(tmp_path / method)
+        assert isinstance(localizer, FeaturemetricLocalizer)
+        assert localizer._preparation._done is not None
+
+
+def test_a_method_that_leaves_nothing_is_prepared(hamlet: Dataset, tmp_path: Path) -> None:
+    method = create("sift", {})
+    prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path)
+    assert method.localize(told_nothing(hamlet)).by is By.MATCHES
+
+
+def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Path) -> None:
+    folder = tmp_path / "new"
+    folder.mkdir()
+    # Without EXIF, whose position would be a prior.
+    Image.fromarray(told_nothing(hamlet).image).save(folder / "a.jpg", quality=95)
+    cache, out = tmp_path / "cache", tmp_path / "poses.txt"
+    method = create("objconnect", OPTIONS)
+    (located,) = localize(open_place(rendered.path), folder, method, out, cache=cache)
+    assert located.found and located.estimate.by is By.MATCHES
+    assert kept(cache) == {"sift-points"}
+    (row,) = csv.DictReader(out.with_suffix(".csv").open())
+    assert row["by"] == "matches" and float(row["probability"]) > 0.99

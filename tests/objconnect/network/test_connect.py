@@ -1,0 +1,161 @@
+"""Objects of a photograph connected with those of a map, with no prior."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from objconnect.localization.coarse.grid import GroundGrid
+from objconnect.network.config import ConstellationConfig
+from objconnect.network.connect import ConnectOptions, Connector, LaidOut, described_landmarks
+from objconnect.network.constellation import ConstellationGraph
+from objconnect.network.constellation_training import (
+    ConstellationTraining,
+    Lesson,
+    LessonQuery,
+    describe_query,
+    train_graph,
+)
+from objconnect.network.landmarks import LandmarkOptions, Landmarks, merged
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose, so3_exp
+from tests.objconnect.network.test_landmarks import CAMERA, DOWN, GROUND, photograph, things, views
+
+HEADINGS = [k * math.tau / 24 for k in range(24)]
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+
+
+def graph(layers: int = 0) -> ConstellationGraph:
+    torch.manual_seed(0)
+    made = ConstellationGraph(ConstellationConfig(vector=8, layers=layers)).eval()
+    with torch.no_grad():
+        made.sharpness.fill_(math.log(100.0))
+    return made
+
+
+def connector(landmarks: Landmarks) -> Connector:
+    return Connector(graph(), landmarks, GROUND, ConnectOptions())
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.1, -2.6])
+@pytest.mark.parametrize("height", [70.0, 100.0])
+def test_the_pose_at_which_objects_agree_comes_first(heading: float, height: float) -> None:
+    xyz, vectors = things(count=60)
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
+    base = DOWN @ so3_exp(heading * UP)
+    angles = cv_angles(base)
+    view = photograph((12.0, -8.0, height + 5.0), angles, xyz, vectors)
+    found = connector(landmarks)(view.found, CAMERA, DOWN, HEADINGS, [60.0, 75.0, 92.0, 115.0])
+    best = found[0]
+    np.testing.assert_allclose(best.pose.centre()[:2].numpy(), [12.0, -8.0], atol=1.0)
+    turn = best.pose.rotation @ view.pose.rotation.T
+    assert math.degrees(math.acos(min(1.0, (float(turn.trace()) - 1) / 2))) < 2
+    assert float(best.pose.centre()[2]) == pytest.approx(height + 5.0, rel=0.05)
+    assert all(best.score >= each.score for each in found)
+
+
+def cv_angles(rotation: torch.Tensor) -> tuple[float, float, float]:
+    """The rotation vector by which ``photograph`` turns a camera that looks down."""
+    turn = rotation @ DOWN.T
+    angle = math.atan2(float(turn[1, 0]), float(turn[0, 0]))
+    return (0.0, 0.0, angle)
+
+
+def test_a_tilted_camera_is_connected_when_gravity_is_known() -> None:
+    xyz, vectors = things(count=60)
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
+    view = photograph((0.0, -20.0, 75.0), (0.5, 0.0, 0.0), xyz, vectors)
+    found = connector(landmarks)(view.found, CAMERA, view.pose.rotation, HEADINGS, [60.0, 72.0])
+    np.testing.assert_allclose(found[0].pose.centre()[:2].numpy(), [0.0, -20.0], atol=1.5)
+
+
+def test_too_few_objects_connect_with_nothing() -> None:
+    xyz, vectors = things(count=60)
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
+    few = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz[:2] * [0.1, 0.1, 1.0], vectors[:2])
+    assert connector(landmarks)(few.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
+    none = merged([], LandmarkOptions())[0]
+    empty = Landmarks(**{**vars(none), "vectors": np.zeros((0, 8), np.float32)})
+    whole = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
+    assert connector(empty)(whole.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
+
+
+def test_a_constellation_means_the_same_wherever_it_stands() -> None:
+    with_neighbours = graph(layers=2)
+    xyz, vectors = things()
+    place = torch.from_numpy(xyz[:, :2]).float()
+    near, there = with_neighbours.neighbours(place)
+    ones = torch.ones(1, len(xyz))
+
+    def described(where: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            made: torch.Tensor = with_neighbours(vectors, where[None], ones, ones, near, there)
+        return made[0]
+
+    assert torch.allclose(described(place), described(place + 100), atol=1e-4)
+    assert not torch.allclose(described(place), described(place * 1.5), atol=1e-2)
+
+
+def alone_alike(count: int, seed: int) -> Lesson:
+    """Landmarks that all look the same, and queries of parts of them: only neighbours tell."""
+    rng = np.random.default_rng(seed)
+    xyz = np.column_stack([rng.uniform(-60, 60, (count, 2)), np.full(count, 6.0)])
+    same = np.tile(np.eye(1, 8, dtype=np.float32), (count, 1))
+    ones = np.ones(count, np.float32)
+    landmarks = Landmarks(xyz, same, 2 * ones, ones, ones, np.full(count, 3, np.int32))
+    queries = []
+    for number in range(12):
+        centre = rng.uniform(-30, 30, 2)
+        rows = np.flatnonzero(np.linalg.norm(xyz[:, :2] - centre, axis=1) < 35)
+        offset = (xyz[rows, :2] - centre) / 80.0
+        short = np.full(len(rows), 1 / 80.0)
+        laid = LaidOut(offset, short, 2 * short, torch.from_numpy(same[rows]), np.arange(len(rows)))
+        queries.append(LessonQuery(f"{number}.jpg", "winter", laid, 80.0, rows, xyz[rows]))
+    return Lesson(f"scene {seed}", landmarks, queries)
+
+
+def found_first(graph: ConstellationGraph, lesson: Lesson) -> float:
+    """The share of objects whose own landmark is most like them."""
+    hits = []
+    with torch.no_grad():
+        theirs = described_landmarks(graph, lesson.landmarks)
+        for query in lesson.queries:
+            own = describe_query(graph, query, np.arange(len(query.laid)))
+            hits += ((own @ theirs.T).argmax(1).numpy() == query.landmark).tolist()
+    return float(np.mean(hits))
+
+
+def test_the_graph_learns_to_tell_what_looks_the_same() -> None:
+    lessons = [alone_alike(60, seed) for seed in range(2)]
+    options = ConstellationTraining(steps=300, turn_deg=2, stretch=0.02, moved_m=0.1, missing=0.1)
+    unseen = alone_alike(60, 7)
+    shares = [
+        found_first(train_graph(lessons, ConstellationConfig(vector=8, layers=n), options), unseen)
+        for n in (0, 2)
+    ]
+    assert shares[0] < 0.15
+    assert shares[1] > 0.3
+
+
+def test_scenes_without_common_objects_teach_nothing() -> None:
+    lesson = alone_alike(20, 0)
+    strange = [q._replace(landmark=np.full(len(q.laid), -1)) for q in lesson.queries]
+    with pytest.raises(InputError, match="no query"):
+        train_graph(
+            [lesson._replace(queries=strange)], ConstellationConfig(), ConstellationTraining()
+        )
+
+
+def test_the_height_of_the_ground_is_that_of_the_place() -> None:
+    xyz, vectors = things(count=60)
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
+    heights = GROUND.heights + 3.0
+    higher = GroundGrid(GROUND.origin, GROUND.cell, heights)
+    view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)
+    made = Connector(graph(), landmarks, higher, ConnectOptions())
+    found = made(view.found, CAMERA, DOWN, [0.0], [80.0])
+    assert isinstance(found[0].pose, Pose)
+    assert float(found[0].pose.centre()[2]) == pytest.approx(88.0, abs=3.0)

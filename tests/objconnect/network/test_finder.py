@@ -1,0 +1,243 @@
+"""Starts from objects: what is known is kept, the rest is searched, and maps are looked at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from benchmark.datasets.open import open_datasets
+from objconnect.localization.coarse.search import Candidate
+from objconnect.localization.featuremetric.global_search import GlobalSearch
+from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.localization.featuremetric.references import ReferenceSource, references
+from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions, headings_around
+from objconnect.network.landmarks import Landmarks
+from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
+from objconnect.network.network import read_network
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.geometry.pose import so3_exp
+from objconnect.scene.localizer import Prior, Query, Status
+from objconnect.scene.maps.sparse_map import SparseMap
+
+DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
+ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
+
+
+def test_nothing_known_is_searched_all_around() -> None:
+    base, headings, heights = headings_around(None, [70.0, 80.0, 90.0], 8, [0.5, 1.0])
+    assert torch.equal(base, DOWN)
+    assert headings == pytest.approx([k * math.tau / 8 for k in range(8)])
+    assert heights == [40.0, 80.0]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "count"), [(math.inf, 24), (None, 24), (5.0, 3), (60.0, 17), (176.0, 24), (400.0, 24)]
+)
+def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
+    prior = Prior(
+        np.zeros(3),
+        position_sigma=np.full(3, np.inf),
+        cam_from_world_rotation=ROTATION,
+        heading_sigma_deg=sigma,
+    )
+    base, headings, _ = headings_around(prior, [80.0])
+    np.testing.assert_array_equal(base.numpy(), ROTATION)
+    assert len(headings) == count
+    assert 0 in headings
+    assert len({round(heading % math.tau, 6) for heading in headings}) == count
+
+
+@pytest.fixture(scope="module")
+def finder() -> ObjectPlaceFinder:
+    network, _ = read_network(SHIPPED)
+    return ObjectPlaceFinder(network, MapExtractor(network, 512, "float32"), ObjectPlaceOptions())
+
+
+def source_of(
+    finder: ObjectPlaceFinder, sparse_map: SparseMap, scene: Scene, key: str = "a key"
+) -> ReferenceSource:
+    extract = finder._find._extract
+    return ReferenceSource(sparse_map, scene.images_root, extract, key, "objconnect", 64)
+
+
+def test_objects_are_found_in_the_feature_maps_of_references(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The network sees every photograph once, and finds the objects that it would find alone."""
+    source = source_of(finder, rendered.sparse_map(), rendered)
+    alone, beside = tmp_path / "alone", tmp_path / "beside"
+    finder.prepare(source, alone)
+    references(source, beside, 64, finder.watcher(source, beside))
+    with monkeypatch.context() as patched:
+        patched.setattr(MapExtractor, "features", None)
+        finder.prepare(source, beside)
+    assert finder.watcher(source, beside) is None
+    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
+    assert one.name == other.name
+    found, again = Landmarks.read(one), Landmarks.read(other)
+    np.testing.assert_array_equal(found.xyz, again.xyz)
+    np.testing.assert_array_equal(found.vectors, again.vectors)
+
+
+def test_the_map_is_looked_at_once(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sparse_map = rendered.sparse_map()
+    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
+    (kept,) = tmp_path.glob("objects-*.h5")
+    assert len(Landmarks.read(kept)) >= 10
+
+    def again(*_: object) -> None:
+        raise AssertionError("looked at twice")
+
+    monkeypatch.setattr(MapExtractor, "__call__", again)
+    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
+    with pytest.raises(AssertionError, match="twice"):
+        finder.prepare(source_of(finder, sparse_map, rendered, "another network"), tmp_path)
+
+
+def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = rendered.sparse_map()
+    fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
+    grown, alone = tmp_path / "grown", tmp_path / "alone"
+    finder.prepare(source_of(finder, fewer, rendered), grown)
+    finder.prepare(source_of(finder, whole, rendered), alone)
+    asked: list[int] = []
+    found = MapExtractor.__call__
+
+    def counted(of: MapExtractor, *args: Any) -> Any:
+        asked.append(1)
+        return found(of, *args)
+
+    monkeypatch.setattr(MapExtractor, "__call__", counted)
+    source = source_of(finder, whole, rendered)
+    references(source, grown, 64, finder.watcher(source, grown))
+    assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
+    finder.prepare(source, grown)
+    assert len(asked) == len(whole.names)
+    (one,) = alone.glob("objects-*.h5")
+    kept, fresh = Landmarks.read(grown / one.name), Landmarks.read(one)
+    np.testing.assert_array_equal(kept.xyz, fresh.xyz)
+    np.testing.assert_array_equal(kept.vectors, fresh.vectors)
+
+
+def test_a_map_seen_along_the_ground_has_no_objects(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    up = np.eye(4)
+    up[:3, :3] = so3_exp(torch.tensor([math.pi / 2, 0.0, 0.0]).double()).numpy()
+    sparse_map = rendered.sparse_map()
+    images = {
+        name: replace(image, cam_from_world=up @ image.cam_from_world)
+        for name, image in sparse_map.images.items()
+    }
+    flat = replace(sparse_map, images=images)
+    finder.prepare(source_of(finder, flat, rendered), tmp_path)
+    assert len(Landmarks.read(next(tmp_path.glob("objects-*.h5")))) == 0
+    camera = flat.images[flat.names[0]].camera
+    image = np.zeros((camera.height, camera.width, 3), np.uint8)
+    assert finder.find(Query("query", image, camera, None)) == []
+
+
+def test_landmarks_lie_where_objects_are(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
+    landmarks = Landmarks.read(next(tmp_path.glob("objects-*.h5")))
+    true = np.array([item.centre for item in rendered.objects.objects])[:, :2]
+    found = landmarks.xyz[:, :2].astype(np.float64)
+    anywhere = np.random.default_rng(0).uniform(found.min(0), found.max(0), (2000, 2))
+
+    def near(some: NDArray[np.float64], others: NDArray[np.float64]) -> float:
+        away = np.linalg.norm(some[:, None] - others[None], axis=-1).min(1)
+        return float(np.mean(away < 2.0))
+
+    assert near(true, found) > 0.6
+    assert near(found, true) > 4 * near(anywhere, true)
+
+
+def test_the_place_of_a_query_is_among_those_found(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    """In the map's own season, told nothing."""
+    (dataset,) = open_datasets(rendered.path)
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
+    right = []
+    for query in dataset.queries:
+        if "summer" in query.name:
+            places = finder.find(query.load())
+            assert [p.score for p in places] == sorted((p.score for p in places), reverse=True)
+            apart = [p.pose.error_to(query.reference) for p in places]
+            right.append(any(float(metres) < 8 and float(deg) < 10 for metres, deg in apart))
+    assert len(right) == 4
+    assert sum(right) >= 3
+
+
+def test_objects_are_switched_off_by_name() -> None:
+    with_objects = ObjConnectLocalizer(ObjConnectConfig())
+    without = ObjConnectLocalizer(ObjConnectConfig(objects=None))
+    assert with_objects._other is not None
+    assert without._other is None
+
+
+@pytest.mark.parametrize(("most", "asked"), [(5000, True), (0, False)])
+def test_in_large_maps_the_search_is_asked_first(
+    rendered: Scene, tmp_path: Path, most: int, asked: bool
+) -> None:
+    """Of a query that the search finds by itself."""
+    options = ObjectPlaceOptions(most_landmarks=most)
+    localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
+    (dataset,) = open_datasets(rendered.path)
+    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    other = localizer._other
+    assert isinstance(other, ObjectPlaceFinder)
+    assert other.is_first is asked
+    calls: list[str] = []
+    find = other.find
+    other.find = lambda query: calls.append(query.name) or find(query)  # type: ignore[method-assign, func-returns-value]
+    query = next(query for query in dataset.queries if "summer" in query.name)
+    assert localizer.localize(query.load()).status is Status.OK
+    assert calls == ([query.name] if asked else [])
+
+
+@pytest.mark.parametrize(
+    ("away", "sigma", "allowed"), [(None, 0.0, True), (50.0, 29.0, True), (50.0, 5.0, False)]
+)
+def test_objects_are_asked_where_the_search_fails(
+    rendered: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    away: float | None,
+    sigma: float,
+    allowed: bool,
+) -> None:
+    """Their places count as far as the position that is told, if any, allows them."""
+    options = ObjectPlaceOptions(most_landmarks=0)
+    localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
+    (dataset,) = open_datasets(rendered.path)
+    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    monkeypatch.setattr(GlobalSearch, "_found_places", lambda *_: [])
+    query = next(query for query in dataset.queries if "summer" in query.name)
+    calls: list[str] = []
+    other = localizer._other
+    assert isinstance(other, ObjectPlaceFinder)
+    there = Candidate(query.reference, 1.0)
+    monkeypatch.setattr(other, "find", lambda query: calls.append(query.name) or [there])
+    told = None
+    if away is not None:
+        told = Prior(query.reference.centre().numpy() + np.array([away, 0, 0]), np.full(3, sigma))
+    estimate = localizer.localize(query.load(told))
+    assert calls == [query.name]
+    near = estimate.cam_from_world is not None and float(
+        estimate.cam_from_world.error_to(query.reference)[0]
+    )
+    assert (estimate.status is Status.OK and near < 1) is allowed

@@ -1,0 +1,104 @@
+"""The localizer as it is shipped: nobody says a weight or an option."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from objconnect.localization.featuremetric.attempt import Attempt
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.featuremetric.refiner import Refiner
+from objconnect.methods import create
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import By, Localizer, Prior, Query, Status
+from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
+from tests.programs import printed
+
+TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> FeaturemetricLocalizer:
+    images = tmp_path_factory.mktemp("map") / "images"
+    made = create("objconnect", {})
+    assert isinstance(made, FeaturemetricLocalizer)
+    made.prepare(write_map(images), images)
+    return made
+
+
+def found_from(localizer: Localizer, start: Pose) -> tuple[float, float]:
+    """Metres and degrees from the truth."""
+    prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
+    estimate = localizer.localize(Query("query.png", photograph(TRUTH), CAMERA, prior))
+    assert estimate.status is Status.OK, estimate.reason
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(TRUTH)
+    return float(metres), float(degrees)
+
+
+def test_a_near_start(localizer: Localizer) -> None:
+    metres, degrees = found_from(localizer, looking_down(8.9, -0.1, (0.5, 0.0, 3.0)))
+    assert metres < 0.1 and degrees < 0.25
+
+
+def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None:
+    """A third of the altitude aside and ten degrees off: found from many starts alone."""
+    metres, degrees = found_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
+    assert metres < 0.2 and degrees < 0.5
+
+
+def something_else() -> Query:
+    """Patches of the ground in another order: as much to see, and nothing where it should be."""
+    patches = photograph(TRUTH).reshape(6, 32, 8, 32, 3).swapaxes(1, 2).reshape(48, 32, 32, 3)
+    mixed = np.random.default_rng(0).permutation(patches).reshape(6, 8, 32, 32, 3)
+    image = mixed.swapaxes(1, 2).reshape(192, 256, 3)
+    start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+    prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
+    return Query("query.png", image, CAMERA, prior)
+
+
+def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
+    estimate = localizer.localize(something_else())
+    assert (estimate.status, estimate.by) == (Status.FALLBACK, By.PRIOR)
+    assert "right with a probability of 0.0" in estimate.reason
+
+
+@pytest.mark.parametrize(("again", "tried"), [(1, [8]), (3, [8, 24])])
+def test_where_no_pose_is_believed_more_are_tried(
+    localizer: FeaturemetricLocalizer, monkeypatch: pytest.MonkeyPatch, again: int, tried: list[int]
+) -> None:
+    search, numbers = localizer.config.search, []
+    refine = Refiner.__call__
+
+    def watched(self: Refiner, *arguments: Any) -> Attempt:
+        numbers.append(self.config.search.hypotheses.refined)
+        return refine(self, *arguments)
+
+    monkeypatch.setattr(Refiner, "__call__", watched)
+    options = {"search": search.model_copy(update={"again": again})}
+    monkeypatch.setattr(localizer, "config", localizer.config.model_copy(update=options))
+    localizer.localize(something_else())
+    assert numbers == tried
+    localizer.localize(replace(something_else(), image=photograph(TRUTH)))
+    assert numbers == [*tried, 8]
+
+
+def test_without_an_attitude(localizer: Localizer) -> None:
+    """Every heading is looked at from the prior: the camera was turned by 140 degrees."""
+    truth = looking_down(9.3, -0.4, (1.5, -1.0, 140.0))
+    prior = Prior(np.array([9.0, 0.4, 20.5]))
+    estimate = localizer.localize(Query("query.png", photograph(truth), CAMERA, prior))
+    assert estimate.status is Status.OK, estimate.reason
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(truth)
+    assert metres < 0.1 and degrees < 0.25
+
+
+def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
+    """It takes 60 MB, and a query with a prior needs nothing of it."""
+    code = "from objconnect.methods import create; import sys; create('objconnect', {})\n"
+    code += "print('pycolmap' in sys.modules)"
+    assert printed(code).strip() == "False"

@@ -1,0 +1,172 @@
+"""Memory that was freed goes back to the system where the process holds too much."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from tests.programs import printed
+
+FREED = """
+import ctypes
+from objconnect.scene.runtime.memory import resident_bytes, return_freed_above
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.malloc.argtypes = [ctypes.c_size_t]
+libc.free.argtypes = [ctypes.c_void_p]
+blocks = [libc.malloc(100_000) for _ in range(2000)]
+for block in blocks:
+    ctypes.memset(block, 1, 100_000)
+# The last one stays, so that the heap cannot shrink by itself.
+for block in blocks[:-1]:
+    libc.free(block)
+held = resident_bytes()
+return_freed_above(held + 50_000_000)
+print(held - resident_bytes())
+return_freed_above(held - 50_000_000)
+print(held - resident_bytes())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc keeps what is freed")
+def test_freed_memory_goes_back_above_a_bound() -> None:
+    below, above = map(int, printed(FREED).split())
+    assert abs(below) < 20_000_000
+    assert above > 150_000_000
+
+
+PASSES = """
+import ctypes, os, resource
+from objconnect.scene.runtime.memory import keep_freed, return_freed, resident_bytes
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.malloc.argtypes = [ctypes.c_size_t]
+libc.free.argtypes = [ctypes.c_void_p]
+
+def one():
+    # The maps of a picture: together more than twice the largest of them.
+    blocks = [libc.malloc(16_000_000) for _ in range(4)]
+    for block in blocks:
+        ctypes.memset(block, 1, 16_000_000)
+    for block in blocks:
+        libc.free(block)
+
+if os.environ.get("KEEP"):
+    keep_freed()
+for _ in range(3):
+    one()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(10):
+    one()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+held = resident_bytes()
+return_freed()
+print(held - resident_bytes())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
+def test_passes_find_the_memory_of_the_one_before_and_it_can_still_go_back() -> None:
+    faults, given_back = map(int, printed(PASSES, KEEP="1").split())
+    assert faults < 1000
+    assert given_back > 50_000_000
+    assert int(printed(PASSES).split()[0]) > 50_000  # of 156,000 pages
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's thresholds")
+def test_thresholds_of_the_environment_are_left_as_they_are() -> None:
+    faults, _ = map(int, printed(PASSES, KEEP="1", MALLOC_TRIM_THRESHOLD_="100000").split())
+    assert faults > 50_000
+
+
+KERNELS = """
+import torch
+from objconnect.scene.runtime.memory import keep_few_kernels, resident_bytes, return_freed
+
+torch.set_num_threads(1)
+keep_few_kernels()
+layer = torch.nn.Conv2d(16, 16, 3)
+with torch.inference_mode():
+    layer(torch.rand(1, 16, 64, 64))
+    before = resident_bytes()
+    for width in range(400):
+        layer(torch.rand(1, 16, 64, 65 + width))
+return_freed()
+print(resident_bytes() - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
+def test_few_kernels_are_kept() -> None:
+    few = int(printed(KERNELS))
+    all_of_them = int(printed(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
+    assert few < 0.7 * all_of_them, (few, all_of_them)
+
+
+CODE = """
+import numpy as np
+from objconnect.scene.runtime.loops import compiled
+from objconnect.scene.runtime.memory import return_code
+
+def resident():
+    found, kept = 0, False
+    for line in open("/proc/self/smaps"):
+        if "-" in line.split()[0]:
+            kept = "llvmlite" in line and " r-xp " in line
+        elif kept and line.startswith("Rss:"):
+            found += int(line.split()[1])
+    return found
+
+def double(numbers):
+    for k in range(len(numbers)):
+        numbers[k] *= 2
+
+import llvmlite.binding as llvm
+llvm.initialize_native_target()
+print(resident())
+loop, numbers = compiled(double, "void(f8[::1])"), np.ones(3)
+print(resident())
+loop(numbers)
+compiled(double, "void(f4[::1])")
+print(int(numbers.sum()))
+return_code("no such library")
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux tells what is resident")
+def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
+    before, after, doubled = map(int, printed(CODE).split())
+    assert before > 4 * after
+    assert doubled == 6
+
+
+SPARED = """
+import gc
+import weakref
+from objconnect.scene.runtime.memory import spare_collector
+
+class Cycle:
+    def __init__(self):
+        self.itself = self
+
+held = Cycle()
+seen = weakref.ref(held)
+before = len(gc.get_objects())
+spare_collector()
+print(before, len(gc.get_objects()))
+del held
+gc.collect()
+print(seen() is None)
+spare_collector()
+print(seen() is None)
+"""
+
+
+def test_the_collector_leaves_out_what_there_is_until_the_next_call() -> None:
+    counts, *gone = printed(SPARED).splitlines()
+    before, after = map(int, counts.split())
+    assert after < 0.1 * before
+    assert gone == ["False", "True"]

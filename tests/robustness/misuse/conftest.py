@@ -1,0 +1,33 @@
+"""The tree that is misused."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.robustness.misuse import world
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("whole")
+    world.make(root)
+    return root
+
+
+@pytest.fixture
+def tree(whole: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder for the tree, where commands run, and beside it the system's temporary files."""
+    with tempfile.TemporaryDirectory(dir=whole.parent) as folder:
+        root = Path(folder) / "tree"
+        temporary = Path(folder) / "tmp"
+        root.mkdir()
+        temporary.mkdir()
+        for variable in ("TMPDIR", "TEMP", "TMP"):
+            monkeypatch.setenv(variable, str(temporary))
+        monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+        monkeypatch.chdir(root)
+        yield root
