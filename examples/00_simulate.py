@@ -5,12 +5,13 @@ python examples/00_simulate.py [SCENE]    (about a minute on two cores)
 
 from pathlib import Path
 
-from benchmark.api import SimulateConfig, run_script, simulate
+import objconnect as oc
+import simulate
 
 
 def main(out: Path = Path("runs/examples/scene")) -> None:
     # The fields are those of a YAML configuration. The same seed gives the same scene.
-    config = SimulateConfig.model_validate(
+    config = simulate.SimulateConfig.model_validate(
         {
             "preset": "town",
             "seed": 11,
@@ -24,7 +25,7 @@ def main(out: Path = Path("runs/examples/scene")) -> None:
             ],
         }
     )
-    scene = simulate(config, out)
+    scene = simulate.simulate(config, out)
 
     # A scene knows the truth about every frame.
     for name in scene.sessions:
@@ -36,4 +37,4 @@ def main(out: Path = Path("runs/examples/scene")) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

@@ -5,16 +5,16 @@ python examples/01_map.py [SCENE]    (after 00_simulate.py)
 
 from pathlib import Path
 
-from benchmark.api import build_map, open_scene, run_script
+import objconnect as oc
 
 
 def main(path: Path = Path("runs/examples/scene")) -> None:
     # COLMAP triangulates SIFT matches with the exact poses of the map frames.
-    report = build_map(path)
+    report = oc.build_map(path)
     print(report.text())
 
     # The map is a set of arrays, in world metres.
-    sparse_map = open_scene(path).sparse_map()
+    sparse_map = oc.open_scene(path).sparse_map()
     print(
         f"{len(sparse_map.xyz)} points between {sparse_map.xyz.min(0)} and {sparse_map.xyz.max(0)}"
     )
@@ -22,4 +22,4 @@ def main(path: Path = Path("runs/examples/scene")) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

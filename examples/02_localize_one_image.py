@@ -5,25 +5,23 @@ python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
 
 from pathlib import Path
 
-from benchmark.api import Pose, Prior, Query, create_localizer, open_scene, run_script
-from objconnect.scene.localizer import Status
-from objconnect.scene.storage.images import read_rgb
+import objconnect as oc
 
 
 def main(path: Path = Path("runs/examples/scene")) -> float:
-    scene = open_scene(path)
-    localizer = create_localizer("sift", {"references": 4})
+    scene = oc.open_scene(path)
+    localizer = oc.create_localizer("sift", {"references": 4})
     localizer.prepare(scene.sparse_map(), scene.images_root)
 
     # One frame of a query session, with the noisy position that its GPS gave.
     frames = scene.frames("summer-noon-nadir-query")
-    camera, truth = frames.cameras[0], Pose.from_matrix(frames.cam_from_world[0])
-    image = read_rgb(scene.images_root / frames.names[0], camera)
-    prior = Prior(position=frames.gps_prior[0], position_sigma=frames.gps_sigma[0])
+    camera, truth = frames.cameras[0], oc.Pose.from_matrix(frames.cam_from_world[0])
+    image = oc.read_rgb(scene.images_root / frames.names[0], camera)
+    prior = oc.Prior(position=frames.gps_prior[0], position_sigma=frames.gps_sigma[0])
 
-    estimate = localizer.localize(Query("first", image, camera, prior))
+    estimate = localizer.localize(oc.Query("first", image, camera, prior))
     # Localizers never raise an error on a bad query: they say why they have no pose.
-    if estimate.status is not Status.OK or estimate.cam_from_world is None:
+    if estimate.status is not oc.Status.OK or estimate.cam_from_world is None:
         raise SystemExit(f"no pose: {estimate.reason}")
     metres, degrees = estimate.cam_from_world.error_to(truth)
     print(f"camera at {estimate.cam_from_world.centre().tolist()}")
@@ -32,4 +30,4 @@ def main(path: Path = Path("runs/examples/scene")) -> float:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

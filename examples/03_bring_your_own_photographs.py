@@ -7,21 +7,21 @@ Left out, PHOTOS are those of the map flight of 00_simulate.py, whose EXIF is li
 
 from pathlib import Path
 
-from benchmark.api import ingest, open_scene, run_script
+import objconnect as oc
 
 RENDERED = Path("runs/examples/scene/sessions/summer-noon-nadir-map/images")
 
 
 def main(photographs: Path = RENDERED, out: Path = Path("runs/examples/own")) -> None:
     # Structure from motion of all photographs, placed on earth by GPS. Every sixth is a query.
-    report = ingest(photographs, out, size=1600, mapper="incremental", split="photo", every=6)
+    report = oc.ingest(photographs, out, size=1600, mapper="incremental", split="photo", every=6)
     print(report.text())
 
     # The poses are those of the reconstruction: no truth is known of real photographs.
-    scene = open_scene(out)
+    scene = oc.open_scene(out)
     print(f"reference poses: {scene.manifest.reference}; origin: {scene.manifest.origin}")
     print(f"map frames: {len(scene.splits.map)}, points: {len(scene.sparse_map().xyz)}")
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

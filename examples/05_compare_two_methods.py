@@ -5,14 +5,8 @@ python examples/05_compare_two_methods.py [SCENE] [RESULTS] [BOARD]    (after 01
 
 from pathlib import Path
 
-from benchmark.api import (
-    create_localizer,
-    evaluate,
-    leaderboard,
-    open_datasets,
-    parse_start,
-    run_script,
-)
+import benchmark
+import objconnect as oc
 
 
 def main(
@@ -21,15 +15,15 @@ def main(
     board: Path = Path("runs/examples/board"),
 ) -> None:
     # Every method is told the true pose moved by 3 m and turned by 5 degrees, and no more.
-    start = parse_start("error=3m,5deg")
-    (dataset,) = open_datasets(path)
+    start = benchmark.parse_start("error=3m,5deg")
+    (dataset,) = benchmark.open_datasets(path)
     for name in ("sift", "pixloc"):
-        results = evaluate(dataset, create_localizer(name, {}), out / "from-3m", start)
+        results = benchmark.evaluate(dataset, oc.create_localizer(name, {}), out / "from-3m", start)
         print(f"{name}: {results.summary.failed} of {results.summary.queries} queries failed")
 
     # Markdown here; leaderboard.html in the folder opens in a browser.
-    print(leaderboard([out / "from-3m"], board))
+    print(benchmark.leaderboard([out / "from-3m"], board))
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

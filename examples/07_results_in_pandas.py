@@ -10,7 +10,8 @@ try:
 except ImportError as error:
     raise SystemExit(f"{error}: this example needs pandas (pip install pandas)") from None
 
-from benchmark.api import InputError, read_results, run_script
+import benchmark
+import objconnect as oc
 from benchmark.results.results_files import BASIN
 
 
@@ -21,12 +22,12 @@ def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
     for path in sorted(folder.rglob("*.json")):
         if path.name.endswith(BASIN):
             continue
-        results = read_results(path)
+        results = benchmark.read_results(path)
         for query in results.queries:
             row = query.model_dump(include={"name", "condition", "t_err_m", "r_err_deg"})
             rows.append({"method": results.method.name, "start": results.start, **row})
     if not rows:
-        raise InputError(f"{folder} holds no results: run 05_compare_two_methods.py first")
+        raise oc.InputError(f"{folder} holds no results: run 05_compare_two_methods.py first")
     table = pd.DataFrame(rows)
 
     # A query without a pose has no error: the comparison is false, so it counts as wrong.
@@ -37,4 +38,4 @@ def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    oc.run_script(main)

@@ -21,7 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchmark.forecast.calibration import (
+from benchmark.forecasting.calibration import (
     UNCALIBRATED,
     Calibration,
     calibration_of,
@@ -29,9 +29,9 @@ from benchmark.forecast.calibration import (
     fit,
     probability,
 )
-from benchmark.forecast.observe import Observation
-from benchmark.forecast.outlook import evidence_by_season
-from benchmark.forecast.report import Forecast
+from benchmark.forecasting.observe import Observation
+from benchmark.forecasting.outlook import evidence_by_season
+from benchmark.forecasting.report import Forecast
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results_files import load
 from benchmark.scoring.score import Threshold, is_correct, is_false_fix, wilson

@@ -13,8 +13,8 @@ import argparse
 import shutil
 from pathlib import Path
 
-from objconnect.ingest.virtual.command import photograph_orthophoto
-from objconnect.ingest.virtual.options import ViewOptions
+from objconnect.ingestion.virtual.command import photograph_orthophoto
+from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.mapping.build import build_map
 from objconnect.scene.bundle.manifest import Splits, write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene

@@ -24,8 +24,8 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import from_origin
 
-from objconnect.ingest.virtual.command import photograph_orthophoto
-from objconnect.ingest.virtual.options import ViewOptions
+from objconnect.ingestion.virtual.command import photograph_orthophoto
+from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.mapping.build import build_map
 from objconnect.scene.geometry.pose import Pose
 

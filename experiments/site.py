@@ -24,7 +24,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmark.forecast.views import usual_camera
+from benchmark.forecasting.views import usual_camera
 from experiments.orthophoto import _link
 from objconnect.scene.bundle.manifest import Splits, write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene

@@ -2,7 +2,7 @@
 
 Packages: ``benchmark -> baselines -> objconnect``, ``simulate -> objconnect`` and
 ``benchmark -> simulate``. Rooms of ``objconnect``: ``mapping -> network -> localization ->
-learning, ingest -> scene``.
+learning, ingestion -> scene``.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ ALLOWED = {
 # The rooms of the library, and which of them each may use; modules beside them may use all.
 LIBRARY: dict[str, set[str]] = {
     "scene": set(),
-    "ingest": {"scene"},
+    "ingestion": {"scene"},
     "learning": {"scene"},
-    "localization": {"learning", "ingest", "scene"},
+    "localization": {"learning", "ingestion", "scene"},
     "network": {"localization", "learning", "scene"},
-    "mapping": {"network", "localization", "learning", "ingest", "scene"},
+    "mapping": {"network", "localization", "learning", "ingestion", "scene"},
 }
 # The rooms of the simulator; what stands on its top floor may use them all.
 ROOMS = {

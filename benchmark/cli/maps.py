@@ -178,8 +178,8 @@ def build_map(
         raise InputError("--ortho needs --dsm and --out, and no SCENE")
     if georeference is None and georeference_height is not None:
         raise InputError("--georeference-height needs --georeference, the horizontal one")
-    from objconnect.ingest.virtual.command import photograph_orthophoto
-    from objconnect.ingest.virtual.options import ViewOptions
+    from objconnect.ingestion.virtual.command import photograph_orthophoto
+    from objconnect.ingestion.virtual.options import ViewOptions
     from objconnect.scene.bundle.georeference import Georeference
 
     given = {name: value for name, value in views.items() if value is not None}

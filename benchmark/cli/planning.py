@@ -80,8 +80,8 @@ def forecast(
     of a false fix: as a page, a picture, GeoJSON and JSON. An interrupted run goes on where it
     stopped.
     """
-    from benchmark.forecast.command import forecast as run
-    from benchmark.forecast.config import forecast_config, forecast_hint
+    from benchmark.forecasting.command import forecast as run
+    from benchmark.forecasting.config import forecast_config, forecast_hint
     from objconnect.methods import create
 
     if (plan is None) == (flight is None):

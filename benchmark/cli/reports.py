@@ -104,8 +104,8 @@ def regress(
     A drop is one that chance does not explain: McNemar's exact test on the same queries, at 5 % for
     each method and data set together. Use it in continuous integration.
     """
-    from benchmark.regress import regress as run
-    from benchmark.regress import update as record
+    from benchmark.regression import regress as run
+    from benchmark.regression import update as record
 
     if update:
         written = [str(path) for path in record(results, against)]

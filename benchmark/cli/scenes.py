@@ -136,8 +136,8 @@ def ingest(
     from the map of the scene that --add names. Without --camera, focal lengths are read from there
     or from EXIF. An interrupted run goes on where it stopped.
     """
-    from objconnect.ingest.command import ingest as run
-    from objconnect.ingest.options import ControlOptions, IngestOptions
+    from objconnect.ingestion.command import ingest as run
+    from objconnect.ingestion.options import ControlOptions, IngestOptions
 
     report = run(
         photographs,
@@ -222,7 +222,7 @@ def validate(
     Names every check with its figures, and exits with 2 if one fails. Use it on data that you made
     or changed, before you trust results on it.
     """
-    from benchmark.validate import validate as run
+    from benchmark.validation import validate as run
 
     claim_folders([scene], cache)
     report = run(scene, cache)
@@ -263,7 +263,7 @@ def audit(
     heights, and the files themselves. Evidence is what photographs share, their EXIF, and the
     map's points. Exits with 2 if something is wrong.
     """
-    from benchmark.audit.command import audit as run
+    from benchmark.auditing.command import audit as run
 
     audits = run(
         data,

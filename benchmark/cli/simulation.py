@@ -214,7 +214,7 @@ def calibrate(
     OpenCV understands it.
     """
     from objconnect.scene.config import load_config
-    from simulate.calibrate import calibrate as run
+    from simulate.calibration import calibrate as run
     from simulate.camera.lens import CameraConfig
 
     scene = SimulateConfig()

@@ -418,7 +418,7 @@ def test_there_is_no_scene(tmp_path: Path, command: str) -> None:
 def test_validate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int) -> None:
     report = SimpleNamespace(ok=ok, text=lambda: "the findings", as_dict=lambda: {"ok": ok})
     module = SimpleNamespace(validate=lambda path, cache: report)
-    monkeypatch.setitem(sys.modules, "benchmark.validate", module)
+    monkeypatch.setitem(sys.modules, "benchmark.validation", module)
     result = invoke("validate", tmp_path)
     assert (result.exit_code, result.stdout) == (code, "the findings\n")
     result = invoke("validate", tmp_path, "--json")

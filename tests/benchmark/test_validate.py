@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.validate import validate
+from benchmark.validation import validate
 from objconnect.scene.geometry.pose import Pose
 
 

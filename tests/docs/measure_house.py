@@ -15,7 +15,7 @@ from tests.docs.documents import ROOT
 
 PACKAGES = (
     "objconnect/scene",
-    "objconnect/ingest",
+    "objconnect/ingestion",
     "objconnect/learning",
     "objconnect/localization",
     "objconnect/network",

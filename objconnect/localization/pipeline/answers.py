@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingest.attitude import gimbal_angles
+from objconnect.ingestion.attitude import gimbal_angles
 from objconnect.localization.pipeline.accuracy import EarthAccuracy, combine_accuracies
 from objconnect.localization.pipeline.cameras import CameraSource
 from objconnect.localization.pipeline.fixes import Fix

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from objconnect.ingest.telemetry import Telemetry, at_time, read_telemetry
+from objconnect.ingestion.telemetry import Telemetry, at_time, read_telemetry
 from objconnect.localization.pipeline.cameras import Calibration, CameraSource, calibration_of
 from objconnect.localization.pipeline.photographs import Place
 from objconnect.scene.errors import InputError

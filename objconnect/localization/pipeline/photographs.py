@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingest.attitude import gimbal_pose
+from objconnect.ingestion.attitude import gimbal_pose
 from objconnect.localization.pipeline.cameras import (
     Calibration,
     CameraSource,

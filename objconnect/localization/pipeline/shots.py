@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingest.telemetry import Telemetry
+from objconnect.ingestion.telemetry import Telemetry
 from objconnect.localization.pipeline.cameras import CameraSource
 from objconnect.localization.pipeline.footage import Footage, FrameCameras, Timing
 from objconnect.localization.pipeline.photographs import PhotographReader, Place

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
-from benchmark.regress import regress, update
+from benchmark.regression import regress, update
 from benchmark.report.leaderboard import leaderboard
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results import DatasetId, Results

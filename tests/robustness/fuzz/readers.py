@@ -27,10 +27,10 @@ from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import Track
 from benchmark.tracks.queries import read_queries
 from benchmark.tracks.renders import Render, RenderedFrame, read_render, write_render
-from objconnect.ingest.control_points import read_control_points
-from objconnect.ingest.photographs import Flight, FlightImage, _look_at
-from objconnect.ingest.positions import _read as read_positions
-from objconnect.ingest.telemetry import read_telemetry
+from objconnect.ingestion.control_points import read_control_points
+from objconnect.ingestion.photographs import Flight, FlightImage, _look_at
+from objconnect.ingestion.positions import _read as read_positions
+from objconnect.ingestion.telemetry import read_telemetry
 from objconnect.learning import pixloc_net as pixloc
 from objconnect.learning.checkpoint import read_weights, write_weights
 from objconnect.learning.pixloc_net import PixlocNetConfig

@@ -212,7 +212,7 @@ FORECAST = Row(
         "jobs": integer("1", HUGE),
         "as_json": FLAG,
     },
-    work=("benchmark.forecast.command.simulate",),
+    work=("benchmark.forecasting.command.simulate",),
 )
 LOCALIZE = Row(
     {
@@ -272,7 +272,10 @@ INGEST = Row(
         "every": integer("2", HUGE),
         "as_json": FLAG,
     },
-    work=("objconnect.ingest.command.match_photographs", "objconnect.ingest.addition.match_new"),
+    work=(
+        "objconnect.ingestion.command.match_photographs",
+        "objconnect.ingestion.addition.match_new",
+    ),
 )
 
 COMMANDS: dict[str, Row] = {
@@ -494,7 +497,7 @@ COMMANDS: dict[str, Row] = {
             "seed": SEED,
             "as_json": FLAG,
         },
-        work=("simulate.calibrate.render",),
+        work=("simulate.calibration.render",),
     ),
     "ingest": INGEST,
     "ingest:add": INGEST.instead(
@@ -523,7 +526,7 @@ COMMANDS: dict[str, Row] = {
             "cluster": FLAG,
             "as_json": FLAG,
         },
-        work=("objconnect.ingest.virtual.command._planned",),
+        work=("objconnect.ingestion.virtual.command._planned",),
     ),
     "diagnose": Row(
         {

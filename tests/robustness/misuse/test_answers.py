@@ -20,7 +20,7 @@ import objconnect.methods
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.markdown import escaped
 from benchmark.results.results_files import load
-from objconnect.ingest.photographs import read_flight
+from objconnect.ingestion.photographs import read_flight
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.loop import _claim as claim_run
 from objconnect.localization.matching.structure import StructureConfig

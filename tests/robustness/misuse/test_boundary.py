@@ -63,7 +63,7 @@ def validate(path, cache):
         file.write("ours")
     return types.SimpleNamespace(ok=True, text=lambda: "within 10° " * 20000)
 
-sys.modules["benchmark.validate"] = types.SimpleNamespace(validate=validate)
+sys.modules["benchmark.validation"] = types.SimpleNamespace(validate=validate)
 cli.main()
 """
 HELP = f"{sys.executable} -m benchmark.cli --help"
@@ -404,7 +404,7 @@ def raising(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("benchmark.regress.regress", fail)
+    monkeypatch.setattr("benchmark.regression.regress", fail)
 
 
 def test_a_regression_alone_is_1(tmp_path: Path) -> None:

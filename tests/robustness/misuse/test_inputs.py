@@ -25,12 +25,12 @@ from safetensors.torch import save_file
 from torch import nn
 from typer.testing import CliRunner
 
-import objconnect.ingest.command
+import objconnect.ingestion.command
 import objconnect.scene.storage.files
 from benchmark.cli import app
 from benchmark.evaluation.starts import parse_start
-from objconnect.ingest.photographs import Flight, FlightImage, read_flight
-from objconnect.ingest.positions import local, with_positions
+from objconnect.ingestion.photographs import Flight, FlightImage, read_flight
+from objconnect.ingestion.positions import local, with_positions
 from objconnect.learning.checkpoint import load_into, read_weights, write_weights
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.sift import Sift
@@ -130,14 +130,14 @@ def test_an_ingest_that_fails_removes_what_it_wrote_and_nothing_else(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(objconnect.ingest.command, "_build", interrupted)
+        patch.setattr(objconnect.ingestion.command, "_build", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            objconnect.ingest.command.ingest(photographs, out)
+            objconnect.ingestion.command.ingest(photographs, out)
     kept = ("NOTES.txt", "map/mine.txt", "sessions/flight/images/mine.jpg", ".notes.markdown")
     for name in kept:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text(name)
-    said = refused(lambda: objconnect.ingest.command.ingest(photographs, out))
+    said = refused(lambda: objconnect.ingestion.command.ingest(photographs, out))
     assert "hang together" in said
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert left == set(kept)

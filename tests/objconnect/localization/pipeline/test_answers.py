@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import objconnect.methods
-from objconnect.ingest.attitude import gimbal_angles, gimbal_pose
+from objconnect.ingestion.attitude import gimbal_angles, gimbal_pose
 from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
 from objconnect.scene.bundle.georeference import EXACT
 from objconnect.scene.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from objconnect.ingest.telemetry import Telemetry
+from objconnect.ingestion.telemetry import Telemetry
 from objconnect.localization.pipeline.cameras import CameraSource
 from objconnect.localization.pipeline.footage import (
     Footage,

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 import objconnect.methods
 from benchmark.cli import app
-from objconnect.ingest.telemetry import Telemetry
+from objconnect.ingestion.telemetry import Telemetry
 from objconnect.localization.pipeline.localize import open_place
 from objconnect.localization.pipeline.shots import TelemetryReader
 from objconnect.scene.bundle.scene import Scene

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from objconnect.ingest.telemetry import read_telemetry
+from objconnect.ingestion.telemetry import read_telemetry
 from objconnect.scene.bundle.frames import write_frames
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError

@@ -1,0 +1,148 @@
+"""Do matches between photographs agree with their poses, and in which convention?
+
+A match agrees if its Sampson error is small and the point it shows lies in front of both cameras.
+Neither a rigid motion of the world nor its scale changes this, so that poses of any world can be
+judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmark.auditing.findings import Finding, right, unknown, wrong
+from benchmark.auditing.matches import WORKING_SIDE, Pair
+from objconnect.scene.checks.conventions import FOREIGN_READINGS, PoseReading
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.sampson import Matches
+
+Array = NDArray[np.float64]
+
+CHECK = "poses agree with the photographs"
+# The largest Sampson error (px) of a match that agrees, in a photograph of the working size.
+_AGREES_PX = 2.0
+_LEAST_PX = 1.0
+# Poses are right if this share of the matches agrees with them.
+RIGHT_SHARE = 0.7
+# Another reading explains the photographs if it adds this share.
+GAIN = 0.15
+# Fewer pairs or matches do not tell.
+_LEAST_PAIRS = 3
+_LEAST_MATCHES = 150
+
+
+@dataclass(frozen=True)
+class Rays:
+    """The matches of a pair as rays.
+
+    Attributes:
+        pair: the pair.
+        first: rays (K, 3) with z = 1 in the first camera.
+        second: rays (K, 3) in the second.
+        focal: focal length of the second, pixels.
+        threshold: largest error of a match that agrees, pixels.
+    """
+
+    pair: Pair
+    first: torch.Tensor
+    second: torch.Tensor
+    focal: float
+    threshold: float
+
+
+def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Rays]:
+    """Return the matches of pairs as rays; pairs with an unknown camera are left out."""
+    made = []
+    for pair in pairs:
+        a, b = cameras[pair.first], cameras[pair.second]
+        if a is None or b is None:
+            continue
+        first, valid = a.unproject(torch.from_numpy(pair.xy_first))
+        second, also = b.unproject(torch.from_numpy(pair.xy_second))
+        kept = valid & also
+        scale = max(b.width, b.height) / WORKING_SIDE
+        focal = float(np.mean(b.focal))
+        threshold = max(_AGREES_PX * scale, _LEAST_PX)
+        made.append(Rays(pair, first[kept], second[kept], focal, threshold))
+    return made
+
+
+def errors(rays: Rays, poses: Array) -> Array:
+    """Return the Sampson error (px) of each match (K,), infinite for points behind a camera.
+
+    Args:
+        rays: matches of a pair.
+        poses: cam_from_world (N, 4, 4) of all photographs.
+    """
+    first = Pose.from_matrix(poses[rays.pair.first])
+    second = Pose.from_matrix(poses[rays.pair.second])
+    relative = second @ first.inverse()
+    if not bool(relative.translation.norm() > 0):
+        return np.full(len(rays.first), np.inf)
+    error, _ = Matches(first, rays.second, rays.first).residuals(second, rays.focal)
+    # Distances along both rays, by least squares of a R x_1 + t = b x_2.
+    turned = rays.first @ relative.rotation.T
+    t = relative.translation
+    aa, bb = (turned**2).sum(1), (rays.second**2).sum(1)
+    ab, at, bt = (turned * rays.second).sum(1), turned @ t, rays.second @ t
+    determinant = (aa * bb - ab**2).clamp_min(1e-18)
+    along_first = (ab * bt - bb * at) / determinant
+    along_second = (aa * bt - ab * at) / determinant
+    behind = (along_first <= 0) | (along_second <= 0)
+    return np.asarray(torch.where(behind, torch.inf, error.abs()).numpy())
+
+
+def shares(rays: Sequence[Rays], poses: Array) -> Array:
+    """Return the share of matches of each pair that agree with poses, (P,)."""
+    return np.array([float((errors(r, poses) < r.threshold).mean()) for r in rays])
+
+
+def share(rays: Sequence[Rays], poses: Array) -> float:
+    """Return the mean share over all pairs; every pair counts the same."""
+    return float(shares(rays, poses).mean())
+
+
+def too_few(rays: Sequence[Rays]) -> str:
+    """Return why matches do not tell anything, empty if they do."""
+    matches = sum(len(r.first) for r in rays)
+    if len(rays) < _LEAST_PAIRS or matches < _LEAST_MATCHES:
+        return (
+            f"{matches} matches between {len(rays)} pairs of photographs are too few: they do not "
+            "overlap, or are not where the data set says"
+        )
+    return ""
+
+
+def best_reading(rays: Sequence[Rays], poses: Array) -> tuple[PoseReading | None, float]:
+    """Return the convention in which poses agree best, and the share that agrees in it.
+
+    The convention is None if no other is better than the poses as stated.
+    """
+    ours = share(rays, poses)
+    read = [(share(rays, reading.poses(poses)), reading) for reading in FOREIGN_READINGS]
+    best, reading = max(read, key=lambda item: item[0])
+    return (reading, best) if best > ours + GAIN else (None, ours)
+
+
+def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
+    """Judge poses, and return them as they must be read to agree with the photographs."""
+    if why := too_few(rays):
+        return unknown(CHECK, why), poses
+    ours = share(rays, poses)
+    figures = {"agreeing": ours, "pairs": float(len(rays))}
+    reading, best = best_reading(rays, poses)
+    if reading is not None and best >= RIGHT_SHARE:
+        detail = f"{reading.fault}: so read, {best:.0%} of the matches agree, as stated {ours:.0%}"
+        return wrong(CHECK, reading.name, detail, **figures, explained=best), reading.poses(poses)
+    if ours >= RIGHT_SHARE:
+        pixels = float(np.median(np.concatenate([errors(r, poses) for r in rays])))
+        matches = sum(len(r.first) for r in rays)
+        detail = f"{ours:.0%} of {matches} matches in {len(rays)} pairs, median {pixels:.2f} px"
+        return right(CHECK, detail, **figures, median_px=pixels), poses
+    detail = f"{ours:.0%} of the matches agree, and no other convention explains them"
+    return wrong(CHECK, "poses-inexact", detail, **figures), poses

@@ -1,0 +1,151 @@
+"""The photographs as files: missing, damaged, of another size than their camera, or the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from benchmark.auditing.findings import Finding, right, unknown, wrong
+from benchmark.auditing.stated import Stated
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.images import Exif, read_exif, read_rgb
+
+THERE = "photographs are there and readable"
+SIZES = "photographs have the size of their cameras"
+ONCE = "every photograph is there once"
+
+# Most photographs that a line names.
+_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What is kept of the N photographs of a data set.
+
+    Attributes:
+        sizes: width and height of each, None where it cannot be read.
+        exif: its metadata, likewise.
+        digests: digest of its bytes, likewise.
+        faults: what is wrong with those that cannot be read, by name.
+    """
+
+    sizes: tuple[tuple[int, int] | None, ...]
+    exif: tuple[Exif | None, ...]
+    digests: tuple[str | None, ...]
+    faults: dict[str, str]
+
+    @property
+    def repeated(self) -> set[int]:
+        """Return the rows of photographs whose bytes an earlier one has."""
+        first: dict[str, int] = {}
+        rows = [(digest, row) for row, digest in enumerate(self.digests) if digest is not None]
+        return {row for digest, row in rows if first.setdefault(digest, row) != row}
+
+
+def look_at(stated: Stated) -> Photographs:
+    """Read every photograph whole, and keep its size, metadata and digest.
+
+    A header tells the size of half a file, too.
+    """
+    sizes: list[tuple[int, int] | None] = []
+    exif: list[Exif | None] = []
+    digests: list[str | None] = []
+    faults: dict[str, str] = {}
+    files = stated.files
+    if files is None:
+        nothing = (None,) * len(stated)
+        return Photographs(nothing, nothing, nothing, {})
+    with progress_bar("photographs", len(files)) as advance:
+        for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
+            try:
+                height, width = read_rgb(file).shape[:2]
+                found, digest = above_ellipsoid(read_exif(file)), sha256_of(file)
+            except (InputError, OSError) as error:
+                faults[name] = str(error)
+                sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]
+            else:
+                sizes, exif = [*sizes, (width, height)], [*exif, found]
+                digests.append(digest)
+            advance(done)
+    return Photographs(tuple(sizes), tuple(exif), tuple(digests), faults)
+
+
+def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
+    """Yield what is wrong with the photographs as files."""
+    if stated.files is None:
+        why = "no photograph of the data set was found: give their folder with --images"
+        yield unknown(THERE, why)
+        return
+    if photographs.faults:
+        first = next(iter(photographs.faults.values()))
+        detail = f"{len(photographs.faults)} of {len(stated)} cannot be read: {first}"
+        count = float(len(photographs.faults))
+        yield wrong(THERE, "photographs-missing", detail, photographs=count)
+    else:
+        yield right(THERE, f"{len(stated)} photographs")
+    yield _sizes(stated, photographs)
+    yield _duplicates(stated, photographs)
+
+
+def _sizes(stated: Stated, photographs: Photographs) -> Finding:
+    known = [
+        (name, size, (camera.width, camera.height))
+        for name, size, camera in zip(stated.names, photographs.sizes, stated.cameras, strict=True)
+        if size is not None and camera is not None
+    ]
+    if not known:
+        return unknown(SIZES, "the data set states no camera")
+    off = [(name, size, own) for name, size, own in known if size != own]
+    if not off:
+        return right(SIZES, f"{len(known)} photographs")
+    name, size, own = off[0]
+    detail = (
+        f"{len(off)} of {len(known)}, such as {name}, which is {size[0]} x {size[1]} pixels; its "
+        f"camera is {own[0]} x {own[1]}"
+    )
+    return wrong(SIZES, "sizes", detail, photographs=float(len(off)))
+
+
+def _duplicates(stated: Stated, photographs: Photographs) -> Finding:
+    owners: dict[str, str] = {}
+    twice = []
+    for name, digest in zip(stated.names, photographs.digests, strict=True):
+        if digest is not None and owners.setdefault(digest, name) != name:
+            twice.append(f"{owners[digest]} and {name}")
+    if not twice:
+        return right(ONCE, f"{len(owners)} different files")
+    more = f" and {len(twice) - _NAMED} more" if len(twice) > _NAMED else ""
+    detail = f"the same file has two names: {', '.join(twice[:_NAMED])}{more}"
+    return wrong(ONCE, "duplicates", detail, photographs=float(len(twice)))
+
+
+def fitted_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
+    """Return the cameras at the size of their photographs, and guesses where none is stated.
+
+    The size is a finding of its own, so that the checks after it go on with a camera that fits. A
+    guess takes the focal length of EXIF.
+    """
+    read = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
+    return [_fitted(camera, size, told) for camera, size, told in read]
+
+
+def _fitted(
+    camera: Camera | None, size: tuple[int, int] | None, exif: Exif | None
+) -> Camera | None:
+    if size is None:
+        return camera
+    if camera is None:
+        if exif is None or exif.focal_in_longest_sides is None:
+            return None
+        focal = exif.focal_in_longest_sides * max(size)
+        return Camera("SIMPLE_PINHOLE", *size, (focal, size[0] / 2, size[1] / 2))
+    if size == (camera.width, camera.height):
+        return camera
+    try:
+        return camera.resized(*size)
+    except InputError:  # another shape
+        return None

@@ -1,0 +1,55 @@
+"""The points of a map against its keypoints, with poses and cameras as they must be read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.auditing.findings import Finding, right, unknown, wrong
+from benchmark.auditing.stated import Stated
+from objconnect.scene.checks.conventions import PIXEL_READINGS
+from objconnect.scene.checks.map_check import check_map
+from objconnect.scene.geometry.camera import Camera
+
+CHECK = "points project to their keypoints"
+
+
+def check_points(
+    stated: Stated,
+    poses: NDArray[np.float64],
+    cameras: Sequence[Camera | None],
+    photographs_agree: bool,
+) -> Finding:
+    """Judge the points of the data set's map.
+
+    Args:
+        stated: the data set, which has a map.
+        poses: cam_from_world (N, 4, 4), in the convention that agrees with the photographs.
+        cameras: cameras of the photographs, corrected by them.
+        photographs_agree: whether poses and cameras were compared with the photographs; keypoints
+            rather than cameras are then at fault.
+    """
+    sparse_map = stated.sparse_map
+    assert sparse_map is not None
+    images = dict(sparse_map.images)
+    for name, pose, own, camera in zip(stated.names, poses, stated.cameras, cameras, strict=True):
+        if name in images:
+            same_size = camera is not None and own is not None and camera.width == own.width
+            used = camera if same_size and camera is not None else images[name].camera
+            images[name] = replace(images[name], cam_from_world=pose, camera=used)
+    if not any((image.point_rows >= 0).any() for image in images.values()):
+        return unknown(CHECK, "the map has no observation")
+    found = check_map(replace(sparse_map, images=images))
+    if found.ok:
+        return right(CHECK, found.detail, **found.figures)
+    halves = {reading.fault: reading.principal_shift for reading in PIXEL_READINGS}
+    if found.detail not in halves:
+        return wrong(CHECK, "points-off", found.detail, **found.figures)
+    if not photographs_agree:
+        return wrong(CHECK, "half-pixel", found.detail, **found.figures)
+    where = "high" if halves[found.detail] > 0 else "low"
+    detail = f"keypoints are half a pixel {where}, while cameras and photographs agree"
+    return wrong(CHECK, "half-pixel", detail, **found.figures)

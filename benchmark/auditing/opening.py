@@ -1,0 +1,332 @@
+"""Data sets of every known format as what they state of their photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.auditing.stated import Stated, centres, places_of
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import READERS, open_datasets
+from objconnect.scene.bundle.scene import Scene, is_scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.textfiles import read_gps
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.imports.formats import FRAMED, read_foreign
+from objconnect.scene.imports.names import match_files
+from objconnect.scene.imports.poses import ForeignPoses, Frame
+from objconnect.scene.imports.strangers import refuse_stranger
+from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.listing import list_files
+from objconnect.scene.storage.tables import read_table
+
+Array = NDArray[np.float64]
+
+_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
+# Where the files of poses lie in the projects of other programs.
+_POSE_FILES: Final = (
+    "sparse/0",
+    "sparse",
+    "transforms.json",
+    "reconstruction.json",
+    "opensfm/reconstruction.json",
+    "cameras.xml",
+)
+# Folders of photographs, seen from the file or folder of poses.
+_PHOTOGRAPHS: Final = (
+    ".", "images", "rgb", "photos", "../images", "../rgb", "../photos", "../../images", "..",
+)  # fmt: skip
+_GEODETIC = ("lat", "lon", "alt")
+
+
+def open_stated(
+    path: Path,
+    images: Path | None = None,
+    camera: Camera | None = None,
+    frame: Frame | None = None,
+) -> list[Stated]:
+    """Read what a data set states; a path may hold several data sets.
+
+    Args:
+        path: a scene, a flight, Extended CMU Seasons, or poses of another program: a file, its
+            folder, or the folder of a project.
+        images: folder of the photographs; None looks where the format has them.
+        camera: camera of the photographs where the data set states none.
+        frame: frame of another program's poses, where their file leaves it open.
+
+    Raises:
+        InputError: no reader knows the path, a file is damaged, ``images`` is no folder, or a frame
+            is stated of what leaves no doubt of it.
+    """
+    if images is not None and not images.is_dir():
+        raise InputError(f"folder of photographs {images} does not exist")
+    foreign = not is_scene(path) and not (path.is_dir() and _is_dataset(path))
+    if frame is not None and not foreign:
+        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
+    if is_scene(path):
+        if images is not None:
+            raise InputError(f"{path} is a scene, which holds its photographs: leave out --images")
+        return [_of_scene(Scene.open(path))]
+    if not foreign:
+        return [_of_dataset(dataset, images) for dataset in open_datasets(path)]
+    return [_of_foreign(_pose_file(path), images, camera, frame)]
+
+
+def _is_dataset(path: Path) -> bool:
+    """Return whether a folder is a flight or of CMU; a folder ``sparse`` alone is COLMAP's."""
+    if (path / "queries.txt").exists() or (path / "reference_poses.txt").exists():
+        return True
+    return bool(READERS.load("cmu").is_one(path))
+
+
+def _of_scene(scene: Scene) -> Stated:
+    names, cameras, poses, measured = [], [], [], []
+    for session in scene.sessions:
+        if scene.manifest.sessions[session].readout_s:
+            continue  # every row has a pose of its own
+        frames = scene.frames(session)
+        names += list(frames.names)
+        cameras += list(frames.cameras)
+        poses.append(frames.cam_from_world)
+        measured.append(np.where(frames.has_gps[:, None], frames.gps_prior, np.nan))
+    if not names:
+        raise InputError(f"{scene.path}: every session has a rolling shutter: nothing to audit")
+    matrices = np.concatenate(poses)
+    return _sorted(
+        Stated(
+            subject=str(scene.path),
+            kind="scene",
+            names=tuple(names),
+            files=tuple(scene.images_root / name for name in names),
+            cameras=tuple(cameras),
+            cam_from_world=matrices,
+            places=_placed(matrices, scene.manifest.origin),
+            measured=np.concatenate(measured),
+            sparse_map=scene.sparse_map() if scene.map_path.is_dir() else None,
+        )
+    )
+
+
+def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
+    """Return the photographs of the map and the queries together."""
+    sparse_map = dataset.load_map()
+    mapped = list(sparse_map.images.values())
+    folder = dataset.images if images is None else images
+    names = [*(image.name for image in mapped), *(query.name for query in dataset.queries)]
+    files = [folder / image.name for image in mapped]
+    files += [folder / q.name if images is not None else q.image for q in dataset.queries]
+    poses = [image.cam_from_world for image in mapped]
+    poses += [query.reference.matrix().numpy() for query in dataset.queries]
+    fixes = _gps(dataset)
+    measured = np.array([fixes.get(name, np.full(3, np.nan)) for name in names])
+    return _sorted(
+        Stated(
+            subject=dataset.name,
+            kind=dataset.track,
+            names=tuple(names),
+            files=tuple(files),
+            cameras=(*(i.camera for i in mapped), *(q.camera for q in dataset.queries)),
+            cam_from_world=np.array(poses),
+            measured=measured,
+            sparse_map=sparse_map,
+        )
+    )
+
+
+def _gps(dataset: Dataset) -> dict[str, Array]:
+    """Return the positions that a data set keeps as measured, by photograph."""
+    table = dataset.images.parent / "gps.csv"
+    if table.is_file():
+        return read_gps(table)
+    return {q.name: q.prior.position for q in dataset.queries if q.prior and q.prior.has_position}
+
+
+def _pose_file(path: Path) -> Path:
+    """Return the file of poses in a project, or the path itself where it is one."""
+    if path.is_dir() and not any((path / f"images.{end}").is_file() for end in ("bin", "txt")):
+        for name in _POSE_FILES:
+            if (path / name).exists():
+                return path / name
+    return path
+
+
+def _of_foreign(
+    path: Path, images: Path | None, camera: Camera | None, frame: Frame | None
+) -> Stated:
+    refuse_stranger(path)
+    table = path.suffix.lower() == ".csv" and path.is_file()
+    places = _table_places(path) if table else None
+    if places is not None and frame is not None:
+        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
+    if places is not None:
+        poses: ForeignPoses | None = None
+        names: Sequence[str] = list(places)
+    else:
+        poses = read_foreign(path, frame)
+        names = poses.names
+    files = _files(path, names, images)
+    cameras = (None,) * len(names) if poses is None else poses.cameras
+    if camera is not None:
+        cameras = tuple(own or camera for own in cameras)
+    positioned = poses is None or not poses.has_attitude
+    matrices = None if positioned or poses is None else poses.cam_from_world
+    stated = Stated(
+        subject=str(path),
+        kind=_kind(path),
+        names=tuple(names),
+        files=files,
+        cameras=cameras,
+        cam_from_world=matrices,
+        places=np.array(list(places.values())) if places is not None else _origin_places(poses),
+        sparse_map=read_model(path) if path.is_dir() and (path / "images.bin").is_file() else None,
+    )
+    return _sorted(stated)
+
+
+def _origin_places(poses: ForeignPoses | None) -> Array | None:
+    if poses is None or poses.origin is None:
+        return None
+    return places_of(poses.positions, poses.origin)
+
+
+def _placed(matrices: Array, origin: Geodetic | None) -> Array | None:
+    if origin is None:
+        return None
+    return places_of(centres(matrices), origin)
+
+
+def _kind(path: Path) -> str:
+    if path.is_dir():
+        return "COLMAP model"
+    kinds = {
+        ".csv": "table of positions",
+        ".xml": "Metashape cameras",
+        ".txt": "TUM trajectory",
+        ".tum": "TUM trajectory",
+    }
+    if path.suffix.lower() in kinds:
+        return kinds[path.suffix.lower()]
+    names = {
+        "transforms.json": "nerfstudio transforms",
+        "cameras.json": "3D Gaussian splatting cameras",
+    }
+    return names.get(path.name, "ODM reconstruction")
+
+
+def _table_places(path: Path) -> dict[str, list[float]] | None:
+    """Return the rows of a table of places, unchecked; None for a table of local positions.
+
+    Latitudes beyond 90 degrees are what an audit is to find, and not an error here.
+    """
+    places: dict[str, list[float]] = {}
+    for where, row in read_table(path, "table of positions", ("name",)):
+        if not all(column in row for column in _GEODETIC):
+            return None
+        try:
+            values = [float(row[column]) for column in _GEODETIC]
+        except ValueError:
+            values = [np.nan]
+        if not np.isfinite(values).all():
+            raise InputError(f"{where}: lat, lon and alt must be numbers")
+        if row["name"] in places:
+            raise InputError(f"{where}: {row['name']!r} is there twice")
+        places[row["name"]] = values
+    if not places:
+        raise InputError(f"{path} lists no photograph")
+    return places
+
+
+def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path, ...] | None:
+    """Return where the photographs lie, or should; None where no folder has any of them."""
+    base = path if path.is_dir() else path.parent
+    folders = [images] if images is not None else [base / name for name in _PHOTOGRAPHS]
+    best: dict[str, Path] = {}
+    for folder in folders:
+        found = _named(folder, names, path) if folder.is_dir() else {}
+        if len(found) > len(best):
+            best, chosen = found, folder
+        if len(best) == len(names):
+            break
+    if not best and images is not None:
+        raise InputError(f"{images} holds none of the photographs of {path}: {names[0]!r}, ...")
+    if not best:
+        return None
+    return tuple(best.get(name, chosen / name) for name in names)
+
+
+def _named(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
+    """Return the files of a folder by the names that mean them: paths in it, or files in it."""
+    exact = {name: folder / name for name in names if (folder / name).is_file()}
+    if len(exact) == len(names):
+        return exact
+    listed = list_files(folder, _ENDINGS)
+    relative = {file.relative_to(folder).as_posix(): file for file in listed}
+    found = {
+        name: relative[file] for file, name in match_files(list(relative), names, path).items()
+    }
+    if not found and _are_times(names):
+        return _by_time(list(relative.values()), names)
+    return found
+
+
+def _are_times(names: Sequence[str]) -> bool:
+    try:
+        return bool(np.isfinite([float(name) for name in names]).all())
+    except ValueError:
+        return False
+
+
+def _by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Path]:
+    """Return photographs by the time of their trajectory's pose.
+
+    Where there are as many as poses they belong to each other in order; else EXIF tells the time.
+    """
+    in_order = sorted(names, key=float)
+    if len(files) == len(names):
+        return dict(zip(in_order, sorted(files), strict=True))
+    times = np.array([float(name) for name in in_order])
+    least = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.5
+    found = {}
+    for file, taken in _taken(files):
+        row = int(np.abs(times - taken).argmin())
+        if abs(times[row] - taken) < least:
+            found[in_order[row]] = file
+    return found
+
+
+def _taken(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
+    for file in files:
+        try:
+            time = read_exif(file).time
+        except InputError:
+            continue
+        if time is not None:
+            yield file, time.timestamp()
+
+
+def _sorted(stated: Stated) -> Stated:
+    """Return the same with photographs in the order of their names; trajectories go by time."""
+    key: Callable[[int], float | str] = stated.names.__getitem__
+    if _are_times(stated.names):
+        key = lambda row: float(stated.names[row])  # noqa: E731
+    order = sorted(range(len(stated)), key=key)
+
+    def arranged(array: Array | None) -> Array | None:
+        return None if array is None else array[order]
+
+    return replace(
+        stated,
+        names=tuple(stated.names[row] for row in order),
+        files=None if stated.files is None else tuple(stated.files[row] for row in order),
+        cameras=tuple(stated.cameras[row] for row in order),
+        cam_from_world=arranged(stated.cam_from_world),
+        places=arranged(stated.places),
+        measured=arranged(stated.measured),
+    )

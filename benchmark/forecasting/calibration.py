@@ -1,0 +1,181 @@
+"""From what is seen in a twin to the probability of a fix: pooled evidence and a logistic model.
+
+A twin is not the site, and rendered snow is not the next winter's: the share of views that are
+found is no probability yet. A small logistic model turns the evidence around a waypoint into one.
+Its parameters were fitted to training towns, whose true winters are known
+(``experiments.forecast``). It is drawn towards the smoothed share itself, which is also what
+methods without a calibration get.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.storage.files import parse_json
+from objconnect.scene.storage.records import Record
+
+Array = NDArray[np.float64]
+
+FEATURES: Final = ("constant", "logit of the share found", "log of inliers", "log of points")
+_PRIOR: Final = np.array([0.0, 1.0, 0.0, 0.0])  # the smoothed share itself
+_CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])  # usual values, so that the constant is small
+_RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])  # how strongly the fit is drawn to the prior
+_STEPS: Final = 50
+_ADDED: Final = 0.5  # found and not found are each seen half a time more than they were
+# The false-fix risk is the pooled share, drawn to the usual one as by so many views.
+_USUAL_VIEWS: Final = 6.0
+
+
+class Calibration(Record):
+    """What was learned of a method from training towns.
+
+    Attributes:
+        weights: of ``FEATURES``.
+        across_scale: factor of predicted horizontal standard deviations.
+        up_scale: factor of predicted vertical ones.
+        false_share: share of the true queries that were false fixes.
+        queries: number of true queries it was fitted to; 0 for none.
+        source: the training towns.
+    """
+
+    weights: tuple[float, float, float, float]
+    across_scale: float = 1.0
+    up_scale: float = 1.0
+    false_share: float = 0.02
+    queries: int = 0
+    source: str = "none: the smoothed share of views that were found"
+
+
+UNCALIBRATED: Final = Calibration(weights=(0.0, 1.0, 0.0, 0.0))
+
+
+class Evidence(NamedTuple):
+    """What the views at and around each of N waypoints show in one season.
+
+    Attributes:
+        views: sum of the weights of views, (N,).
+        found: weighted number of fixes, (N,).
+        false: weighted number of false fixes, (N,).
+        inliers: weighted mean of log(1 + inliers), (N,).
+        points: weighted mean of log(1 + points of the map in view), (N,).
+        sigma_across_m: predicted horizontal standard deviation of fixes within the map, geometric
+            mean, (N,); NaN where there is no fix.
+        sigma_up_m: the vertical one.
+    """
+
+    views: Array
+    found: Array
+    false: Array
+    inliers: Array
+    points: Array
+    sigma_across_m: Array
+    sigma_up_m: Array
+
+
+class Seen(NamedTuple):
+    """The numbers of one view that evidence is pooled from; sigmas are NaN without a fix."""
+
+    waypoint: int
+    fix: bool
+    false: bool
+    inliers: int
+    points: int
+    sigma_across_m: float
+    sigma_up_m: float
+
+
+def pool(seen: Sequence[Seen], centres: Array, pool_m: float) -> Evidence:
+    """Pool the views of one season over neighbouring waypoints.
+
+    A view counts by a normal curve of the distance between its waypoint and the one that is asked
+    for, with the standard deviation ``pool_m``.
+
+    Args:
+        seen: the views.
+        centres: positions of all waypoints, (N, 3) metres.
+        pool_m: metres.
+    """
+    at = np.array([view.waypoint for view in seen])
+    apart = np.linalg.norm(centres[:, None] - centres[at][None], axis=-1)
+    weight = np.exp(-0.5 * np.square(apart / pool_m))  # (N, views)
+    fix = np.array([view.fix for view in seen], float)
+
+    def mean(values: Array, counts: Array) -> Array:
+        total = weight @ counts
+        return np.divide(
+            weight @ np.where(counts > 0, counts * values, 0.0),
+            total,
+            out=np.full(len(centres), np.nan),
+            where=total > 1e-9,
+        )
+
+    everything = np.ones(len(seen))
+    sigma = np.array([(view.sigma_across_m, view.sigma_up_m) for view in seen]).reshape(-1, 2)
+    known = fix * (np.isfinite(sigma) & (sigma > 0)).all(1)
+    log_sigma = np.log(np.where(known[:, None] > 0, sigma, 1.0))
+    return Evidence(
+        views=weight.sum(1),
+        found=weight @ fix,
+        false=weight @ np.array([view.false for view in seen], float),
+        inliers=mean(np.log1p([view.inliers for view in seen]), everything),
+        points=mean(np.log1p([view.points for view in seen]), everything),
+        sigma_across_m=np.exp(mean(log_sigma[:, 0], known)),
+        sigma_up_m=np.exp(mean(log_sigma[:, 1], known)),
+    )
+
+
+def features(evidence: Evidence) -> Array:
+    """Return the numbers (N, 4) that the probability is computed from, see ``FEATURES``."""
+    share = (evidence.found + _ADDED) / (evidence.views + 2 * _ADDED)
+    columns = (np.ones(len(share)), np.log(share / (1 - share)), evidence.inliers, evidence.points)
+    return np.asarray(np.stack(columns, -1) - _CENTRE)
+
+
+def probability(evidence: Evidence, calibration: Calibration) -> Array:
+    """Return the probability of a fix at each waypoint, (N,)."""
+    return _sigmoid(features(evidence) @ np.array(calibration.weights))
+
+
+def false_risk(evidence: Evidence, calibration: Calibration) -> Array:
+    """Return the probability of a false fix at each waypoint, (N,)."""
+    usual = _USUAL_VIEWS * calibration.false_share
+    return np.asarray((evidence.false + usual) / (evidence.views + _USUAL_VIEWS))
+
+
+def fit(rows: Array, happened: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+    """Return the weights of the features (M, 4) that explain best what happened (M,).
+
+    They minimize the logarithmic loss plus a quadratic penalty on what differs from the smoothed
+    share (Newton's method).
+    """
+    weights = _PRIOR.copy()
+    truth = happened.astype(float)
+    for _ in range(_STEPS):
+        p = _sigmoid(rows @ weights)
+        slope = rows.T @ (p - truth) + _RIDGE * (weights - _PRIOR)
+        curve = (rows * (p * (1 - p))[:, None]).T @ rows + np.diag(_RIDGE)
+        step = np.linalg.solve(curve, slope)
+        weights = weights - step / max(1.0, float(np.abs(step).max()))
+    a, b, c, d = (round(float(value), 4) for value in weights)
+    return a, b, c, d
+
+
+def calibration_of(method: str, wanted: bool = True) -> Calibration:
+    """Return the calibration of a method, or that of none where there is none or none is wanted."""
+    return _shipped().get(method, UNCALIBRATED) if wanted else UNCALIBRATED
+
+
+@cache
+def _shipped() -> dict[str, Calibration]:
+    text = (files("benchmark.forecasting") / "calibration.json").read_text(encoding="utf-8")
+    return {name: Calibration.model_validate(own) for name, own in parse_json(text).items()}
+
+
+def _sigmoid(x: Array) -> Array:
+    return np.asarray(1 / (1 + np.exp(-np.clip(x, -30, 30))))

@@ -1,0 +1,222 @@
+"""What a method answers to the views of a forecast, and what of the map they show."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.simulated import TRACK
+from benchmark.evaluation.starts import Start, parse_start
+from benchmark.forecasting.config import ForecastConfig
+from benchmark.scoring.score import Threshold, is_correct, is_false_fix
+from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.journal import Journal, journal_path
+from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.localizer import Estimate, Localizer, Prior, Status
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.answers import Named
+from objconnect.scene.storage.digests import digests
+
+# A point is in view where the rendered surface is at most this much nearer, as a share of the
+# depth and in metres: maps and twins are less exact than truth.
+_HIDDEN, _HIDDEN_M = 0.03, 1.0
+
+
+class Observation(Named):
+    """The answer to one view.
+
+    Attributes:
+        name: photograph of the view, relative to the sessions of the views.
+        season: condition of the view.
+        view: number of the view, from 0.
+        waypoint: number of the waypoint, from 0.
+        status: status of the estimate.
+        reason: why there is no pose.
+        t_err_m: position error, metres; None without a pose.
+        r_err_deg: rotation error, degrees; None without a pose.
+        sigma_across_m: predicted horizontal standard deviation within the map, metres; None if
+            unknown.
+        sigma_up_m: predicted vertical standard deviation within the map, metres; None if unknown.
+        h_err_m: horizontal error, metres; None without a pose.
+        v_err_m: vertical error, metres; None without a pose.
+        inliers: number of inliers of the estimate.
+        points: points of the map in view.
+    """
+
+    season: str
+    view: int
+    waypoint: int
+    status: Status
+    reason: str = ""
+    t_err_m: float | None = None
+    r_err_deg: float | None = None
+    sigma_across_m: float | None = None
+    sigma_up_m: float | None = None
+    h_err_m: float | None = None
+    v_err_m: float | None = None
+    inliers: int = 0
+    points: int = 0
+
+    def is_fix(self, fix_m: float, fix_deg: float) -> bool:
+        """Return whether the answer is right within these errors."""
+        return is_correct(self, Threshold(fix_m, fix_deg))
+
+    @property
+    def is_false(self) -> bool:
+        """Return whether the answer is a false fix."""
+        return is_false_fix(self)
+
+
+def start_of(words: str) -> Start:
+    """Read what the method is told about a view.
+
+    Raises:
+        InputError: there is no such start, or it is a pair list, which names no views.
+    """
+    start = parse_start(words)
+    if start.kind == "pairs":
+        raise InputError("a pair list names no rendered views: forecast with another start")
+    return start
+
+
+def observe(
+    scene: Scene, views: Scene, localizer: Localizer, config: ForecastConfig, cache: Path
+) -> list[Observation]:
+    """Localize every view in the map of a scene.
+
+    Answers are kept in a hidden journal in the folder above the views until the last one, so that
+    an interrupted run goes on where it stopped.
+
+    Raises:
+        InputError: the map or a view is missing or damaged.
+    """
+    start = start_of(config.start)
+    sparse_map = scene.sparse_map()
+    queries = [query for session in views.sessions for query in _queries(views, session)]
+    dataset = Dataset(
+        name=scene.name,
+        track=TRACK,
+        parts={},
+        map_conditions=(),
+        model=scene.map_path,
+        load_map=scene.sparse_map,
+        images=scene.images_root,
+        queries=tuple(queries),
+    )
+    out = views.path.parent
+    key = _key(scene, views, localizer, start, sparse_map)
+    done: dict[str, Observation]
+    with Journal(journal_path(out / "forecast.json"), key, Observation) as journal:
+        done = journal.done
+        localizer.prepare(sparse_map, scene.images_root, cache)
+        load = start.loader(dataset, sparse_map, cache)
+        with progress_bar(f"forecast with {localizer.name}", len(queries)) as advance:
+            for query, points in zip(queries, _points_in_view(views, sparse_map), strict=True):
+                if query.name not in done:
+                    estimate = localize_safely(localizer, load(query))
+                    journal.add(_observation(views, query, estimate, points))
+                advance(len(done))
+    return [done[query.name] for query in queries]
+
+
+def _key(
+    scene: Scene, views: Scene, localizer: Localizer, start: Start, sparse_map: SparseMap
+) -> str:
+    words = [Method.of(localizer).model_dump_json(), sparse_map.sha256, start.name]
+    words += [*digests((scene.images_root / name for name in sparse_map.names), "missing")]
+    words += [*views.manifest.sha256.values(), Environment.current().model_dump_json()]
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _queries(views: Scene, session: str) -> Iterator[BenchmarkQuery]:
+    """Yield the views of a session as queries, whatever their role."""
+    frames = views.frames(session)
+    for row, name in enumerate(frames.names):
+        attitude = Pose.from_quaternion(frames.attitude_prior[row], [0, 0, 0]).rotation.numpy()
+        yield BenchmarkQuery(
+            name=name,
+            condition=views.sessions[session].condition,
+            group=session,
+            camera=frames.cameras[row],
+            image=views.images_root / name,
+            prior=Prior(
+                frames.gps_prior[row],
+                frames.gps_sigma[row],
+                attitude,
+                float(frames.attitude_sigma_deg[row]),
+            ),
+            reference=Pose.from_matrix(frames.cam_from_world[row]),
+        )
+
+
+def _observation(
+    views: Scene, query: BenchmarkQuery, estimate: Estimate, points: int
+) -> Observation:
+    session, view = query.group, int(query.group.rpartition("-")[2]) - 1
+    told = partial(
+        Observation,
+        name=query.name,
+        season=views.sessions[session].condition,
+        view=view,
+        waypoint=int(Path(query.name).stem),
+        status=estimate.status,
+        reason=for_terminal(estimate.reason),
+        inliers=estimate.inliers,
+        points=points,
+    )
+    pose = estimate.cam_from_world
+    if pose is None:
+        return told()
+    t_err, r_err = pose.error_to(query.reference)
+    off = (pose.centre() - query.reference.centre()).numpy()
+    sigmas = Located(query.name, estimate, None).sigmas
+    across, up = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
+    return told(
+        t_err_m=float(t_err),
+        r_err_deg=float(r_err),
+        sigma_across_m=across,
+        sigma_up_m=up,
+        h_err_m=float(np.hypot(*off[:2])),
+        v_err_m=abs(float(off[2])),
+    )
+
+
+def _points_in_view(views: Scene, sparse_map: SparseMap) -> Iterator[int]:
+    """Yield for each view, in order, how many points of the map are not hidden in it."""
+    points = torch.from_numpy(np.asarray(sparse_map.xyz, np.float64))
+    for session in views.sessions:
+        frames = views.frames(session)
+        with views.dense(session) as dense:
+            for row, camera in enumerate(frames.cameras):
+                local = Pose.from_matrix(frames.cam_from_world[row]).transform(points)
+                projected = camera.project(local)
+                depth = dense.read("depth", row)
+                yield _count(projected.xy.numpy(), projected.valid.numpy(), local.numpy(), depth)
+
+
+def _count(
+    xy: NDArray[np.float64],
+    valid: NDArray[np.bool_],
+    local: NDArray[np.float64],
+    depth: NDArray[np.float32],
+) -> int:
+    """Count the points that project into a picture and are not behind its surface."""
+    height, width = depth.shape
+    inside = valid & (xy >= 0).all(1) & (xy[:, 0] < width) & (xy[:, 1] < height)
+    column, row = xy[inside].astype(int).T
+    surface, own = depth[row, column], local[inside, 2]
+    seen = (surface <= 0) | (own <= surface * (1 + _HIDDEN) + _HIDDEN_M)
+    return int(seen.sum())

@@ -1,0 +1,198 @@
+"""From the observations of all views to the report: outlooks, verdicts, stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.forecasting.calibration import (
+    Calibration,
+    Evidence,
+    Seen,
+    false_risk,
+    pool,
+    probability,
+)
+from benchmark.forecasting.config import ForecastConfig
+from benchmark.forecasting.observe import Observation
+from benchmark.forecasting.report import (
+    Outlook,
+    Season,
+    Waypoint,
+    verdict_of,
+    weak_stretches,
+)
+from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
+
+Array = NDArray[np.float64]
+
+
+def evidence_by_season(
+    observations: Sequence[Observation], centres: Array, config: ForecastConfig
+) -> dict[str, Evidence]:
+    """Return the pooled evidence at all waypoints, by season."""
+    return {
+        season: pool(
+            [_seen(o, config) for o in observations if o.season == season], centres, config.pool_m
+        )
+        for season in config.seasons
+    }
+
+
+def waypoints_of(
+    observations: Sequence[Observation],
+    centres: Array,
+    origin: Geodetic,
+    config: ForecastConfig,
+    calibration: Calibration,
+) -> tuple[Waypoint, ...]:
+    """Return every waypoint with its outlook in every season."""
+    evidence = evidence_by_season(observations, centres, config)
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    own: dict[int, list[Observation]] = {k: [] for k in range(len(centres))}
+    for observation in observations:
+        own[observation.waypoint].append(observation)
+    points = [
+        float(np.expm1(np.mean(np.log1p([o.points for o in own[k]])))) for k in range(len(centres))
+    ]
+    outlooks = {
+        season: _outlooks(evidence[season], calibration, points, config)
+        for season in config.seasons
+    }
+    made = []
+    for k, centre in enumerate(centres):
+        place = geodetic_from_enu(centre, origin)
+        seasons = {}
+        for season in config.seasons:
+            views = [o for o in own[k] if o.season == season]
+            fixes = sum(o.is_fix(config.fix_m, config.fix_deg) for o in views)
+            counts = {"found": fixes, "views": len(views)}
+            seasons[season] = outlooks[season][k].model_copy(update=counts)
+        east, north, up = (round(float(value), 3) for value in centre)
+        made.append(
+            Waypoint(
+                number=k + 1,
+                enu_m=(east, north, up),
+                longitude=round(place.longitude, 8),
+                latitude=round(place.latitude, 8),
+                altitude_m=round(place.altitude, 3),
+                along_m=round(float(along[k]), 2),
+                points=round(points[k], 1),
+                seasons=seasons,
+            )
+        )
+    return tuple(made)
+
+
+def seasons_of(waypoints: Sequence[Waypoint], config: ForecastConfig) -> tuple[Season, ...]:
+    """Return the verdict of every season."""
+    return tuple(_season(waypoints, name, config) for name in config.seasons)
+
+
+def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) -> Season:
+    outlooks = [waypoint.seasons[name] for waypoint in waypoints]
+    chances = [outlook.probability for outlook in outlooks]
+    share = sum(chances) / len(chances)
+    stretches = weak_stretches(waypoints, name, config)
+    gap_m = max((stretch.gap_m for stretch in stretches), default=_longest_leg(waypoints))
+    return Season(
+        name=name,
+        verdict=verdict_of(share, gap_m if stretches else 0.0, config),
+        share=round(share, 4),
+        lowest=min(chances),
+        longest_gap_m=round(gap_m, 1),
+        false_risk=round(sum(o.false_risk for o in outlooks) / len(outlooks), 4),
+        sigma_across_m=_median(o.sigma_across_m for o in outlooks),
+        sigma_up_m=_median(o.sigma_up_m for o in outlooks),
+        stretches=stretches,
+    )
+
+
+def _longest_leg(waypoints: Sequence[Waypoint]) -> float:
+    """Return the longest way between successive waypoints, metres."""
+    along = [waypoint.along_m for waypoint in waypoints]
+    return max((b - a for a, b in pairwise(along)), default=0.0)
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(median(known), 4) if known else None
+
+
+def _outlooks(
+    evidence: Evidence, calibration: Calibration, points: Sequence[float], config: ForecastConfig
+) -> list[Outlook]:
+    """Return the outlooks of all waypoints in a season; the counts of views are still 0."""
+    chances, risks = probability(evidence, calibration), false_risk(evidence, calibration)
+    made = []
+    for k, chance in enumerate(chances.tolist()):
+        cause = None
+        if chance < config.weak:
+            cause = "few points" if points[k] < config.few_points else "look"
+        made.append(
+            Outlook.model_validate(
+                {
+                    "probability": round(chance, 4),
+                    "false_risk": round(float(risks[k]), 4),
+                    "sigma_across_m": _scaled(evidence.sigma_across_m[k], calibration.across_scale),
+                    "sigma_up_m": _scaled(evidence.sigma_up_m[k], calibration.up_scale),
+                    "found": 0,
+                    "views": 0,
+                    "cause": cause,
+                }
+            )
+        )
+    return made
+
+
+def _scaled(sigma: float, scale: float) -> float | None:
+    return round(float(sigma) * scale, 4) if np.isfinite(sigma) else None
+
+
+def _seen(observation: Observation, config: ForecastConfig) -> Seen:
+    nan = float("nan")
+    return Seen(
+        observation.waypoint,
+        observation.is_fix(config.fix_m, config.fix_deg),
+        observation.is_false,
+        observation.inliers,
+        observation.points,
+        nan if observation.sigma_across_m is None else observation.sigma_across_m,
+        nan if observation.sigma_up_m is None else observation.sigma_up_m,
+    )
+
+
+def geojson(waypoints: Sequence[Waypoint], seasons: Sequence[Season]) -> Mapping[str, object]:
+    """Return waypoints as points and weak stretches as lines (RFC 7946: longitude, latitude)."""
+    found: list[dict[str, object]] = []
+    for waypoint in waypoints:
+        told: dict[str, object] = {
+            "kind": "waypoint",
+            "number": waypoint.number,
+            "points": waypoint.points,
+        }
+        for name, outlook in waypoint.seasons.items():
+            told |= {f"{name} {key}": value for key, value in outlook.model_dump().items()}
+        found.append(_feature("Point", _position(waypoint), told))
+    for season in seasons:
+        for stretch in season.stretches:
+            part = waypoints[max(stretch.first - 2, 0) : stretch.last + 1]
+            line = [_position(waypoint) for waypoint in part]
+            told = {"kind": "weak stretch", "season": season.name, **stretch.model_dump()}
+            if len(line) > 1:
+                found.append(_feature("LineString", line, told))
+    return {"type": "FeatureCollection", "name": "objconnect forecast", "features": found}
+
+
+def _position(waypoint: Waypoint) -> list[float]:
+    return [waypoint.longitude, waypoint.latitude, waypoint.altitude_m]
+
+
+def _feature(kind: str, coordinates: object, told: Mapping[str, object]) -> dict[str, object]:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": dict(told)}

@@ -1,0 +1,266 @@
+"""The report of a forecast: every waypoint, a verdict by season, weak stretches, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+from benchmark.forecasting.calibration import Calibration
+from benchmark.forecasting.config import ForecastConfig
+from objconnect.localization.provenance import Environment, Method
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.records import Record
+
+Cause = Literal["few points", "look"]
+Verdict = Literal["holds", "gaps", "fails"]
+
+SCHEMA = "objconnect forecast 2"
+CAUSES: Mapping[Cause, str] = {
+    "few points": "few points of the map are in view: photograph the ground there for the map",
+    "look": "the map has points there, but the season hides them: fly the map again in a season or "
+    "light nearer to this one, fly higher, or choose another method",
+}
+VERDICTS: Mapping[Verdict, str] = {
+    "holds": "fixes all along",
+    "gaps": "fixes with gaps that are too long",
+    "fails": "too few fixes to fly by",
+}
+
+
+class Outlook(Record):
+    """What is expected at a waypoint in one season.
+
+    Attributes:
+        probability: of a fix.
+        false_risk: probability of a false fix.
+        sigma_across_m: expected horizontal standard deviation of a fix within the map, metres;
+            None where no view of the waypoint or its neighbours was found.
+        sigma_up_m: the vertical one.
+        found: views of this waypoint that were found.
+        views: its views.
+        cause: why the probability is low; None where it is not.
+    """
+
+    probability: float
+    false_risk: float
+    sigma_across_m: float | None
+    sigma_up_m: float | None
+    found: int
+    views: int
+    cause: Cause | None
+
+
+class Waypoint(Record):
+    """A waypoint.
+
+    Attributes:
+        number: from 1, in flying order.
+        enu_m: position in the map's world: east, north, up, metres.
+        longitude: degrees.
+        latitude: degrees.
+        altitude_m: above the ellipsoid.
+        along_m: way flown up to here.
+        points: points of the map in view, the geometric mean of the views.
+        seasons: outlook by season.
+    """
+
+    number: int
+    enu_m: tuple[float, float, float]
+    longitude: float
+    latitude: float
+    altitude_m: float
+    along_m: float
+    points: float
+    seasons: dict[str, Outlook]
+
+
+class Stretch(Record):
+    """Successive waypoints at which a fix is unlikely.
+
+    Attributes:
+        first: number of the first one.
+        last: number of the last one.
+        gap_m: way between the likely fixes before and after it.
+        probability: mean probability on it.
+        cause: why, at most of its waypoints.
+    """
+
+    first: int
+    last: int
+    gap_m: float
+    probability: float
+    cause: Cause
+
+
+class Season(Record):
+    """What is expected of a flight in one season.
+
+    Attributes:
+        name: condition.
+        verdict: whether the flight can go by these fixes.
+        share: mean probability of a fix.
+        lowest: lowest probability.
+        longest_gap_m: longest way between two likely fixes.
+        false_risk: mean probability of a false fix.
+        sigma_across_m: median of the waypoints' horizontal standard deviations; None without any.
+        sigma_up_m: the vertical one.
+        stretches: weak stretches, the longest gap first.
+    """
+
+    name: str
+    verdict: Verdict
+    share: float
+    lowest: float
+    longest_gap_m: float
+    false_risk: float
+    sigma_across_m: float | None
+    sigma_up_m: float | None
+    stretches: tuple[Stretch, ...]
+
+
+class Request(Record):
+    """A part of the flight that more photographs of the map would help.
+
+    Attributes:
+        first: number of its first waypoint.
+        last: number of its last one.
+        points: mean number of points of the map in view.
+        lost: fixes that are not expected there, over all seasons.
+        longitude: of its middle, degrees.
+        latitude: of its middle, degrees.
+    """
+
+    first: int
+    last: int
+    points: float
+    lost: float
+    longitude: float
+    latitude: float
+
+
+class Forecast(Record):
+    """The report of a forecast.
+
+    Attributes:
+        file: what the file is.
+        scene: name of the scene of the map.
+        scene_sha256: digest of its map.
+        flight: name of the mission plan, or the flight of ``simulate``.
+        flight_sha256: digest of the mission plan; None for other flights.
+        twin: name of the twin that was given; None where it was made of the scene.
+        method: the method and its configuration.
+        config: options of the forecast.
+        calibration: what the probabilities were calibrated by.
+        environment: versions.
+        notes: what has to be known of the twin and of the probabilities.
+        seasons: by season, in the order that was asked for.
+        waypoints: in flying order.
+        photographs: where more photographs of the map would help, the most first.
+        views: every view: season, waypoint, answer and errors.
+    """
+
+    file: Literal["objconnect forecast 2"] = "objconnect forecast 2"
+    scene: str
+    scene_sha256: str
+    flight: str
+    flight_sha256: str | None
+    twin: str | None
+    method: Method
+    config: ForecastConfig
+    calibration: Calibration
+    environment: Environment
+    notes: tuple[str, ...]
+    seasons: tuple[Season, ...]
+    waypoints: tuple[Waypoint, ...]
+    photographs: tuple[Request, ...]
+    views: tuple[dict[str, Any], ...]
+
+    def text(self) -> str:
+        """Return the verdicts as lines."""
+        return "\n".join(self._lines())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report without its single views."""
+        return self.model_dump(mode="json", exclude={"views"})
+
+    def _lines(self) -> Iterator[str]:
+        yield f"{for_terminal(self.flight)} by {self.method.name}: {len(self.waypoints)} waypoints"
+        for season in self.seasons:
+            across = season.sigma_across_m
+            sigma = "" if across is None else f", sigma across {across:.2f} m within the map"
+            yield (
+                f"{season.name}: {VERDICTS[season.verdict]}; a fix at {100 * season.share:.0f} % "
+                f"of the waypoints, longest gap {season.longest_gap_m:.0f} m, false fixes "
+                f"{100 * season.false_risk:.1f} %{sigma}"
+            )
+        for request in self.photographs:
+            first, last = request.first, request.last
+            where = f"waypoint {first}" if first == last else f"waypoints {first} to {last}"
+            yield f"photograph {where} for the map: {request.points:.0f} points in view"
+        yield from self.notes
+
+
+def weak_stretches(
+    waypoints: Sequence[Waypoint], season: str, config: ForecastConfig
+) -> tuple[Stretch, ...]:
+    """Return the weak stretches of a flight in a season, the longest gap first."""
+    found = []
+    for first, last in runs([w.seasons[season].probability < config.weak for w in waypoints]):
+        part = [w.seasons[season] for w in waypoints[first : last + 1]]
+        before, after = max(first - 1, 0), min(last + 1, len(waypoints) - 1)
+        few = sum(outlook.cause == "few points" for outlook in part)
+        found.append(
+            Stretch(
+                first=first + 1,
+                last=last + 1,
+                gap_m=round(waypoints[after].along_m - waypoints[before].along_m, 1),
+                probability=round(sum(o.probability for o in part) / len(part), 4),
+                cause="few points" if 2 * few > len(part) else "look",
+            )
+        )
+    return tuple(sorted(found, key=lambda stretch: -stretch.gap_m))
+
+
+def photographs_wanted(
+    waypoints: Sequence[Waypoint], config: ForecastConfig
+) -> tuple[Request, ...]:
+    """Return where few points of the map are in view and a fix is unlikely in some season."""
+
+    def wanted(waypoint: Waypoint) -> bool:
+        weakest = min(outlook.probability for outlook in waypoint.seasons.values())
+        return waypoint.points < config.few_points and weakest < config.weak
+
+    found = []
+    for first, last in runs([wanted(w) for w in waypoints]):
+        part = waypoints[first : last + 1]
+        middle = part[len(part) // 2]
+        lost = sum(1 - o.probability for w in part for o in w.seasons.values())
+        found.append(
+            Request(
+                first=first + 1,
+                last=last + 1,
+                points=round(sum(w.points for w in part) / len(part), 1),
+                lost=round(lost, 2),
+                longitude=middle.longitude,
+                latitude=middle.latitude,
+            )
+        )
+    return tuple(sorted(found, key=lambda request: -request.lost))
+
+
+def verdict_of(share: float, longest_gap_m: float, config: ForecastConfig) -> Verdict:
+    """Return whether a flight can go by its fixes."""
+    if share < config.weak:
+        return "fails"
+    return "gaps" if longest_gap_m > config.gap_m else "holds"
+
+
+def runs(flags: Sequence[bool]) -> list[tuple[int, int]]:
+    """Return the first and last index of each run of true values."""
+    found: list[tuple[int, int]] = []
+    for k, flag in enumerate(flags):
+        if flag and found and found[-1][1] == k - 1:
+            found[-1] = (found[-1][0], k)
+        elif flag:
+            found.append((k, k))
+    return found

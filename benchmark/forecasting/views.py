@@ -1,0 +1,170 @@
+"""The views of a forecast: photographs of a site's twin along a flight, in every season."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from benchmark.forecasting.config import ForecastConfig
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.config import describe
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import MODELS, Camera
+from objconnect.scene.geometry.geodesy import is_same_place
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.names import is_utf8
+from simulate.base_place import base_place
+from simulate.config import SessionConfig, SimulateConfig
+from simulate.flight.config import QUERY_PLAN, PlanFlight
+from simulate.flight.gimbal import camera_centres
+from simulate.flight.qgroundcontrol import read_plan
+from simulate.place.presets import SITE
+from simulate.planner import plan_session
+from simulate.twin.options import SiteConfig
+
+Array = NDArray[np.float64]
+
+# A map's origin and its twin's are one when their heights differ by no more, metres.
+_SAME_UP_M = 0.1
+
+
+def views_config(
+    scene: Scene, sparse_map: SparseMap, flight: str, config: ForecastConfig, twin: Scene | None
+) -> SimulateConfig:
+    """Return the configuration of the scene that holds all views.
+
+    A session is one view of every waypoint in one season, and is called SEASON-NUMBER. The first
+    one has the role "map" because a scene has such a session.
+
+    Args:
+        scene: the scene of the map.
+        sparse_map: its map.
+        flight: the flight, as a session of ``simulate`` names it: "plan=FILE" or "nadir".
+        config: options of the forecast.
+        twin: a finished twin; None makes one of ``scene``.
+
+    Raises:
+        InputError: the flight, a season or the site cannot be used.
+    """
+    if not is_utf8(flight):
+        raise InputError(f"flight {for_terminal(flight)}: its name is not UTF-8: rename the file")
+    site: Any = {"scene": scene.path}
+    values: dict[str, Any] = {}
+    if twin is not None:
+        site = _site_of(twin, scene)
+        values = {"area": twin.manifest.config["area"], "origin": twin.manifest.origin}
+    sessions = [
+        {"condition": season, "flight": flight, "role": "query", "name": f"{season}-{view + 1}"}
+        for season in config.seasons
+        for view in range(config.views)
+    ]
+    sessions[0]["role"] = "map"
+    values |= {
+        "preset": SITE,
+        "seed": config.seed,
+        "frames": config.waypoints,
+        "camera": usual_camera(sparse_map, config.size),
+        "site": site,
+        "sessions": sessions,
+        "map_plan": QUERY_PLAN,
+        "position_jitter_m": config.deviation_m,
+        "attitude_jitter_deg": config.deviation_deg,
+    }
+    try:
+        made = SimulateConfig.model_validate(values)
+    except ValidationError as error:
+        raise InputError(describe(error, SimulateConfig, "forecast")) from None
+    _check_plan(made, config)
+    return made
+
+
+def route_of(views: SimulateConfig, folder: Path) -> Array:
+    """Return the waypoints (N, 3) of rendered views, world metres, as they are without wind."""
+    world, _ = base_place(views, folder)
+    calm = views.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
+    session = _as_query(calm.sessions[0])
+    poses = plan_session(session, calm, calm.photo_camera(session), world, np.random.default_rng(0))
+    return camera_centres(poses)
+
+
+def _as_query(session: SessionConfig) -> SessionConfig:
+    return session.model_copy(update={"role": "query"})
+
+
+def usual_camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
+    """Return the camera of most photographs of a map, made smaller where it is larger."""
+    cameras: list[Camera] = [image.camera for image in sparse_map.images.values()]
+    usual = max(cameras, key=cameras.count)
+    # One scale for both axes: a model with one focal length holds no others.
+    scale = min(1.0, size / max(usual.width, usual.height))
+    lengths = ("f", "fx", "fy", "cx", "cy")
+    return {
+        "model": usual.model,
+        "width": max(16, round(scale * usual.width)),
+        "height": max(16, round(scale * usual.height)),
+        "params": tuple(
+            value * scale if name in lengths else value
+            for name, value in zip(MODELS[usual.model], usual.params, strict=True)
+        ),
+    }
+
+
+def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
+    """Return the site of a twin.
+
+    Raises:
+        InputError: it is no twin, or its world is not that of the map.
+    """
+    site = twin.manifest.config.get("site")
+    if twin.manifest.preset != SITE or site is None:
+        raise InputError(
+            f"{twin.path} is no twin of a site: make one with 'simulate --preset site --from "
+            f"{scene.path}', or leave --twin out"
+        )
+    if not is_same_place(twin.manifest.origin, scene.manifest.origin, _SAME_UP_M):
+        raise InputError(
+            f"{twin.path} is the twin of another place than {scene.path}: their origins differ"
+        )
+    return SiteConfig.model_validate(site)
+
+
+def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
+    """Check the flight before any work: that a plan has waypoints in the place, and not too many.
+
+    Raises:
+        InputError: it has none there, or more than the forecast takes.
+    """
+    session = views.sessions[0]
+    flight = session.flight
+    count = session.frames or views.frames
+    if isinstance(flight, PlanFlight):
+        aims = read_plan(
+            flight.file,
+            views.origin,
+            views.area,
+            lambda x, y: np.zeros(np.shape(x)),
+            flight.pitch_deg,
+            flight.undulation_m,
+        )
+        count = len(aims.centres)
+        off = np.abs(np.asarray(aims.centres)[:, :2]).max(1) > 0.5 * views.area
+        if off.any():
+            raise InputError(
+                f"mission plan {flight.file}: photograph {int(np.argmax(off)) + 1} and "
+                f"{int(off.sum()) - 1} more lie outside the map's square of {views.area:.0f} m: "
+                "plan inside it, or map more"
+            )
+    elif flight.counts_photographs:
+        return
+    if count > config.most_waypoints:
+        hours = math.ceil(count * config.views * len(config.seasons) * 3 / 3600)
+        raise InputError(
+            f"the flight has {count} waypoints, about {hours} h of rendering: trigger less often, "
+            f"or allow more than {config.most_waypoints} by --set forecast.most_waypoints=N"
+        )

@@ -1,0 +1,393 @@
+"""Photographs added to a finished scene, which becomes a new scene of both.
+
+The scene itself is not touched: results that were measured on it stay results of it. The new scene
+has its frames, bit by bit, and the new photographs as a session of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.attitude import turned_over
+from objconnect.ingestion.given import as_given
+from objconnect.ingestion.lenses import with_known_lenses
+from objconnect.ingestion.neighbours import alike, choose_pairs
+from objconnect.ingestion.outputs import (
+    FRAMES,
+    owned_files,
+    sample,
+    seen_points,
+    write_map,
+    write_measurements,
+)
+from objconnect.ingestion.photographs import (
+    SESSION,
+    Flight,
+    FlightImage,
+    copy_photographs,
+    photographs_of,
+    read_flight,
+    warn_of_doubts,
+)
+from objconnect.ingestion.picture import PICTURE, draw
+from objconnect.ingestion.plan import (
+    DATABASE,
+    WORK,
+    Plan,
+    flight_manifest,
+    make_scene,
+    recorded_plan,
+)
+from objconnect.ingestion.positions import local, with_positions
+from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
+from objconnect.ingestion.split import queries_of
+from objconnect.ingestion.turned import begin_again, read_turned
+from objconnect.scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
+from objconnect.scene.bundle.manifest import Manifest, Splits, write_json
+from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene
+from objconnect.scene.colmap.database import MatchingJob
+from objconnect.scene.colmap.options import SiftOptions
+from objconnect.scene.colmap.registration import KnownMap, match_new, register_photographs
+from objconnect.scene.colmap.sift import read_features
+from objconnect.scene.colmap.structure_from_motion import RefinedLenses
+from objconnect.scene.errors import InputError
+from objconnect.scene.exports.matches import described_map, matched_pairs
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.photographs import Photograph, PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.atomic import atomic_folder, atomic_write, link_or_copy
+from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.locks import write_lock
+
+Array = NDArray[np.float64]
+
+# Poses of map and frames that differ by less (m, rad) are one pose, but for rounding.
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a scene is extended by.
+
+    Attributes:
+        base: the scene that photographs are added to.
+        session: session of the new photographs.
+        folder: folder of the new photographs.
+        flight: the new photographs, and the files that are left out.
+        taken: the new photographs as structure from motion takes them.
+        fixes: measured positions (3,) of new photographs by name, metres in the scene's world.
+        queries: names of new photographs that are queries.
+        plan: what was asked for.
+    """
+
+    base: Scene
+    session: str
+    folder: Path
+    flight: Flight
+    taken: Sequence[Photograph]
+    fixes: Mapping[str, Array]
+    queries: set[str]
+    plan: Plan
+
+
+def add_photographs(
+    photographs: Path,
+    scene: Path,
+    out: Path,
+    asked: Plan,
+    gps: Path | None = None,
+    camera: Camera | None = None,
+) -> IngestReport:
+    """Make a scene of a finished scene and new photographs, or continue an interrupted run.
+
+    The frames of the scene keep their poses, cameras and files. New photographs are registered in
+    its map by their matches. Positions are not needed: they choose what is matched, and become
+    priors. A photograph of a lens of the scene has its camera.
+
+    Args:
+        photographs: folder of the new photographs.
+        scene: finished scene with a map; it does not change.
+        out: new folder, or one left by a run of the same scene, photographs and options.
+        asked: size, split and options of the run.
+        gps: table of positions instead of those in EXIF.
+        camera: calibration of the new photographs.
+
+    Raises:
+        InputError: no photograph is new, can be read or fits the map; the scene is unfinished,
+            has no map or was changed; ``out`` is in the scene, holds other files, cannot be written
+            or is being written by another run.
+    """
+    if scene.resolve() in (out.resolve(), *out.resolve().parents):
+        raise InputError(f"{out} lies in the scene {scene}, which stays as it is: choose another")
+    base = Scene.open(scene)
+    base.require_lists()
+    base.covisibility.of([*base.splits.map, *sum(base.splits.queries.values(), ())])
+    described_map(base)
+    session = _free_session(base)
+    earlier = _earlier(base)
+    flight = _without_earlier(read_flight(photographs, session), earlier, scene)
+    if gps is not None:
+        flight = with_positions(flight, gps)
+    warn_of_doubts(flight, with_lenses=camera is None)
+    plan = asked.model_copy(
+        update={
+            "camera": None if camera is None else str(camera),
+            "gps": None if gps is None else sha256_of(gps),
+            "base": sha256_of(scene / MANIFEST),
+            "known": earlier,
+            "photographs": {image.file: image.sha256 for image in flight.images},
+        }
+    )
+    names, options = [image.name for image in flight.images], plan.options
+    _, fixes = local(flight.images, base.manifest.origin)
+    queries = queries_of(names, fixes, plan.split, plan.every, options.line_turn_deg)
+    taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
+    if camera is None:
+        taken = with_known_lenses(base, flight.images, taken)
+    source = _Source(base, session, photographs, flight, taken, fixes, queries, plan)
+    with write_lock(out):
+        return make_scene(
+            out,
+            plan,
+            lambda: _build(out, source),
+            owned_files(flight.images, session) | set(base.manifest.sha256),
+            _manifest(source),
+        )
+
+
+def _free_session(base: Scene) -> str:
+    number = 1
+    while (name := SESSION if number == 1 else f"{SESSION}-{number}") in base.sessions:
+        number += 1
+    return name
+
+
+def _earlier(base: Scene) -> dict[str, str]:
+    """Return the photographs that went into a scene: file by digest, before and after copying."""
+    files = {digest: name for name, digest in base.manifest.sha256.items() if "/images/" in name}
+    plan = recorded_plan(base.manifest)
+    if plan is not None:
+        files |= plan.known | {digest: file for file, digest in plan.photographs.items()}
+    return files
+
+
+def _without_earlier(flight: Flight, earlier: Mapping[str, str], scene: Path) -> Flight:
+    """Return the flight without photographs that are in the scene."""
+    there = {
+        image.file: f"already in the scene as {earlier[image.sha256]}"
+        for image in flight.images
+        if image.sha256 in earlier
+    }
+    left = flight.without(there)
+    if not left.images:
+        file, why = next(iter(left.left_out.items()))
+        raise InputError(
+            f"none of the {len(left.left_out)} photographs can be added to {scene}: {file} is {why}"
+            if file in there
+            else f"none of the {len(left.left_out)} photographs can be added to {scene}: {why}"
+        )
+    return left
+
+
+def _build(out: Path, source: _Source) -> IngestReport:
+    """Write everything of the scene but its manifest."""
+    base, queries, options = source.base, source.queries, source.plan.options
+    _copy(base, out)
+    known = _known(base)
+    flight, model, turned = _registered(out, source, known)
+    images, fixes = flight.images, source.fixes
+    placed = replace(as_given(_only(model, images), fixes, options), level="map")
+    adjusted = Adjusted(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
+    frames = out / "sessions" / source.session / FRAMES
+    wrong = write_measurements(frames, adjusted, images, fixes, queries, options)
+    sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
+    splits = _write_lists(out, source, model, [image.name for image in images])
+    over = [image.file for image in images if image.name in turned]
+    report = make_report(
+        source.taken,
+        flight,
+        adjusted,
+        fixes,
+        sparse_map,
+        Findings(wrong, over, georeference=base.manifest.on_earth),
+    ).model_copy(
+        update={
+            "registered": len(images),
+            "queries": sum(map(len, splits.queries.values())),
+            "kept": sum(len(base.frames(session)) for session in base.sessions),
+        }
+    )
+    write_json(out / REPORT, report)
+    title = f"{for_terminal(out.resolve().name)}: {len(images)} photographs added"
+    draw(out / PICTURE, title, adjusted, [image.name for image in images], queries, fixes)
+    for name in {image.name for image in source.flight.images} - model.images.keys():
+        (out / "sessions" / name).unlink(missing_ok=True)
+    return report
+
+
+def _copy(base: Scene, out: Path) -> None:
+    """Link or copy the sessions and objects of a scene, each file whole or not at all."""
+    wanted = {n: d for n, d in base.manifest.sha256.items() if n.startswith("sessions/")}
+    wanted["objects.json"] = base.manifest.sha256.get("objects.json", "")
+    with progress_bar("copy the scene", len(wanted)) as advance:
+        for done, (name, digest) in enumerate(wanted.items(), 1):
+            if not (base.path / name).is_file() or sha256_of(base.path / name) != digest:
+                raise InputError(
+                    f"{base.path / name} was changed since the scene was finished: run 'objconnect "
+                    f"validate {base.path}'"
+                )
+            if not (out / name).is_file():
+                with atomic_write(out / name) as partial:
+                    partial.unlink()
+                    link_or_copy(base.path / name, partial)
+            advance(done)
+
+
+def _known(base: Scene) -> KnownMap:
+    """Return the map of a scene, with the poses of its frames where they are the map's."""
+    sparse_map, features = described_map(base)
+    exact: dict[str, Array] = {}
+    for session in base.sessions:
+        frames = base.frames(session)
+        exact |= dict(zip(frames.names, frames.cam_from_world, strict=True))
+    images = []
+    for name in sparse_map.names:
+        image = sparse_map.images[name]
+        pose = exact.get(name, image.cam_from_world)
+        same = np.allclose(pose, image.cam_from_world, rtol=_ROUNDING, atol=_ROUNDING)
+        images.append(PosedImage(name, image.camera, pose if same else image.cam_from_world))
+    return KnownMap(images, sparse_map, features, list(matched_pairs(base, sparse_map)))
+
+
+def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, SparseMap, set[str]]:
+    """Return the registered photographs, the map with them, and the rotated photographs."""
+    root, models, options = out / "sessions", out / WORK / "models", source.plan.options
+    base = source.base
+    turned = read_turned(out)
+    copied = copy_photographs(source.flight, source.folder, root, source.plan.size, turned)
+    there = {image.name for image in copied.images}
+    taken = [photograph for photograph in source.taken if photograph.name in there]
+    _match(out, source, known, taken)
+    with progress_bar("register", len(taken)) as advance, atomic_folder(models) as folder:
+        model = register_photographs(root, known, taken, out / WORK / DATABASE, folder, advance)
+    fits = model.images.keys()
+    flight = copied.without(
+        {i.file: "not registered: too few matches" for i in copied.images if i.name not in fits}
+    )
+    if not flight.images:
+        raise InputError(
+            f"none of the {len(source.flight.images)} new photographs could be registered in "
+            f"{source.base.path}: they must show what its map photographs show, in like light"
+        )
+    if not turned:
+        only = _only(model, flight.images)
+        where = as_given(only, source.fixes, options)
+        turned = turned_over(
+            only,
+            where,
+            flight.images,
+            options.max_attitude_error_deg,
+            agreeing=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
+        )
+        if turned:
+            begin_again(out, turned, models)
+            return _registered(out, source, known)
+    poses = {image.name: image.cam_from_world for image in known.images}
+    images = {
+        name: replace(image, cam_from_world=poses.get(name, image.cam_from_world))
+        for name, image in model.images.items()
+    }
+    return flight, replace(model, images=images), turned
+
+
+def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photograph]) -> None:
+    """Match the new photographs with each other and with the map's that are near or look alike."""
+    options, root, database = source.plan.options, out / "sessions", out / WORK / DATABASE
+    new, old = [p.name for p in taken], [image.name for image in known.images]
+    centres = {n: known.sparse_map.images[n].centre for n in old}
+    job = MatchingJob(root, (), SiftOptions(), matching=options.matching)
+    with progress_bar("extract", len(old) + len(new)) as advance:
+        match_new(known, taken, job, database, advance)
+    fixed = [name for name in new if name in source.fixes]
+    near = choose_pairs([*old, *fixed], {**centres, **source.fixes}, options.pairs)
+    pairs = {pair for pair in near if pair[1] in source.fixes}
+    pairs |= set(choose_pairs(new, source.fixes, options.pairs))
+    if len(fixed) < len(new):
+        blind = [name for name in new if name not in source.fixes]
+        features = read_features(database, root)
+        pairs |= set(alike(blind, old, features, options.pairs, options.matching))
+    job = replace(job, pairs=sorted(pairs))
+    with progress_bar("match", len(old) + len(new) + len(pairs)) as advance:
+        match_new(known, taken, job, database, advance)
+
+
+def _only(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap:
+    """Return a model with some of its photographs alone."""
+    return replace(model, images={image.name: model.images[image.name] for image in images})
+
+
+def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[str]) -> Splits:
+    """Write split and covisibility of the scene with the new photographs, and return the split."""
+    base, asked = source.base, tuple(name for name in names if name in source.queries)
+    splits = Splits(
+        map=(*base.splits.map, *(name for name in names if name not in source.queries)),
+        queries={**base.splits.queries, **({source.session: asked} if asked else {})},
+    )
+    write_json(out / "splits.json", splits)
+    before, sampled = base.covisibility, source.plan.options.covisibility_points
+    cameras: dict[str, Camera] = {}
+    poses: dict[str, Array] = {}
+    for session in base.sessions:
+        frames = base.frames(session)
+        cameras |= dict(zip(frames.names, frames.cameras, strict=True))
+        poses |= dict(zip(frames.names, frames.cam_from_world, strict=True))
+    cameras |= {name: model.images[name].camera for name in names}
+    poses |= {name: model.images[name].cam_from_world for name in names}
+    every = (*before.names, *names)
+    points = [
+        seen_points(model, name, sampled)
+        if name in model.images
+        else sample(_in_view(model.xyz, cameras[name], poses[name]), sampled)
+        for name in every
+    ]
+    overlap = visible_share(
+        [cameras[name] for name in every],
+        np.stack([poses[name] for name in every]),
+        np.stack(points),
+    )
+    overlap[: len(before.names), : len(before.names)] = before.overlap
+    write_covisibility(out / COVISIBILITY, Covisibility(every, overlap))
+    return splits
+
+
+def _in_view(xyz: Array, camera: Camera, cam_from_world: Array) -> Array:
+    """Return the points (N, 3) that lie in a picture; hidden points count as seen."""
+    import torch
+
+    projected = camera.project(Pose.from_matrix(cam_from_world).transform(torch.from_numpy(xyz)))
+    xy, size = projected.xy.numpy(), (camera.width, camera.height)
+    inside = projected.valid.numpy() & (xy >= 0).all(1) & (xy < size).all(1)
+    return np.asarray(xyz[inside])
+
+
+def _manifest(source: _Source) -> Manifest:
+    base = source.base.manifest
+    new = flight_manifest(source.plan, base.origin, source.session)
+    return new.model_copy(
+        update={
+            "preset": base.preset,
+            "seed": base.seed,
+            "sessions": {**base.sessions, **new.sessions},
+            "pixels_sha256": base.pixels_sha256,
+        }
+    )

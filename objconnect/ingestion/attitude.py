@@ -1,0 +1,96 @@
+"""Attitudes that a gimbal wrote into photographs, and photographs that were rotated afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.ingestion.georegister import Georegistration
+from objconnect.ingestion.options import IngestOptions
+from objconnect.ingestion.photographs import FlightImage
+from objconnect.scene.geometry.gimbal import gimbal_angles as gimbal_angles
+from objconnect.scene.geometry.gimbal import gimbal_pose as gimbal_pose
+from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.maps.sparse_map import SparseMap
+
+_OVER = np.diag([-1.0, -1.0, 1.0])
+
+
+def turned_over(
+    model: SparseMap,
+    placed: Georegistration,
+    images: Sequence[FlightImage],
+    max_error_deg: float,
+    agreeing: int = 0,
+) -> set[str]:
+    """Return the names of photographs that someone has rotated by 180 degrees.
+
+    Their gimbals contradict them by 180 degrees, while the gimbals of more of the other photographs
+    agree. Such a photograph has the same lens as the others, but its principal point lies on the
+    other side of the image.
+
+    Args:
+        model: The model, in a frame of its own.
+        placed: Where the model is in the world.
+        images: Photographs of the model; there may be others.
+        max_error_deg: A photograph that is further off contradicts its gimbal.
+        agreeing: Number of other photographs whose gimbals are known to agree.
+    """
+    linear = placed.world_from_model[:, :3]
+    turn = linear / np.cbrt(np.linalg.det(linear))
+    over, upright = set(), agreeing
+    for image in images:
+        if image.exif.gimbal is None or image.name not in model.images:
+            continue
+        seen = model.images[image.name].cam_from_world[:3, :3] @ turn.T
+        upright += _degrees(image, seen) < max_error_deg
+        if _degrees(image, _OVER @ seen) < max_error_deg:
+            over.add(image.name)
+    return over if len(over) < upright else set()
+
+
+def _degrees(image: FlightImage, cam_from_world: NDArray[np.float64]) -> float:
+    """Return the angle between the gimbal and a rotation (3, 3) of the camera."""
+    assert image.exif.gimbal is not None
+    said = gimbal_pose(*image.exif.gimbal)
+    return float(said.error_to(Pose(torch.tensor(cam_from_world), said.translation))[1])
+
+
+def attitudes(
+    images: Sequence[FlightImage],
+    poses: NDArray[np.float64],
+    queries: set[str],
+    options: IngestOptions,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
+    """Return the attitudes of the gimbal, how exact they are, and those that are wrong.
+
+    Args:
+        images: The photographs.
+        poses: Poses ``cam_from_world`` (N, 4, 4) of the photographs.
+        queries: Names of the queries. The sigma is measured on the other photographs.
+        options: Which attitudes are wrong, and the least sigma.
+
+    Returns:
+        Quaternions (N, 4), w x y z, and their sigma (N,) in degrees per axis, both NaN for a
+        photograph without a usable attitude; and by file the error in degrees of each attitude
+        that contradicts its photograph.
+    """
+    quaternions = np.full((len(images), 4), np.nan)
+    errors = np.full(len(images), np.nan)
+    for k, image in enumerate(images):
+        if image.exif.gimbal is not None:
+            quaternions[k] = gimbal_pose(*image.exif.gimbal).quaternion().numpy()
+            errors[k] = _degrees(image, poses[k, :3, :3])
+    wrong = errors > options.max_attitude_error_deg
+    blunders = {images[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
+    quaternions[wrong] = errors[wrong] = np.nan
+    known = np.isfinite(errors)
+    mapped = known & np.array([image.name not in queries for image in images])
+    if not mapped.any():
+        mapped = known
+    sigma = np.sqrt((errors[mapped] ** 2).mean() / 3) if known.any() else np.nan
+    sigma = np.maximum(sigma, options.min_attitude_sigma_deg)
+    return quaternions, np.where(known, sigma, np.nan), blunders

@@ -1,0 +1,173 @@
+"""The list of ground control points, in ODM's format ``gcp_list.txt``.
+
+The first line names the coordinate system, see ``objconnect.scene.geo.named_systems``. Each
+other line is a mark: ``x y z px py photograph [name]``, where x is east or longitude, y north or
+latitude, and px and py are pixels with the centre of the top left one at (0, 0)
+(https://docs.opendronemap.org/gcp).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.photographs import Flight, reduced
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.named_systems import NamedSystem, named_system
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth
+from objconnect.scene.imports.names import match_files
+from objconnect.scene.storage.files import read_text
+
+# Surveyed points lie no further than this from the photographs' GPS positions, metres.
+_FARTHEST_M = 20_000.0
+_COLUMNS = "x y z px py photograph [name]"
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A surveyed point.
+
+    Attributes:
+        name: name in the list, or its number there.
+        place: where it is on earth; the height is ellipsoidal unless the list's system has another.
+        check: whether it is only compared, and has no influence.
+        marks: (2,) COLMAP pixels by name of the photograph.
+    """
+
+    name: str
+    place: Geodetic
+    check: bool = False
+    marks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def position(self, origin: Geodetic) -> NDArray[np.float64]:
+        """Return the surveyed position, (3,) metres from an origin."""
+        return enu_from_geodetic(self.place, origin)
+
+
+def read_control_points(
+    path: Path, flight: Flight, size: int, checks: Collection[str] = ()
+) -> list[ControlPoint]:
+    """Read the points of a list with their marks in a flight.
+
+    Args:
+        path: the list.
+        flight: photographs; marks in others are ignored.
+        size: longest side of the photographs in the scene, to which marks are scaled, pixels.
+        checks: names of the points that are only compared.
+
+    Raises:
+        InputError: the list cannot be read, names no coordinate system, has a bad line or one name
+            for two points, has none of the photographs or none of ``checks``; pyproj is not
+            installed.
+    """
+    header, *lines = read_text(path, "list of ground control points").split("\n")
+    rows = [
+        (f"{path}:{number}", line.split())
+        for number, line in enumerate(lines, 2)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    system = named_system(header, f"{path}:1")
+    images = {image.file: image for image in flight.images}
+    listed = dict.fromkeys(row[5] for _, row in rows if len(row) > 5)
+    of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
+    points: dict[str, ControlPoint] = {}
+    coordinates: dict[str, tuple[float, ...]] = {}
+    for where, row in rows:
+        *numbers, photograph, name = _parsed(where, row)
+        xyz, pixel = tuple(numbers[:3]), np.array(numbers[3:])
+        name = name or next((n for n, known in coordinates.items() if known == xyz), "")
+        name = name or f"point {len(points) + 1}"
+        if coordinates.setdefault(name, xyz) != xyz:
+            raise InputError(f"{where}: {name!r} has other coordinates than before")
+        if name not in points:
+            place = system.to_geodetic(np.array(xyz), f"{path}:1")
+            if not is_on_earth(place):
+                raise InputError(f"{where}: {name!r} is no place on earth")
+            points[name] = ControlPoint(name, place, name in checks)
+        if photograph not in of:
+            continue
+        image = images[of[photograph]]
+        if image.name in points[name].marks:
+            raise InputError(f"{where}: {name!r} is marked twice in {photograph}")
+        scale = np.array(reduced(image, size)) / np.array(image.size)
+        points[name].marks[image.name] = (pixel + 0.5) * scale
+    _require(path, points, listed, flight, checks)
+    _require_near(path, coordinates, system, flight)
+    return list(points.values())
+
+
+def _parsed(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
+    try:
+        numbers = [float(word) for word in row[:5]]
+    except ValueError:
+        numbers = [math.nan]
+    words = "".join(row).isprintable()
+    if len(row) < 6 or not words or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{where}: expected {_COLUMNS}, got {' '.join(row)[:60]!r}")
+    x, y, z, px, py = numbers
+    return x, y, z, px, py, row[5], " ".join(row[6:])
+
+
+def _require(
+    path: Path,
+    points: dict[str, ControlPoint],
+    listed: Collection[str],
+    flight: Flight,
+    checks: Collection[str],
+) -> None:
+    """Refuse a list that has nothing to do with the photographs or the names of check points."""
+    if not any(point.marks for point in points.values()):
+        first = next(iter(listed), "")
+        raise InputError(
+            f"{path} has none of the photographs: its first is {first!r}, that of the folder "
+            f"{flight.images[0].file!r}"
+        )
+    for name in checks:
+        if name not in points:
+            raise InputError(
+                f"{path} has no point {name!r} for --gcp-check; it has {', '.join(points)[:200]}"
+            )
+
+
+def _require_near(
+    path: Path,
+    coordinates: Mapping[str, tuple[float, ...]],
+    system: NamedSystem,
+    flight: Flight,
+) -> None:
+    """Refuse points that lie nowhere near the GPS positions of the photographs."""
+    there = [image.exif.position for image in flight.images if image.exif.position is not None]
+    if not there:
+        return
+    middle = Geodetic(
+        float(np.median([place.latitude for place in there])),
+        float(np.median([place.longitude for place in there])),
+        0.0,
+    )
+    listed = np.array(list(coordinates.values()))
+    off = _distance(listed, system, middle)
+    if not off > _FARTHEST_M:
+        return
+    remedy = f"check the system of line 1, {system.projection.name}, and the unit of x and y"
+    if _distance(listed[:, [1, 0, 2]], system, middle) <= _FARTHEST_M:
+        remedy = "x and y are exchanged: give east or longitude first"
+    raise InputError(
+        f"{path}: its points lie {off / 1000:.0f} km from the photographs' GPS positions: {remedy}"
+    )
+
+
+def _distance(coordinates: NDArray[np.float64], system: NamedSystem, middle: Geodetic) -> float:
+    """Return how far points (N, 3) are from a place in the median, metres; infinite if nowhere."""
+    off = []
+    for row in coordinates:
+        try:
+            place = system.projection.to_geodetic(row)
+        except InputError:
+            return math.inf
+        off.append(np.linalg.norm(enu_from_geodetic(place._replace(altitude=0.0), middle)))
+    return float(np.median(off))

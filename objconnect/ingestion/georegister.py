@@ -1,0 +1,241 @@
+"""Placing a model of unknown frame and scale in the world, from GPS that may be bad.
+
+Similarities are (3, 4) arrays: scale times rotation, and translation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.options import PlacementOptions
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
+from objconnect.scene.maps.sparse_map import SparseMap
+
+Array = NDArray[np.float64]
+_Fit = Callable[[Array, Array], Array]
+
+_DEFAULTS: Final = PlacementOptions()
+# Altitudes that tell a rotation.
+_WHOLE: Final = 3
+# Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
+_CHI2_MEDIAN = {2: 1.386, 3: 2.366}
+
+
+@dataclass(frozen=True)
+class Georegistration:
+    """The position, rotation and scale of a model in the world.
+
+    Attributes:
+        world_from_model: Similarity (3, 4).
+        level: What decides which way is up: "gps", the "ground" where altitudes or a straight
+            flight cannot tell, poses that are "given", or points of "control".
+        blunders: Photographs whose fix contradicts the others.
+        sigma: Standard deviation (3,) of the other fixes per axis, metres.
+    """
+
+    world_from_model: Array
+    level: str
+    blunders: tuple[str, ...]
+    sigma: Array
+
+    def apply(self, points: Array) -> Array:
+        """Return points (N, 3) of the model in world coordinates."""
+        return _apply(self.world_from_model, points)
+
+
+def georegister(
+    model: SparseMap, fixes: Mapping[str, Array], options: PlacementOptions = _DEFAULTS
+) -> Georegistration:
+    """Find the similarity from camera centres to GPS by least median of squares.
+
+    The estimate holds with up to half of the fixes wrong, and needs no threshold that depends on
+    the receiver. Altitudes take part unless both the ground (the plane near most points) and the
+    mean direction of the cameras contradict them, as they contradict a barometer that drifts. In
+    that case, and where the cameras are on one line, the ground is taken to be level. A hillside is
+    not mistaken for a tilt, because the cameras over it look straight down.
+
+    Args:
+        model: The model, in a frame of its own.
+        fixes: Measured camera centres (3,) by name, east, north, up in metres.
+        options: Which fixes are wrong, and when their altitudes are.
+
+    Raises:
+        InputError: Fewer than three photographs of the model have a fix, or all fixes are one.
+    """
+    names = [name for name in model.names if name in fixes]
+    if len(names) < 3:
+        raise InputError(
+            f"only {len(names)} of the {len(model.names)} photographs that hang together have a "
+            "GPS position, three are needed to place them"
+        )
+    centres = np.array([model.images[name].centre for name in names])
+    measured = np.array([fixes[name] for name in names])
+    high = np.isfinite(measured[:, 2])
+    away = measured - np.median(measured, 0)
+    away[:, 2] = measured[:, 2] - np.median(measured[high, 2]) if high.any() else 0.0
+    if np.linalg.norm(np.nan_to_num(away), axis=1).max() < options.min_sigma_m:
+        raise InputError("all GPS positions are one: they do not tell scale and direction")
+
+    upright = _upright(model, options.ground_sigmas)
+    level = "ground"
+    if high.sum() >= _WHOLE and not is_on_a_line(centres[high], options):
+        placed, good = _fit_whole(centres, measured, options)
+        if _tilt_deg(placed, model, upright[2]) <= options.max_tilt_deg:
+            level = "gps"
+    if level == "ground":
+        placed, good = _fit_level(upright, centres, measured, options)
+    off = (_apply(placed, centres) - measured)[good]
+    return Georegistration(
+        world_from_model=placed,
+        level=level,
+        blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
+        sigma=np.maximum(rms_of(off), options.min_sigma_m),
+    )
+
+
+def rms_of(off: Array) -> Array:
+    """Return the root mean square (3,) of differences (N, 3), of which some ups are NaN.
+
+    That of the ups is infinite where all of them are.
+    """
+    high = np.isfinite(off[:, 2])
+    if high.all():
+        return np.asarray(np.sqrt((off**2).mean(0)))
+    up = float(np.sqrt((off[high, 2] ** 2).mean())) if high.any() else np.inf
+    return np.array([*np.sqrt((off[:, :2] ** 2).mean(0)), up])
+
+
+def _fit_whole(
+    centres: Array, measured: Array, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit to the fixes that have an altitude, and judge the others by the horizontal axes."""
+    high = np.isfinite(measured[:, 2])
+    placed, right = robust_similarity(centres[high], measured[high], options)
+    off = np.linalg.norm((_apply(placed, centres) - measured)[:, :2], axis=1)
+    usual = SIGMA_OF_MEDIAN * float(np.median(off[high][right]))
+    good = off <= max(options.blunder_sigmas * usual, options.usual_error_m)
+    good[high] = right
+    return placed, good
+
+
+def _apply(similarity: Array, points: Array) -> Array:
+    return np.asarray(points @ similarity[:, :3].T + similarity[:, 3])
+
+
+def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
+    """Return by how much ground and cameras together contradict the vertical of a similarity.
+
+    It is 0 where they differ more from each other than from that vertical.
+
+    Args:
+        similarity: Similarity from GPS with its altitudes.
+        model: The model, in its own frame.
+        ground: Upward normal (3,) of the ground, in that frame.
+    """
+    vertical = similarity[2, :3]
+    backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
+    apart = _degrees(ground, backwards)
+    off = min(_degrees(vertical, ground), _degrees(vertical, backwards))
+    return off if off > apart else 0.0
+
+
+def _degrees(a: Array, b: Array) -> float:
+    cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def is_on_a_line(points: Array, options: PlacementOptions = _DEFAULTS) -> bool:
+    """Return whether points (N, 3) are too near one line to tell the rotation about it."""
+    singular = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(singular[1] < options.min_width * max(singular[0], 1e-12))
+
+
+def robust_similarity(
+    source: Array, target: Array, options: PlacementOptions = _DEFAULTS
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit a similarity to points (N, 3) of which up to half are wrong.
+
+    Returns:
+        The similarity (3, 4), and which points fit it, (N,).
+    """
+    return _robust(similarity, source, target, 3, options)
+
+
+def _fit_level(
+    upright: Array, centres: Array, measured: Array, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit with the ground level, and with heights at the scale of the model."""
+    turned = centres @ upright.T
+    horizontal, good = _robust(_level_similarity, turned, np.nan_to_num(measured), 2, options)
+    similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
+    up = (measured - _apply(similarity, centres))[:, 2]
+    # Only a few may have an altitude, and these be wrong in the horizontal axes.
+    used = good & np.isfinite(up) if (good & np.isfinite(up)).any() else np.isfinite(up)
+    if used.any():
+        similarity[2, 3] += np.median(up[used])
+    return similarity, good
+
+
+def _robust(
+    fit: _Fit, source: Array, target: Array, axes: int, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit by least median of squares over random samples, then by least squares over inliers."""
+    rng = np.random.default_rng(0)
+    best, least = fit(source, target), np.inf
+    for _ in range(options.samples):
+        rows = rng.choice(len(source), axes, replace=False)
+        candidate = fit(source[rows], target[rows])
+        median = _median_square(candidate, source, target, axes)
+        if median < least:
+            best, least = candidate, median
+    for _ in range(5):
+        sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
+        off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
+        good = off <= max(options.blunder_sigmas * float(sigma), options.usual_error_m)
+        best = fit(source[good], target[good])
+    return best, good
+
+
+def _median_square(similarity: Array, source: Array, target: Array, axes: int) -> float:
+    off = (_apply(similarity, source) - target)[:, :axes]
+    return float(np.median((off**2).sum(1)))
+
+
+def similarity(source: Array, target: Array) -> Array:
+    """Return the similarity (3, 4) of points (N, 3) by least squares (Umeyama 1991)."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, singular, vt = np.linalg.svd(b.T @ a)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    scale = (singular * sign).sum() / max((a**2).sum(), 1e-12)
+    linear = scale * (u * sign) @ vt
+    return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
+
+
+def _level_similarity(source: Array, target: Array) -> Array:
+    """Fit the horizontal axes alone by least squares, with a rotation about the vertical."""
+    a, b = (x[:, 0] + 1j * x[:, 1] for x in (source - source.mean(0), target - target.mean(0)))
+    turn = (b * a.conj()).sum() / max((np.abs(a) ** 2).sum(), 1e-12)
+    linear = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, np.abs(turn)]])
+    return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
+
+
+def _upright(model: SparseMap, ground_sigmas: float) -> Array:
+    """Return the rotation (3, 3) that makes the ground level and puts the cameras above it."""
+    points = model.xyz
+    near = np.ones(len(points), bool)
+    for _ in range(10):
+        middle = points[near].mean(0)
+        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
+        off = np.abs((points - middle) @ normal)
+        near = off <= ground_sigmas * SIGMA_OF_MEDIAN * np.median(off)
+    if ((model.centres - middle) @ normal).mean() < 0:
+        normal = -normal
+    east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)
+    east /= np.linalg.norm(east)
+    return np.stack([east, np.cross(normal, east), normal])

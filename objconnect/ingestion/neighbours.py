@@ -1,0 +1,89 @@
+"""Pairs of photographs that may show the same ground: neighbours by GPS, in time and by features.
+
+GPS alone would do for a good receiver. The order of the photographs helps where positions are late
+or missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.options import PairOptions
+from objconnect.scene.colmap.options import MatchOptions
+from objconnect.scene.maps.features import Features, unit_descriptors
+from objconnect.scene.maps.matching import match
+from objconnect.scene.runtime.progress import progress_bar
+
+_DEFAULTS: Final = PairOptions()
+# Number of the largest features of a photograph by which photographs are compared.
+_LARGEST: Final = 500
+
+
+def choose_pairs(
+    names: Sequence[str],
+    fixes: Mapping[str, NDArray[np.float64]],
+    options: PairOptions = _DEFAULTS,
+) -> list[tuple[str, str]]:
+    """Return the pairs of photographs worth matching, each once.
+
+    Args:
+        names: Photographs in the order they were taken.
+        fixes: Positions (3,) in metres of the photographs that have one; altitudes do not count.
+        options: How many photographs each one is matched with.
+    """
+    place = np.array([fixes[n][:2] if n in fixes else (np.nan, np.nan) for n in names])
+    pairs = set()
+    for i, name in enumerate(names):
+        after = options.following
+        if name in fixes:
+            distance = np.linalg.norm(place - place[i], axis=1)
+            distance[i] = np.nan
+            nearest = np.argsort(distance, kind="stable")  # NaN comes last
+            known = int(np.isfinite(distance).sum())
+            pairs |= {(i, int(j)) for j in nearest[: min(options.nearest, known)]}
+        else:
+            after = options.blind
+            pairs |= {(j, i) for j in range(max(i - after, 0), i)}
+        pairs |= {(i, j) for j in range(i + 1, min(i + after + 1, len(names)))}
+    return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
+
+
+def alike(
+    names: Sequence[str],
+    known: Sequence[str],
+    features: Mapping[str, Features],
+    options: PairOptions,
+    matching: MatchOptions,
+) -> list[tuple[str, str]]:
+    """Return the pairs of photographs without a position and those of a map that look alike.
+
+    They are compared by the matches of their largest features alone, which other distances and most
+    changes of the picture leave as they are (the preemptive matching of Wu, "Towards linear-time
+    incremental structure from motion", 2013).
+
+    Args:
+        names: Photographs without a position.
+        known: Photographs of a map.
+        features: Features of all of them.
+        options: How many photographs of the map each one is matched with.
+        matching: Which features match.
+    """
+    largest = {}
+    for name in (*known, *names):
+        item = features[name]
+        chosen = np.argsort(-item.scale, kind="stable")[:_LARGEST]
+        largest[name] = unit_descriptors(item.descriptors[chosen])
+    pairs = []
+    with progress_bar("compare photographs", len(names)) as advance:
+        for done, name in enumerate(names, 1):
+            votes = [
+                len(match(largest[other], largest[name], matching.max_ratio)) for other in known
+            ]
+            best = np.argsort(-np.array(votes), kind="stable")[: options.nearest]
+            pairs += [(known[k], name) for k in sorted(best.tolist()) if votes[k]]
+            advance(done)
+    return pairs

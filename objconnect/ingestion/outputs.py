@@ -1,0 +1,187 @@
+"""The files of an ingested scene that hold its frames, its split and its covisibility."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.adjustment import NO_ALTITUDE, Adjusted, blind_of
+from objconnect.ingestion.attitude import attitudes
+from objconnect.ingestion.georegister import rms_of
+from objconnect.ingestion.options import IngestOptions
+from objconnect.ingestion.photographs import SESSION, FlightImage
+from objconnect.ingestion.picture import PICTURE
+from objconnect.ingestion.report import REPORT, residuals
+from objconnect.scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
+from objconnect.scene.bundle.frames import Frames, write_frames
+from objconnect.scene.bundle.manifest import Objects, Splits, write_json
+from objconnect.scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES
+from objconnect.scene.colmap.options import SiftOptions
+from objconnect.scene.colmap.registration import KnownMap
+from objconnect.scene.colmap.triangulation import triangulate_matched
+from objconnect.scene.maps.features import features_key, write_features
+from objconnect.scene.maps.photographs import PosedImage
+from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.atomic import atomic_folder
+from objconnect.scene.storage.digests import digests
+
+FRAMES = "frames.h5"
+"""The file of poses, cameras and priors in the folder of a session."""
+
+
+def write_measurements(
+    path: Path,
+    adjusted: Adjusted,
+    images: Sequence[FlightImage],
+    fixes: Mapping[str, NDArray[np.float64]],
+    queries: set[str],
+    options: IngestOptions,
+) -> dict[str, float]:
+    """Write the poses of the model and the measurements of its photographs.
+
+    The sigmas are measured on the photographs of the map.
+
+    Args:
+        path: file ``frames.h5`` of a session.
+        adjusted: the model in the world.
+        images: photographs of the session, all of them in the model.
+        fixes: measured positions (3,) by name, world metres.
+        queries: names of the queries.
+        options: when attitudes are wrong, and the least sigmas.
+
+    Returns:
+        By file, the error in degrees of each attitude that was not used.
+    """
+    model, placed = adjusted.model, adjusted.placed
+    names = tuple(image.name for image in images)
+    poses = np.stack([model.images[name].cam_from_world for name in names])
+    measured = [name for name in names if name in fixes and name not in placed.blunders]
+    mapped = [name for name in measured if name not in queries] or measured
+    off = residuals(model, fixes, mapped)
+    spread = rms_of(off) if mapped else np.zeros(3)
+    sigma = np.clip(spread, options.placement.min_sigma_m, NO_ALTITUDE)
+    nothing = np.full(3, np.nan)
+    # An unknown altitude is that of the cameras, give or take kilometres.
+    blind = blind_of({name: fixes[name] for name in measured})
+    height = float(np.median([model.images[name].centre[2] for name in model.names]))
+    level = np.array([*sigma[:2], NO_ALTITUDE])
+    priors = {name: fixes[name] for name in measured}
+    priors |= {name: np.array([*fixes[name][:2], height]) for name in blind}
+    attitude, attitude_sigma, wrong = attitudes(images, poses, queries, options)
+    times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
+    frames = Frames(
+        names=names,
+        cameras=tuple(model.images[name].camera for name in names),
+        cam_from_world=poses,
+        time=np.array(times),
+        gps_prior=np.array([priors.get(name, nothing) for name in names]),
+        gps_sigma=np.array(
+            [(level if n in blind else sigma) if n in priors else nothing for n in names]
+        ),
+        attitude_prior=attitude,
+        attitude_sigma_deg=attitude_sigma,
+    )
+    write_frames(path, frames, (), iter([{}] * len(names)))
+    return wrong
+
+
+def owned_files(images: Sequence[FlightImage], session: str) -> set[str]:
+    """Return the files that we write into the folder of a scene, for ``remove_owned``."""
+    copies = [f"sessions/{image.name}" for image in images]
+    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, PICTURE.as_posix()]
+    return {
+        *copies,
+        f"sessions/{session}/{FRAMES}",
+        *lists,
+        *(f"map/{file}" for file in MAP_FILES),
+    }
+
+
+def write_map(
+    out: Path,
+    model: SparseMap,
+    queries: set[str],
+    database: Path,
+    known: KnownMap | None = None,
+) -> SparseMap:
+    """Triangulate the map of a scene from its own photographs, and write it with its features.
+
+    Args:
+        out: folder of the scene.
+        model: the poses and cameras of map photographs and queries.
+        queries: names of the queries, which take no part.
+        database: features and verified matches of the photographs.
+        known: map of some of the photographs; what no other one observes stays as it is.
+
+    Raises:
+        InputError: no point could be triangulated.
+    """
+    images = [
+        PosedImage(name, model.images[name].camera, model.images[name].cam_from_world)
+        for name in model.names
+        if name not in queries
+    ]
+    with atomic_folder(out / "map", MAP_FILES) as folder:
+        root, before = out / "sessions", None if known is None else known.sparse_map
+        sparse_map, features = triangulate_matched(root, images, database, folder, before)
+        # What is not known of the features of some is not known of all.
+        sound = known is None or known.features.made_of == _sift_key(root, known.sparse_map.names)
+        made_of = _sift_key(root, sparse_map.names) if sound else ""
+        write_features(folder / FEATURES, features, made_of)
+    return sparse_map
+
+
+def _sift_key(root: Path, names: Sequence[str]) -> str:
+    """Return what features of SIFT of photographs are made of, as a digest."""
+    photographs = digests(root / name for name in names)
+    return features_key(list(zip(names, photographs, strict=True)), str(SiftOptions()))
+
+
+def write_lists(
+    out: Path,
+    model: SparseMap,
+    images: Sequence[FlightImage],
+    queries: set[str],
+    covisibility_points: int,
+) -> None:
+    """Write the split, an empty list of objects and the covisibility of the photographs.
+
+    Covisibility is measured on at most ``covisibility_points`` points of each photograph.
+    """
+    names = tuple(image.name for image in images)
+    asked = tuple(name for name in names if name in queries)
+    splits = Splits(
+        map=tuple(name for name in names if name not in queries),
+        queries={SESSION: asked} if asked else {},
+    )
+    write_json(out / "splits.json", splits)
+    write_json(out / "objects.json", Objects(classes={}, objects=()))
+    write_covisibility(out / COVISIBILITY, _covisibility(model, names, covisibility_points))
+
+
+def _covisibility(model: SparseMap, names: tuple[str, ...], sampled: int) -> Covisibility:
+    """Measure covisibility on points in view; without depth, hidden points count as seen."""
+    points = np.stack([seen_points(model, name, sampled) for name in names])
+    images = [model.images[name] for name in names]
+    poses = np.stack([image.cam_from_world for image in images])
+    return Covisibility(names, visible_share([image.camera for image in images], poses, points))
+
+
+def seen_points(model: SparseMap, name: str, number: int) -> NDArray[np.float64]:
+    """Return points that a photograph of a model observes, (number, 3); NaN where it has fewer."""
+    rows = model.images[name].point_rows
+    return sample(model.xyz[rows[rows >= 0]], number)
+
+
+def sample(points: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """Return some of the points (N, 3), evenly spread over their order; NaN where there are fewer.
+
+    The result has the shape (number, 3).
+    """
+    chosen = np.linspace(0, len(points) - 1, min(number, len(points))).astype(int)
+    some = np.full((number, 3), np.nan)
+    some[: len(chosen)] = points[chosen]
+    return some

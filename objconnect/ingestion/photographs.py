@@ -1,0 +1,263 @@
+"""The photographs of a flight, as they are found in a folder, with their cameras and positions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from objconnect.ingestion.options import IngestOptions
+from objconnect.scene.errors import InputError
+from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.maps.photographs import Photograph
+from objconnect.scene.quantities.doubts import said_of
+from objconnect.scene.quantities.focal import FILM_LENGTH
+from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, write_resized
+from objconnect.scene.storage.listing import list_files
+
+log = logging.getLogger(__name__)
+
+SESSION = "flight"
+_ENDINGS = (".jpg", ".jpeg")
+_DEFAULTS: Final = IngestOptions()
+
+
+@dataclass(frozen=True)
+class FlightImage:
+    """One photograph of the folder.
+
+    Attributes:
+        file: Path of the file, relative to the folder.
+        name: Name of the image in the scene. It has no white space, which divides words in the
+            text files of other programs.
+        sha256: Digest of the file.
+        exif: What the camera wrote into the file.
+        size: Width and height as stored, pixels.
+    """
+
+    file: str
+    name: str
+    sha256: str
+    exif: Exif
+    size: tuple[int, int]
+
+    @property
+    def lens(self) -> str:
+        """Return a text that all photographs of one lens have in common."""
+        focal = f"{self.exif.focal_35mm:.2f} mm" if self.exif.focal_35mm else "focal length unknown"
+        if self.exif.focals:
+            said = " or ".join(f"{FILM_LENGTH * each:.2f}" for each in self.exif.focals)
+            focal = f"focal length {said} mm"
+        maker = f"{self.exif.make} {self.exif.model}".strip() or "unknown camera"
+        return f"{maker}, {self.size[0]} x {self.size[1]}, {focal}"
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The photographs of a flight.
+
+    Attributes:
+        images: Photographs in the order they were taken.
+        left_out: Files of the folder that are left out, with the reasons.
+    """
+
+    images: tuple[FlightImage, ...]
+    left_out: dict[str, str]
+
+    def without(self, reasons: dict[str, str]) -> Flight:
+        """Return the flight without the files that ``reasons`` names."""
+        images = tuple(image for image in self.images if image.file not in reasons)
+        return replace(self, images=images, left_out=self.left_out | reasons)
+
+
+def stated_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, float]]:
+    """Return the standard deviations that receivers state of positions in EXIF, by name.
+
+    They are to the east, north and up, metres. Photographs whose receiver states none are missing.
+    """
+    return {i.name: i.exif.xmp.rtk_sigma for i in images if i.exif.xmp.rtk_sigma is not None}
+
+
+def read_flight(folder: Path, session: str = SESSION) -> Flight:
+    """Read the metadata of every JPEG of a folder and of the folders in it.
+
+    Of files with the same bytes, the first by name stays. Files that are not images, that cannot be
+    read or whose names are not UTF-8 are left out.
+
+    Args:
+        folder: The folder.
+        session: Session of the photographs in the scene.
+
+    Raises:
+        InputError: There is no such folder, it holds no photograph, or two files would have the
+            same name in the scene.
+    """
+    if not folder.is_dir():
+        raise InputError(f"folder of photographs {folder} does not exist")
+    paths = list_files(folder, _ENDINGS, depth=None)
+    files = sorted(path.relative_to(folder).as_posix() for path in paths)
+    if not files:
+        raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
+    images: dict[str, FlightImage] = {}
+    left_out = {}
+    with progress_bar("read photographs", len(files)) as advance:
+        for done, file in enumerate(files, 1):
+            try:
+                file.encode()
+                digest = sha256_of(folder / file)
+                if digest in images:
+                    left_out[file] = f"the same file as {images[digest].file}"
+                else:
+                    images[digest] = _look_at(folder, file, digest, session)
+            except UnicodeEncodeError:
+                # Neither COLMAP nor JSON can hold it.
+                left_out[for_terminal(file)] = "its name is not UTF-8: rename it"
+            except InputError as error:
+                left_out[file] = str(error)
+            except OSError as error:
+                left_out[file] = f"cannot be read: {error.strerror}"
+            advance(done)
+    ordered = _in_order(images.values())
+    named: dict[str, str] = {}
+    for image in ordered:
+        if image.name in named:
+            raise InputError(
+                f"{folder}: {named[image.name]!r} and {image.file!r} would have one name in the "
+                "scene: rename one of them"
+            )
+        named[image.name] = image.file
+    return Flight(tuple(ordered), left_out)
+
+
+def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
+    """Warn of what photographs say of themselves and cannot be believed, a line for each kind.
+
+    Args:
+        flight: The photographs, with the positions that count.
+        with_lenses: Whether the photographs tell their cameras, and nothing else does.
+    """
+    said = {
+        image.file: image.exif.doubts
+        if with_lenses
+        else (*image.exif.place_doubts, *image.exif.other_doubts)
+        for image in flight.images
+    }
+    for line in said_of(said):
+        log.warning("%s", line)
+
+
+def _look_at(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
+    exif, size = above_ellipsoid(read_exif(folder / file)), image_size(folder / file)
+    name = f"{session}/images/{'_'.join(file.split())}"
+    return FlightImage(file, name, digest, exif, size)
+
+
+def _in_order(images: Iterable[FlightImage]) -> list[FlightImage]:
+    """Sort photographs by time where every one has it, else by name."""
+    by_name = sorted(images, key=lambda image: image.file)
+    times = {image.file: image.exif.time for image in by_name if image.exif.time is not None}
+    if len(times) < len(by_name):
+        return by_name
+    return sorted(by_name, key=lambda image: times[image.file])
+
+
+def copy_photographs(
+    flight: Flight, folder: Path, root: Path, size: int, turned: Collection[str]
+) -> Flight:
+    """Copy photographs into a scene, reduced, some of them rotated by 180 degrees.
+
+    Args:
+        flight: The photographs.
+        folder: Their folder.
+        root: Folder of the sessions. A photograph that is there stays.
+        size: Longest side, pixels.
+        turned: Names of the photographs to rotate.
+
+    Returns:
+        The flight without damaged photographs.
+    """
+    damaged = {}
+    with progress_bar("copy photographs", len(flight.images)) as advance:
+        for done, image in enumerate(flight.images, 1):
+            target = root / image.name
+            if not target.is_file():
+                try:
+                    read_rgb(folder / image.file)
+                except InputError as error:
+                    damaged[image.file] = str(error)
+                else:
+                    write_resized(folder / image.file, target, size, over=image.name in turned)
+            advance(done)
+    return flight.without(damaged)
+
+
+def photographs_of(
+    images: Sequence[FlightImage],
+    longest: int,
+    calibration: Camera | None,
+    guessed_focal: float = _DEFAULTS.guessed_focal,
+) -> list[Photograph]:
+    """Return photographs as structure from motion takes them, with a camera for each lens.
+
+    Args:
+        images: The photographs of a flight.
+        longest: Longest side of the photographs in the scene, pixels.
+        calibration: Camera of all photographs; None takes focal lengths from EXIF, or guesses.
+        guessed_focal: First guess of a focal length that EXIF lacks, in longest sides of the image.
+
+    Raises:
+        InputError: ``calibration`` is for images of another shape.
+    """
+    photographs = []
+    for image in images:
+        focal = image.exif.focal_in_longest_sides
+        if calibration is None:
+            width, height = reduced(image, longest)
+            likely = image.exif.focals[0] if image.exif.focals else guessed_focal
+            pixels = (focal or likely) * max(width, height)
+            # One coefficient: more of them bend flat ground into a dome.
+            camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
+        else:
+            camera = fitted(calibration, longest, image)
+        photographs.append(
+            Photograph(
+                image.name,
+                camera,
+                image.lens if calibration is None else str(camera),
+                calibrated=calibration is not None,
+                focal_known=calibration is not None or focal is not None,
+                focal_doubt="; ".join(image.exif.lens_doubts),
+            )
+        )
+    return photographs
+
+
+def reduced(image: FlightImage, longest: int) -> tuple[int, int]:
+    """Return width and height of a photograph in the scene, whose longest side is at most that."""
+    scale = min(1.0, longest / max(image.size))
+    width, height = (round(scale * side) for side in image.size)
+    return width, height
+
+
+def fitted(calibration: Camera, longest: int, image: FlightImage) -> Camera:
+    """Return a calibration at the size that a photograph has in the scene.
+
+    Raises:
+        InputError: the calibration is for images of another shape.
+    """
+    width, height = reduced(image, longest)
+    # Sides are whole pixels, so that a smaller picture's shape may be off by one of them.
+    if abs(calibration.width * height - calibration.height * width) > max(
+        calibration.width, calibration.height
+    ):
+        raise InputError(
+            f"the camera is {calibration.width} x {calibration.height} pixels but {image.file} is "
+            f"{image.size[0]} x {image.size[1]}: give a calibration of its shape"
+        )
+    return calibration.resized(width, height)

@@ -1,0 +1,145 @@
+"""What a run of ``ingest`` was asked for, by which an interrupted one continues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from importlib.metadata import version
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from objconnect.ingestion.options import IngestOptions
+from objconnect.ingestion.report import REPORT, IngestReport
+from objconnect.ingestion.split import Split
+from objconnect.scene.bundle.manifest import Manifest, Session, read_json
+from objconnect.scene.bundle.scene import MANIFEST, Scene, finish_scene
+from objconnect.scene.colmap.structure_from_motion import Mapper
+from objconnect.scene.errors import InputError, WriteError
+from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, remove_owned
+from objconnect.scene.storage.resumable import ResumableFolder
+
+WORK = f"{TEMPORARY_PREFIX}ingest"
+"""The folder of intermediate results in that of an unfinished scene."""
+
+DATABASE = Path("database.db")
+"""The database of features and matches among them."""
+
+_PLAN = "plan.json"
+
+
+class Plan(BaseModel):
+    """The request of a run. A folder that was begun with another request is refused.
+
+    ``base`` is the digest of the scene that photographs are added to, and ``known`` are the
+    photographs that went into that scene: file by digest.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    size: int
+    mapper: Mapper
+    split: Split
+    every: int
+    camera: str | None = None
+    gps: str | None = None
+    poses: str | None = None
+    gcp: str | None = None
+    checks: tuple[str, ...] = ()
+    base: str | None = None
+    known: dict[str, str] = {}
+    photographs: dict[str, str] = {}
+    options: IngestOptions = IngestOptions()
+
+
+def resumable(out: Path, plan: Plan) -> ResumableFolder:
+    """Return the folder of a scene, whose record is the plan while the scene is unfinished."""
+
+    def difference(record: Path) -> str | None:
+        recorded = read_json(record, Plan, "plan of the unfinished scene")
+        return None if recorded == plan else "photographs or options"
+
+    request = plan.model_dump_json(indent=1, by_alias=True) + "\n"
+    return ResumableFolder(out, out / WORK / _PLAN, request, difference)
+
+
+def finished(out: Path, plan: Plan) -> bool:
+    """Return whether the folder holds this very flight already; refuse any other content."""
+    unfinished = resumable(out, plan)
+    if (out / MANIFEST).is_file():
+        if recorded_plan(Scene.open(out).manifest) != plan:
+            raise InputError(
+                f"{out} holds a scene of other photographs or options: choose another folder or "
+                "remove it"
+            )
+        unfinished.end()  # a run killed at its very end left its folder of intermediate results
+        return True
+    if not unfinished.resume(
+        lambda difference: (
+            f"{out} holds an unfinished scene of other {difference}: choose another folder or "
+            "remove it"
+        )
+    ):
+        unfinished.require_empty("scene")
+    return False
+
+
+def flight_manifest(plan: Plan, origin: Geodetic, session: str) -> Manifest:
+    """Return the manifest of a scene of one flight, without digests."""
+    return Manifest(
+        versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
+        preset=None,
+        seed=None,
+        config=plan.model_dump(mode="json"),
+        origin=origin,
+        reference="sfm",
+        sessions={session: Session(condition="same-flight", flight="photographs", role="both")},
+        sha256={},
+    )
+
+
+def make_scene(
+    out: Path,
+    plan: Plan,
+    build: Callable[[], IngestReport],
+    owned: Collection[str],
+    manifest: Manifest,
+) -> IngestReport:
+    """Make the scene of a plan, or continue it, or return the report of the finished one.
+
+    Args:
+        out: Folder of the scene.
+        plan: The request.
+        build: Writes everything of the scene but its manifest.
+        owned: Files that ``build`` may write, for ``remove_owned``.
+        manifest: The manifest, without digests and georeference, which the report knows.
+
+    Raises:
+        InputError: The folder holds something else, or as ``build``.
+    """
+    if finished(out, plan):
+        return read_json(out / REPORT, IngestReport, "report of the ingested flight")
+    unfinished = resumable(out, plan)
+    unfinished.begin()
+    try:
+        report = build()
+    except WriteError:
+        raise  # the same command continues when there is room
+    except InputError:
+        # These photographs make no scene, so nothing is kept for a later run.
+        remove_owned(out, owned)
+        raise
+    finish_scene(out, manifest.model_copy(update={"georeference": report.georeference}))
+    unfinished.end()
+    return report
+
+
+def recorded_plan(manifest: Manifest) -> Plan | None:
+    """Return the plan that a scene was made by; None if it was not made of photographs.
+
+    Options that came later than the scene had the effect of their defaults.
+    """
+    try:
+        return Plan.model_validate(manifest.config)
+    except ValidationError:
+        return None

@@ -1,0 +1,303 @@
+"""The report of ``ingest``: figures of a scene made of photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.control import ControlResidual, control_text
+from objconnect.ingestion.photographs import Flight
+from objconnect.scene.bundle.georeference import Georeference
+from objconnect.scene.geometry.camera import Camera
+from objconnect.scene.maps.photographs import Photograph
+from objconnect.scene.maps.sparse_map import SparseMap
+
+_SHOWN = 6
+# GPS of a camera that is further off than this in the median gets a remark, metres.
+_FAR_FROM_GPS_M = 30.0
+
+
+class Residuals(BaseModel):
+    """Statistics of the distances between cameras and their fixes, metres, without sign.
+
+    The vertical ones are those of fixes with an altitude, None where none has one.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    horizontal_median: float
+    horizontal_rms: float
+    vertical_median: float | None
+    vertical_rms: float | None
+
+    def text(self) -> str:
+        """Return the figures as text."""
+        across = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
+        if self.vertical_median is None or self.vertical_rms is None:
+            return f"horizontal {across}; vertical unknown"
+        up = f"{self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
+        return f"horizontal {across}; vertical {up}"
+
+
+class Lens(BaseModel):
+    """A lens: the number of its photographs, its camera, and the origin of the camera's values."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    photographs: int
+    camera: str
+    origin: str
+
+
+class IngestReport(BaseModel):
+    """Figures of an ingested flight.
+
+    Attributes:
+        photographs: number of JPEGs in the folder.
+        left_out: reasons why files are not in the scene, by file.
+        registered: number of photographs in the scene.
+        points: number of points in the model of all photographs of the scene.
+        track_length: mean number of photographs that observe a point.
+        reprojection_error_px: mean reprojection error over all observations, pixels.
+        lenses: the cameras.
+        level: what defines the vertical: "gps", the "ground", poses that were "given", points of
+            "control", or the "map" that photographs were added to.
+        fixes: number of photographs whose GPS position was used.
+        blunders: distance from the camera of each fix that was not used, metres, by file.
+        wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
+            degrees, by file.
+        turned: files whose pictures were turned by 180 degrees and are turned back in the scene.
+        gps: residuals of the fixes that were used, as the camera wrote them; None without any.
+        lag_s: delay of the fixes behind their photographs, seconds; 0 where none was estimated.
+        gps_without_lag: residuals of the fixes after this delay is removed; None without a delay.
+        map_images: number of photographs of the map.
+        map_points: number of points of the map, triangulated from its photographs alone.
+        queries: number of photographs that are queries.
+        control: ground control points, in the order of their list.
+        kept: number of frames of the scene that the photographs were added to; 0 without one. Map
+            and queries are then those of the whole scene, and the other figures those of the new
+            photographs.
+        georeference: how exactly the scene is placed on earth; None if unknown.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    photographs: int
+    left_out: dict[str, str]
+    registered: int
+    points: int
+    track_length: float
+    reprojection_error_px: float
+    lenses: tuple[Lens, ...]
+    level: str
+    fixes: int
+    blunders: dict[str, float]
+    wrong_attitudes: dict[str, float]
+    turned: tuple[str, ...]
+    gps: Residuals | None
+    lag_s: float
+    gps_without_lag: Residuals | None
+    map_images: int
+    map_points: int
+    queries: int
+    control: tuple[ControlResidual, ...] = ()
+    kept: int = 0
+    georeference: Georeference | None = None
+
+    def text(self) -> str:
+        """Return the report as text."""
+        up = {
+            "gps": "up is where GPS says",
+            "ground": "up is across the ground: GPS altitudes cannot tell",
+            "given": "poses are as given",
+            "control": "up is where ground control points say",
+            "map": "the world is that of the scene",
+        }
+        gps = "none" if self.gps is None else self.gps.text()
+        new = f"new photographs registered in a scene of {self.kept}" if self.kept else ""
+        lines = [
+            f"{self.registered} of {self.photographs} {new or 'photographs registered'}, "
+            f"{self.points} points in tracks of {self.track_length:.1f}, "
+            f"{self.reprojection_error_px:.2f} px mean reprojection error",
+            f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
+            *gps_remark(self.level, self.gps),
+            *(
+                [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
+                if self.gps_without_lag is not None
+                else []
+            ),
+            f"map of {self.map_images} photographs and {self.map_points} points, "
+            f"{self.queries} queries",
+            *control_text(self.control),
+            "position on earth: "
+            + ("unknown" if self.georeference is None else self.georeference.text()),
+            *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
+            *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
+            *_listed(
+                "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
+            ),
+            *_listed("turned back", dict.fromkeys(self.turned, "by 180°, as its gimbal says")),
+            *_listed("left out", self.left_out),
+        ]
+        return "\n".join(lines)
+
+
+def gps_remark(level: str, gps: Residuals | None) -> list[str]:
+    """Return a remark where GPS contradicts what places the scene on earth."""
+    if gps is None or level not in ("control", "given"):
+        return []
+    off = {"across": gps.horizontal_median, "in height": gps.vertical_median}
+    far = [
+        f"{metres:.0f} m {way}"
+        for way, metres in off.items()
+        if metres is not None and metres > _FAR_FROM_GPS_M
+    ]
+    if not far:
+        return []
+    placed = "ground control points" if level == "control" else "the given poses"
+    return [
+        f"GPS contradicts {placed} by {' and '.join(far)}: check the system, the unit of heights "
+        "(feet?) and what they are above (ellipsoid or sea level)"
+    ]
+
+
+def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:
+    lines = [f"{what}: {name}: {reason}" for name, reason in list(reasons.items())[:_SHOWN]]
+    more = len(reasons) - len(lines)
+    return [*lines, f"{what}: {more} more, all in ingest.json"] if more > 0 else lines
+
+
+def residuals(
+    model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """Return fix minus camera centre of some photographs, (N, 3) metres; up may be NaN."""
+    off = [fixes[name] - model.images[name].centre for name in names]
+    return np.array(off).reshape(-1, 3)
+
+
+def summary(off: NDArray[np.float64]) -> Residuals:
+    """Return statistics of residuals (N, 3)."""
+    horizontal = np.linalg.norm(off[:, :2], axis=1)
+    vertical = np.abs(off[np.isfinite(off[:, 2]), 2])
+    return Residuals(
+        horizontal_median=float(np.median(horizontal)),
+        horizontal_rms=float(np.sqrt((horizontal**2).mean())),
+        vertical_median=float(np.median(vertical)) if len(vertical) else None,
+        vertical_rms=float(np.sqrt((vertical**2).mean())) if len(vertical) else None,
+    )
+
+
+def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Lens, ...]:
+    """Return the cameras of a model by lens, in the order of the photographs."""
+    images = adjusted.model.images
+    by_lens: dict[str, list[Photograph]] = {}
+    for photograph in photographs:
+        if photograph.name in images:
+            by_lens.setdefault(photograph.lens, []).append(photograph)
+    return tuple(
+        Lens(
+            name=lens,
+            photographs=len(taken),
+            camera=str(images[taken[0].name].camera),
+            origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.refined.focal),
+        )
+        for lens, taken in by_lens.items()
+    )
+
+
+def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
+    start, focal = first.camera.focal[0], camera.focal[0]
+    if first.calibrated:
+        return f"focal length {focal:.1f} px as given"
+    x, y = np.subtract(camera.principal, (camera.width / 2, camera.height / 2))
+    middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px from the middle" if x or y else ""
+    if not first.focal_known:
+        return (
+            f"{first.focal_doubt or 'no focal length in EXIF'}: "
+            f"guessed {start:.1f} px, refined to {focal:.1f} px "
+            f"(over flat ground, give --camera){middle}"
+        )
+    if refined:
+        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{middle}"
+    kept = "kept: the ground is too flat to refine it"
+    return f"focal length {focal:.1f} px of EXIF {kept}{middle}"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the gimbals of a flight, ground control points and fixes show.
+
+    Attributes:
+        wrong: degrees by which attitudes that were not used are off, by file.
+        turned: files that someone had turned by 180 degrees.
+        control: residuals of ground control points.
+        georeference: how exactly the scene is placed on earth; None if unknown.
+    """
+
+    wrong: Mapping[str, float]
+    turned: Sequence[str]
+    control: tuple[ControlResidual, ...] = ()
+    georeference: Georeference | None = None
+
+
+def make_report(
+    photographs: Sequence[Photograph],
+    flight: Flight,
+    adjusted: Adjusted,
+    fixes: Mapping[str, NDArray[np.float64]],
+    sparse_map: SparseMap,
+    findings: Findings,
+) -> IngestReport:
+    """Make the report of a finished flight.
+
+    Args:
+        photographs: photographs that structure from motion received.
+        flight: photographs of the model, and the files that were left out with reasons.
+        adjusted: the model of all photographs in the world.
+        fixes: measured positions by name, world metres.
+        sparse_map: the map of the map's photographs.
+        findings: what gimbals, ground control points and fixes show.
+    """
+    model, placed = adjusted.model, adjusted.placed
+    files = {image.name: image.file for image in flight.images}
+    used = [n for n in model.names if n in fixes and n not in placed.blunders]
+    wrong = residuals(model, fixes, placed.blunders)
+    return IngestReport(
+        photographs=len(flight.images) + len(flight.left_out),
+        left_out=dict(flight.left_out),
+        registered=len(model.images),
+        points=len(model.xyz),
+        track_length=float(model.track_length.mean()),
+        reprojection_error_px=model.reprojection_error(),
+        lenses=lenses_of(photographs, adjusted),
+        level=placed.level,
+        fixes=len(used),
+        blunders={
+            files[name]: float(np.linalg.norm(np.nan_to_num(off)))
+            for name, off in zip(placed.blunders, wrong, strict=True)
+        },
+        wrong_attitudes=dict(findings.wrong),
+        turned=tuple(findings.turned),
+        gps=summary(residuals(model, fixes, used)) if used else None,
+        lag_s=adjusted.delay,
+        gps_without_lag=(
+            summary(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
+            if adjusted.undone
+            else None
+        ),
+        map_images=len(sparse_map.images),
+        map_points=len(sparse_map.xyz),
+        queries=len(model.images) - len(sparse_map.images),
+        control=findings.control,
+        georeference=findings.georeference,
+    )
+
+
+REPORT = Path("ingest.json")

@@ -1,0 +1,81 @@
+"""The split of a flight into photographs that build the map and photographs that are queries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.options import IngestOptions
+from objconnect.scene.errors import InputError
+
+Split = Literal["photo", "line", "none"]
+_DEFAULTS: Final = IngestOptions()
+
+
+def queries_of(
+    names: Sequence[str],
+    fixes: Mapping[str, NDArray[np.float64]],
+    split: Split,
+    every: int,
+    turn_deg: float = _DEFAULTS.line_turn_deg,
+) -> set[str]:
+    """Return the photographs that are queries.
+
+    Args:
+        names: Photographs in the order they were taken.
+        fixes: Positions (3,) in metres of the photographs that have one.
+        split: "photo" takes every ``every``-th photograph, "line" all photographs of every
+            ``every``-th flight line, "none" no photographs.
+        every: See ``split``; 2 or more.
+        turn_deg: A flight line ends where the course turns by more.
+
+    Raises:
+        InputError: The flight has fewer lines than ``every``.
+    """
+    if split == "none":
+        return set()
+    first = every // 2
+    if split == "photo":
+        return set(names[first::every])
+    lines = flight_lines(names, fixes, turn_deg)
+    if max(lines) < first:
+        raise InputError(
+            f"the flight has {max(lines) + 1} lines, too few for a query line among every {every}: "
+            "take a smaller --every or --split photo"
+        )
+    return {name for name, line in zip(names, lines, strict=True) if line % every == first}
+
+
+def flight_lines(
+    names: Sequence[str],
+    fixes: Mapping[str, NDArray[np.float64]],
+    turn_deg: float = _DEFAULTS.line_turn_deg,
+) -> list[int]:
+    """Return the number of the flight line of each photograph.
+
+    A line ends where the course turns by more than ``turn_deg``. A photograph without a fix belongs
+    to the line of the one before it.
+    """
+    known = [name for name in names if name in fixes]
+    course: NDArray[np.float64] | None = None
+    line, of_known = 0, dict.fromkeys(known[:1], 0)
+    for before, name in pairwise(known):
+        step = fixes[name][:2] - fixes[before][:2]
+        length = float(np.linalg.norm(step))
+        if length > 0:
+            direction = step / length
+            if course is not None and course @ direction < np.cos(np.radians(turn_deg)):
+                line += 1
+                course = None  # the step from line to line is the course of neither
+            else:
+                course = direction
+        of_known[name] = line
+    numbers, current = [], 0
+    for name in names:
+        current = of_known.get(name, current)
+        numbers.append(current)
+    return numbers

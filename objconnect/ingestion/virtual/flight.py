@@ -1,0 +1,84 @@
+"""Where virtual photographs are taken: a grid above the ground, looking down and to the sides."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.virtual.options import ViewOptions
+from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+# More views than this are a request for another altitude.
+_MOST_VIEWS = 20_000
+# Headings of the oblique views from one place, degrees clockwise from north.
+_SIDES = (0.0, 90.0, 180.0, 270.0)
+
+
+def camera_of(options: ViewOptions) -> Camera:
+    """Return the pinhole camera of all views."""
+    focal = options.size / 2 / math.tan(math.radians(options.fov_deg) / 2)
+    half = options.size / 2
+    return Camera("PINHOLE", options.size, options.size, (focal, focal, half, half))
+
+
+def places(low: Array, high: Array, altitude: float, options: ViewOptions) -> Array:
+    """Return the places (N, 2), east and north, above which views are taken, row by row.
+
+    Args:
+        low: (2,) west and south ends of the ground, world metres.
+        high: (2,) its other ends.
+        altitude: height above the ground, metres.
+        options: overlap and field of view.
+
+    Raises:
+        InputError: there would be more than 20,000 views.
+    """
+    side = 2 * altitude * math.tan(math.radians(options.fov_deg) / 2)
+    # The outermost views reach the edge of the ground with their outer quarter.
+    low, high = low + side / 4, high - side / 4
+    counts = np.ceil(np.maximum(high - low, 0) / (side * (1 - options.overlap))).astype(int) + 1
+    views = int(counts.prod()) * (1 + len(_SIDES) * (options.tilt > 0))
+    if views > _MOST_VIEWS:
+        raise InputError(
+            f"{views} views from {altitude:g} m above the ground are too many: choose a larger "
+            "--altitude or a smaller orthophoto"
+        )
+    axes = [
+        np.linspace(a, b, n) if n > 1 else np.array([(a + b) / 2])
+        for a, b, n in zip(low, high, counts, strict=True)
+    ]
+    north, east = np.meshgrid(axes[1], axes[0], indexing="ij")
+    return np.stack([east.ravel(), north.ravel()], -1)
+
+
+def looking(centre: Array, heading_deg: float, tilt_deg: float) -> Array:
+    """Return ``cam_from_world`` (4, 4) of a camera.
+
+    Args:
+        centre: (3,) world metres.
+        heading_deg: where the top of a view from above, and an oblique view, points; degrees
+            clockwise from north.
+        tilt_deg: angle between the optical axis and the vertical.
+    """
+    heading, tilt = math.radians(heading_deg), math.radians(tilt_deg)
+    ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
+    right = np.array([math.cos(heading), -math.sin(heading), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    forward = math.sin(tilt) * ahead - math.cos(tilt) * up
+    down = -math.cos(tilt) * ahead - math.sin(tilt) * up
+    rotation = np.stack([right, down, forward])
+    cam_from_world = np.eye(4)
+    cam_from_world[:3, :3] = rotation
+    cam_from_world[:3, 3] = -rotation @ centre
+    return cam_from_world
+
+
+def directions(options: ViewOptions) -> list[tuple[float, float]]:
+    """Return heading and tilt of the views from one place, degrees."""
+    oblique = [(side, options.tilt) for side in _SIDES] if options.tilt else []
+    return [(0.0, 0.0), *oblique]

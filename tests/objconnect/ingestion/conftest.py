@@ -1,0 +1,36 @@
+"""Real photographs, made small so that tests are quick."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from objconnect.ingestion.command import ingest
+from objconnect.ingestion.report import IngestReport
+from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.storage.images import write_resized
+from tests.shared import made_once
+
+SIDE = 500
+
+
+@pytest.fixture(scope="session")
+def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All photographs of a real flight as its pilot would hand them over, but small."""
+
+    def make(folder: Path) -> None:
+        for path in sorted((beach / "photos").iterdir()):
+            write_resized(path, folder / path.name, SIDE)
+
+    return made_once(tmp_path_factory, "photographs", make)
+
+
+@pytest.fixture(scope="session")
+def ingested(
+    photographs: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Scene, IngestReport]:
+    """The scene of them. Tests that change it take a copy."""
+    out = tmp_path_factory.mktemp("ingested") / "shore"
+    report = ingest(photographs, out)
+    return Scene.open(out), report
