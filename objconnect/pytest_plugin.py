@@ -3,9 +3,9 @@
 ``no_recall_drop(results, baseline)`` fails the test that calls it when recall dropped by more than
 chance; ``pytest --update-recall`` records the results as the baseline instead.
 
-Pytest loads this module in every repository of the environment. A repository may have packages of
-its own that are called ``benchmark`` or ``scene``, so none of ours is imported here: the comparison
-runs as ``objconnect regress`` in a process of its own, which finds ours first.
+Pytest loads this module in every repository of the environment. A repository may have a package of
+its own that is called ``benchmark``, so nothing of ours but this package is imported here: the
+comparison runs as ``objconnect regress`` in a process of its own, which finds ours first.
 """
 
 from __future__ import annotations
