@@ -39,7 +39,10 @@ def main() -> None:
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
-        _serve(given)
+        from objconnect.scene.runtime.tuning import ProcessTuning
+
+        with ProcessTuning():  # as the command line
+            _serve(given)
         return
     with tempfile.TemporaryDirectory() as scratch:
         caches = Path(scratch) if given.cache is None or given.prepare else given.cache
@@ -174,12 +177,8 @@ def _serve(given: argparse.Namespace) -> None:
     from benchmark.datasets.open import open_datasets
     from benchmark.evaluation.starts import parse_start
     from objconnect.methods import create
-    from objconnect.scene.runtime.memory import (
-        peak_megabytes,
-        reset_peak,
-        resident_bytes,
-        return_freed,
-    )
+    from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
+    from objconnect.scene.runtime.tuning import return_freed
 
     torch.set_num_threads(given.threads)
     seconds = time.process_time if given.threads == 1 else time.perf_counter

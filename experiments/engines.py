@@ -36,6 +36,7 @@ from objconnect.learning.vgg import encode
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning
 
 Pass = Callable[[NDArray[np.float32]], object]
 
@@ -181,4 +182,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

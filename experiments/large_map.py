@@ -38,6 +38,7 @@ from objconnect.scene.localizer import Localizer, Prior, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import Features
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning
 
 # Metres: between photographs, between repetitions, above the ground, of a pixel of the ground.
 SPACING, APART, HEIGHT, TEXEL = 20.0, 400.0, 80.0, 0.5
@@ -243,4 +244,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

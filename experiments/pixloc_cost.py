@@ -43,6 +43,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak
+from objconnect.scene.runtime.tuning import ProcessTuning
 from tests.baselines.pixloc import official
 from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
 
@@ -266,4 +267,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

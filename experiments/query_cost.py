@@ -17,6 +17,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import parse_start
 from objconnect.methods import create
 from objconnect.scene.localizer import Status
+from objconnect.scene.runtime.tuning import ProcessTuning
 
 PRECISIONS = ("float32", "bfloat16")
 
@@ -59,4 +60,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

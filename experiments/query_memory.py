@@ -17,6 +17,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import parse_start
 from objconnect.methods import create
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.lru_cache import LruCache
 
 _MB = 1e6
@@ -84,4 +85,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

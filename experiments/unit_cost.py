@@ -23,6 +23,7 @@ from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.sift import extract_sift
 from objconnect.scene.maps.features import unit_descriptors
 from objconnect.scene.maps.matching import match
+from objconnect.scene.runtime.tuning import ProcessTuning
 from simulate.annotations import measure_covisibility, pixel_digests
 
 _SOME = 8
@@ -81,4 +82,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

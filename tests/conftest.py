@@ -18,7 +18,7 @@ from hypothesis import settings
 
 from objconnect.mapping.build import build_map
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.runtime.memory import keep_few_kernels
+from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
@@ -33,8 +33,6 @@ settings.load_profile("repeatable")
 
 # The tensors of the tests are small: on a busy machine threads cost more than they bring.
 torch.set_num_threads(1)
-# The first localizer with a network would do it, whichever test makes it.
-keep_few_kernels()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -79,6 +77,13 @@ def _alike_before_and_after() -> Iterator[None]:
     after = state()
     changed = [name for name in before | after if before.get(name) != after.get(name)]
     assert not changed, f"the test leaves another {', '.join(changed)} behind"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _tuned() -> Iterator[None]:
+    """The process of the tests is as that of the command line: it makes many localizers."""
+    with ProcessTuning():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

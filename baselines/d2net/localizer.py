@@ -21,7 +21,7 @@ from objconnect.learning.checkpoint import shipped
 from objconnect.localization.matching.features import Extractor
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features
-from objconnect.scene.runtime.memory import keep_few_kernels, return_freed
+from objconnect.scene.runtime.tuning import return_freed
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""
@@ -81,7 +81,6 @@ class D2NetExtractor(Extractor):
     turned = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
-        keep_few_kernels()
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         # Convolutions of channels-last maps take less time on processors.
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

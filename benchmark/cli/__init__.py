@@ -13,6 +13,7 @@ import typer
 
 from benchmark.cli.boundary import PrintedFormatter
 from benchmark.cli.commands import CommandGroup
+from objconnect.scene.runtime.tuning import ProcessTuning
 
 app = typer.Typer(
     name="objconnect",
@@ -28,8 +29,9 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; this is the entry point of the console script."""
-    app()
+    """Run the command line in a process of its own; the console script enters here."""
+    with ProcessTuning():
+        app()
 
 
 def _print_version(wanted: bool) -> None:

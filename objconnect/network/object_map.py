@@ -24,8 +24,8 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.runtime.memory import return_freed
 from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.runtime.tuning import return_freed
 
 _FORMAT: Final = 3
 # Files of the objects of each photograph, and the arrays in them.

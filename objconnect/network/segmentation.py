@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from objconnect.network.config import ObjConnectNetConfig, SegmentOptions
 from objconnect.scene.errors import InputError
-from objconnect.scene.runtime.threads import thread_pool
+from objconnect.scene.runtime.tuning import worker_threads
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
@@ -57,7 +57,8 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
         return keep_largest(find(picture, count, config.segmenter), count)
 
     # A segmentation runs in one thread and releases the interpreter's lock most of the time.
-    labels = list(thread_pool().map(one, pictures))
+    with worker_threads() as pool:
+        labels = list(pool.map(one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 

@@ -23,7 +23,7 @@ from objconnect.localization.align.state import State
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics
 from objconnect.scene.runtime.loops import compiled
-from objconnect.scene.runtime.threads import thread_pool
+from objconnect.scene.runtime.tuning import worker_threads
 
 # Types of the arguments of ``kernels.descend``.
 _CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2), b1))"
@@ -71,10 +71,14 @@ def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None
     """Do work on the first poses here, and on others in as many threads as torch may use."""
     threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
     own, *others = pairwise(poses * k // threads for k in range(threads + 1))
-    busy = [thread_pool().submit(work, *part) for part in others]
-    work(*own)
-    for each in busy:
-        each.result()
+    if not others:
+        work(*own)
+        return
+    with worker_threads() as pool:
+        busy = [pool.submit(work, *part) for part in others]
+        work(*own)
+        for each in busy:
+            each.result()
 
 
 def around(cost: LevelCost, pose: Pose) -> Linearisation:

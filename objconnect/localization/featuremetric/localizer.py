@@ -46,13 +46,9 @@ from objconnect.localization.starts import start_of, starts
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, MapPart, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.runtime.memory import (
-    resident_bytes,
-    return_freed,
-    return_freed_above,
-    spare_collector,
-)
+from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
+from objconnect.scene.runtime.tuning import return_freed, return_freed_above, spare_collector
 from objconnect.scene.storage.lru_cache import MEGABYTE
 from objconnect.scene.storage.scratch import scratch
 

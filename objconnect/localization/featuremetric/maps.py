@@ -16,7 +16,7 @@ from objconnect.learning.folding import resolved
 from objconnect.localization.align.sampling import sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, level_image, warp_image
-from objconnect.scene.runtime.memory import keep_few_kernels, keep_freed
+from objconnect.scene.runtime.tuning import keep_freed
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
@@ -101,7 +101,6 @@ class MapExtractor:
     """
 
     def __init__(self, network: Network, longest: int, precision: str) -> None:
-        keep_few_kernels()
         keep_freed()
         self.network = network
         self.longest = longest

@@ -33,8 +33,8 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, north_angle
 from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.runtime.memory import return_freed
 from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.runtime.tuning import return_freed
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache, room
 

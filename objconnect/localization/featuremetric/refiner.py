@@ -20,7 +20,7 @@ from objconnect.localization.matching.retrieval import References
 from objconnect.localization.matching.structure import StructureLocalizer
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
-from objconnect.scene.runtime.memory import return_freed_above
+from objconnect.scene.runtime.tuning import return_freed_above
 
 
 @dataclass(frozen=True)

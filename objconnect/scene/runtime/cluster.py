@@ -14,7 +14,7 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from objconnect.scene.errors import InputError
+from objconnect.scene.runtime.tuning import ProcessTuning, is_tuned
 
 # How often a unit is repeated whose worker was lost, or that failed for another reason than input.
 _RETRIES: Final = 5
@@ -109,7 +110,7 @@ class _RayPool(WorkerPool[Unit, Result]):
                 # The number of cores is asked again each time, because nodes come and go.
                 vacant = _AHEAD * max(1, self.cores) - len(running)
                 for unit in islice(left, max(0, vacant)):
-                    running.add(self._do.remote([self._put], unit, home, versions))
+                    running.add(self._do.remote([self._put], unit, home, versions, is_tuned()))
                 if not running:
                     return
                 ready, _ = ray.wait(list(running), num_returns=1, fetch_local=False)
@@ -254,10 +255,12 @@ def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list
 
 # The function that this worker process works with, by its reference in the object store.
 _work_by_reference: dict[str, Work[Any, Any]] = {}
+# What is entered in this worker process until it ends.
+_of_worker = ExitStack()
 
 
 def _do(
-    boxed: list[Any], unit: Any, home: str, versions: dict[str, str]
+    boxed: list[Any], unit: Any, home: str, versions: dict[str, str], tuned: bool
 ) -> Generator[Any, None, None]:
     """Run one unit on a worker. The function is in a list because Ray would unpack a bare
     reference."""
@@ -268,6 +271,8 @@ def _do(
         if name not in _work_by_reference:
             with suppress(OSError):
                 os.chdir(home)
+            if tuned and not is_tuned():
+                _of_worker.enter_context(ProcessTuning())
             _work_by_reference[name] = _ray().get(boxed[0])
         yield from _work_by_reference[name](unit)
     except InputError as error:

@@ -7,7 +7,7 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any, Final
 
-from objconnect.scene.runtime.memory import return_code
+from objconnect.scene.runtime.tuning import return_code
 
 # Numba knows what it kept by the file of a function: after a change here, write those files anew.
 OPTIONS: Final[dict[str, Any]] = {

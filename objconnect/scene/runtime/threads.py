@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-
-@cache
-def thread_pool() -> ThreadPoolExecutor:
-    """Return the threads of this process for work that releases the interpreter's lock.
-
-    Work in them must not wait for other work in them.
-    """
-    return ThreadPoolExecutor(os.cpu_count() or 1)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shutil
 import struct
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -53,8 +52,6 @@ _DAMAGE: Final = (
 )
 # A file of a few bytes may claim any size. Pillow refuses twice the number that it warns of.
 _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
-# Pillow's warnings about large images and damaged EXIF do not help the user of a command.
-warnings.filterwarnings("ignore", module=r"PIL\.")
 # The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
 _TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"

@@ -7,7 +7,8 @@ from collections.abc import Callable, Hashable
 from threading import Lock
 from typing import Final, Generic, Protocol, TypeVar
 
-from objconnect.scene.runtime.memory import resident_bytes, return_freed
+from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.runtime.tuning import return_freed
 
 MEGABYTE: Final = 2**20
 

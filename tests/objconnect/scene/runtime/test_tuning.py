@@ -1,4 +1,4 @@
-"""Memory that was freed goes back to the system where the process holds too much."""
+"""A tuned process keeps little memory and few pauses; one that is not tuned is left as it is."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from tests.programs import printed
 
 FREED = """
 import ctypes
-from objconnect.scene.runtime.memory import resident_bytes, return_freed_above
+from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning, return_freed_above
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
@@ -23,6 +24,10 @@ for block in blocks:
 for block in blocks[:-1]:
     libc.free(block)
 held = resident_bytes()
+return_freed_above(0)
+print(held - resident_bytes())
+ProcessTuning().__enter__()
+held = resident_bytes()
 return_freed_above(held + 50_000_000)
 print(held - resident_bytes())
 return_freed_above(held - 50_000_000)
@@ -32,14 +37,16 @@ print(held - resident_bytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc keeps what is freed")
 def test_freed_memory_goes_back_above_a_bound() -> None:
-    below, above = map(int, printed(FREED).split())
+    untuned, below, above = map(int, printed(FREED).split())
+    assert abs(untuned) < 20_000_000
     assert abs(below) < 20_000_000
     assert above > 150_000_000
 
 
 PASSES = """
 import ctypes, os, resource
-from objconnect.scene.runtime.memory import keep_freed, return_freed, resident_bytes
+from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning, keep_freed, return_freed
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
@@ -54,7 +61,9 @@ def one():
     for block in blocks:
         libc.free(block)
 
+keep_freed()  # not tuned: nothing
 if os.environ.get("KEEP"):
+    ProcessTuning().__enter__()
     keep_freed()
 for _ in range(3):
     one()
@@ -84,10 +93,11 @@ def test_thresholds_of_the_environment_are_left_as_they_are() -> None:
 
 KERNELS = """
 import torch
-from objconnect.scene.runtime.memory import keep_few_kernels, resident_bytes, return_freed
+from objconnect.scene.runtime.memory import resident_bytes
+from objconnect.scene.runtime.tuning import ProcessTuning, return_freed
 
 torch.set_num_threads(1)
-keep_few_kernels()
+ProcessTuning().__enter__()
 layer = torch.nn.Conv2d(16, 16, 3)
 with torch.inference_mode():
     layer(torch.rand(1, 16, 64, 64))
@@ -109,7 +119,9 @@ def test_few_kernels_are_kept() -> None:
 CODE = """
 import numpy as np
 from objconnect.scene.runtime.loops import compiled
-from objconnect.scene.runtime.memory import return_code
+from objconnect.scene.runtime.tuning import ProcessTuning, return_code
+
+ProcessTuning().__enter__()
 
 def resident():
     found, kept = 0, False
@@ -146,7 +158,9 @@ def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
 SPARED = """
 import gc
 import weakref
-from objconnect.scene.runtime.memory import spare_collector
+from objconnect.scene.runtime.tuning import ProcessTuning, spare_collector
+
+tuning = ProcessTuning().__enter__()
 
 class Cycle:
     def __init__(self):
@@ -162,11 +176,98 @@ gc.collect()
 print(seen() is None)
 spare_collector()
 print(seen() is None)
+tuning.__exit__()
+print(gc.get_freeze_count())
 """
 
 
 def test_the_collector_leaves_out_what_there_is_until_the_next_call() -> None:
-    counts, *gone = printed(SPARED).splitlines()
+    counts, *gone, frozen = printed(SPARED).splitlines()
     before, after = map(int, counts.split())
     assert after < 0.1 * before
-    assert gone == ["False", "True"]
+    assert gone == ["False", "True"] and frozen == "0"
+
+
+HOST = """
+import ctypes, gc, os, signal, sys, threading, warnings
+from pathlib import Path
+import cv2, numba, torch  # they change the process themselves
+
+asked = []
+
+class Watched(ctypes.CDLL):
+    def __getattr__(self, name):
+        asked.extend({name} & {"mallopt", "malloc_trim", "madvise"})
+        return super().__getattr__(name)
+
+ctypes.CDLL = Watched
+
+def state():
+    return {
+        "collector": (gc.get_threshold(), gc.get_freeze_count(), list(gc.callbacks)),
+        "threads": threading.enumerate(),
+        "torch": (torch.get_num_threads(), torch.get_num_interop_threads()),
+        "opencv": cv2.getNumThreads(),
+        "variables": dict(os.environ),
+        "folder": os.getcwd(),
+        "signals": [signal.getsignal(number) for number in sorted(signal.valid_signals())],
+    }
+
+before = state()
+import objconnect as oc
+
+flight = Path("tests/data/gate-snow")
+place = oc.open_map(flight)
+localizer = oc.create_localizer(os.environ["METHOD"], {})
+localizer.prepare(place.sparse_map, flight / "images")
+name, image = next(iter(place.sparse_map.images.items()))
+pixels = oc.read_rgb(flight / "images" / name)
+sure = oc.Prior(image.pose.centre().numpy(), None, image.pose.rotation.numpy())
+for prior in (sure, None):
+    print(localizer.localize(oc.Query("a", pixels, image.camera, prior)).status)
+after = state()
+print(asked, [part for part in before if before[part] != after[part]])
+print([each for each in warnings.filters if "PIL" in str(each[3])])
+"""
+
+
+@pytest.mark.parametrize("method", ["sift", pytest.param("objconnect", marks=pytest.mark.thorough)])
+def test_a_host_s_process_is_left_as_it_is(method: str) -> None:
+    found, again, changed, filters = printed(HOST, METHOD=method).splitlines()
+    assert found == again == "ok"
+    assert changed == "[] []" and filters == "[]"
+
+
+COMMAND = """
+import benchmark.cli
+from objconnect.scene.runtime.tuning import is_tuned
+
+benchmark.cli.app = lambda: print(is_tuned())
+print(is_tuned())
+benchmark.cli.main()
+print(is_tuned())
+"""
+
+
+def test_the_command_line_tunes_its_process() -> None:
+    assert printed(COMMAND).split() == ["False", "True", "False"]
+
+
+WORKERS = """
+import threading
+from objconnect.scene.runtime.tuning import ProcessTuning, worker_threads
+
+def names():
+    with worker_threads() as pool:
+        return {pool.submit(threading.current_thread).result().ident}
+
+names()
+print(threading.active_count())
+with ProcessTuning():
+    print(names() == names(), threading.active_count())
+print(threading.active_count())
+"""
+
+
+def test_worker_threads_stay_in_a_tuned_process_alone() -> None:
+    assert printed(WORKERS).split() == ["1", "True", "2", "1"]
