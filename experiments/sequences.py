@@ -23,8 +23,9 @@ import numpy as np
 import torch
 
 from objconnect.localization.pipeline.answers import Located
-from objconnect.localization.pipeline.localize import open_place
-from objconnect.localization.pipeline.sequence import SequenceInputs, SequenceOutput, localize_video
+from objconnect.localization.pipeline.localize import localize_video
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.place import open_place
 from objconnect.localization.pipeline.tracking import SequenceConfig
 from objconnect.methods import create
 from objconnect.scene.exports.export import export
@@ -32,6 +33,7 @@ from objconnect.scene.flights.textfiles import read_poses
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Localizer, Query
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.video import decode_frames, read_video, write_video
 
 LEVELS = ((0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
@@ -153,14 +155,16 @@ def main() -> None:
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in given.runs:
         localizer = Timed(create(given.method, {}))
-        output = SequenceOutput(given.out / f"{name}.txt", undulation_m=0.0, cache=given.cache)
-        told = SequenceInputs(config=configs[name], gps_sigma_m=3.0)
-        video = flown / f"{given.session}.MP4"
-        located = localize_video(place, video, localizer, output, told)
+        options = LocalizeOptions(
+            gps_sigma_m=3.0, sequence=configs[name], undulation_m=0.0, cache=given.cache
+        )
+        video, out = flown / f"{given.session}.MP4", given.out / f"{name}.txt"
+        located = localize_video(place, video, localizer, out, options)
         figures = report(name, located, truth, localizer)
         (given.out / f"{name}-figures.json").write_text(json.dumps(figures, indent=1) + "\n")
         print(json.dumps(figures, indent=1), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

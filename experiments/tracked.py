@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from objconnect.localization.pipeline.localize import open_place
-from objconnect.localization.pipeline.photographs import Place
+from objconnect.localization.pipeline.place import Place, open_place
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior, Query, Status
+from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.images import read_rgb
 
 BOUNDS = ((0.25, 2.0), (0.5, 5.0))
@@ -169,4 +169,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with ProcessTuning():  # as the command line
+        main()

@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from objconnect.learning.training.command import train as train
     from objconnect.learning.training.config import TrainConfig as TrainConfig
     from objconnect.localization.pipeline.localize import localize as localize
-    from objconnect.localization.pipeline.localize import open_place as open_map  # noqa: F401
-    from objconnect.localization.pipeline.sequence import SequenceInputs as SequenceInputs
-    from objconnect.localization.pipeline.sequence import SequenceOutput as SequenceOutput
-    from objconnect.localization.pipeline.sequence import localize_sequence as localize_sequence
-    from objconnect.localization.pipeline.sequence import localize_video as localize_video
+    from objconnect.localization.pipeline.localize import localize_video as localize_video
+    from objconnect.localization.pipeline.options import LocalizeOptions as LocalizeOptions
+    from objconnect.localization.pipeline.place import open_place as open_map  # noqa: F401
     from objconnect.localization.pipeline.tracking import SequenceConfig as SequenceConfig
     from objconnect.mapping.build import build_map as build_map
     from objconnect.mapping.dense.command import dense as dense
@@ -64,16 +62,14 @@ _TARGETS = {
     "export": "objconnect.scene.exports.export",
     # Read what is on disk.
     "open_scene": "objconnect.scene.bundle.scene:Scene.open",
-    "open_map": "objconnect.localization.pipeline.localize:open_place",
+    "open_map": "objconnect.localization.pipeline.place:open_place",
     "read_rgb": "objconnect.scene.storage.images",
     "read_model": "objconnect.scene.maps.colmap_files",
     # Localize.
     "create_localizer": "objconnect.methods:create",
     "localize": "objconnect.localization.pipeline.localize",
-    "localize_video": "objconnect.localization.pipeline.sequence",
-    "localize_sequence": "objconnect.localization.pipeline.sequence",
-    "SequenceInputs": "objconnect.localization.pipeline.sequence",
-    "SequenceOutput": "objconnect.localization.pipeline.sequence",
+    "localize_video": "objconnect.localization.pipeline.localize",
+    "LocalizeOptions": "objconnect.localization.pipeline.options",
     "SequenceConfig": "objconnect.localization.pipeline.tracking",
     # Train.
     "train": "objconnect.learning.training.command",

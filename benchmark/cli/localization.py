@@ -162,38 +162,31 @@ def localize(
     each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
     goes on where it stopped.
     """
-    from objconnect.localization.pipeline import sequence as sequences
-    from objconnect.localization.pipeline.localize import localize as run
-    from objconnect.localization.pipeline.localize import open_place
+    from objconnect.localization.pipeline import localize as job
+    from objconnect.localization.pipeline.options import LocalizeOptions
+    from objconnect.localization.pipeline.place import open_place
+    from objconnect.localization.pipeline.tracking import sequence_config
 
     flown = _flown(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
-    config = sequences.sequence_config(settings) if video is not None or sequence else None
-    calibration, projection = parse_camera(camera), parse_crs(crs)
+    config = sequence_config(settings) if video is not None or sequence else None
+    options = LocalizeOptions(
+        camera=parse_camera(camera),
+        priors=priors,
+        gps_sigma_m=gps_sigma,
+        gimbal_sigma_deg=gimbal_sigma,
+        srt=srt,
+        rate_hz=rate,
+        sequence=config,
+        also=also or (),
+        undulation_m=undulation,
+        projection=parse_crs(crs),
+        cache=cache,
+    )
     claim_folders([place, flown], cache)
     localizer = create_at_risk(method, settings, risk)
-    if config is None:
-        located = run(
-            open_place(place),
-            flown,
-            localizer,
-            out,
-            camera=calibration,
-            priors=priors,
-            gps_sigma_m=gps_sigma,
-            gimbal_sigma_deg=gimbal_sigma,
-            cache=cache,
-            also=also or (),
-            undulation_m=undulation,
-            projection=projection,
-        )
-    else:
-        told = sequences.SequenceInputs(
-            calibration, gps_sigma, gimbal_sigma, rate, srt, priors, config
-        )
-        output = sequences.SequenceOutput(out, also or (), undulation, cache, projection)
-        track = sequences.localize_sequence if video is None else sequences.localize_video
-        located = track(open_place(place), flown, localizer, output, told)
+    run = job.localize if video is None else job.localize_video
+    located = run(open_place(place), flown, localizer, out, options)
     localized = sum(item.found for item in located)
     what = "photographs" if video is None else "frames"
     text = f"{out}: {localized} of {len(located)} {what} found"

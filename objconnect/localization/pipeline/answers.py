@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from objconnect.ingestion.attitude import gimbal_angles
 from objconnect.localization.pipeline.accuracy import EarthAccuracy, combine_accuracies
 from objconnect.localization.pipeline.cameras import CameraSource
-from objconnect.localization.pipeline.fixes import Fix
 from objconnect.localization.pipeline.mavlink import dialect, telemetry_log
 from objconnect.localization.pipeline.ros import bag, library
+from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import pose_line
@@ -140,7 +140,7 @@ class Located:
         """Return how exact the position on earth is."""
         return combine_accuracies(self.covariance, geography.georeference)
 
-    def fix(self, geography: Geography) -> Fix | None:
+    def stamped(self, geography: Geography) -> StampedPose | None:
         """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
         if not self.found or pose is None or centre is None or self.place is None:
@@ -149,7 +149,9 @@ class Located:
             return None
         since = (time - _EPOCH) // timedelta(microseconds=1)
         rotation = pose.rotation.numpy().T
-        return Fix(since, self.place, centre, rotation, self.covariance, self.accuracy(geography))
+        return StampedPose(
+            since, self.place, centre, rotation, self.covariance, self.accuracy(geography)
+        )
 
     def values(self, geography: Geography) -> dict[str, str | float]:
         """Return what is known of time, heights, coordinates, attitude, uncertainty, camera and
@@ -328,24 +330,24 @@ def _geometry(
 
 
 def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return telemetry_log(_fixes(located, geography), geography.undulation_m, _MARK)
+    return telemetry_log(_stamped(located, geography), geography.undulation_m, _MARK)
 
 
 def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return bag(_fixes(located, geography), _MARK)
+    return bag(_stamped(located, geography), _MARK)
 
 
-def _fixes(located: Sequence[Located], geography: Geography) -> list[Fix]:
+def _stamped(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
     """Return what was found, sorted by time."""
     found = [item for item in located if item.found]
-    fixes = [fix for item in found if (fix := item.fix(geography)) is not None]
-    if len(fixes) < len(found):
+    poses = [stamped for item in found if (stamped := item.stamped(geography)) is not None]
+    if len(poses) < len(found):
         log.warning(
             "%d of %d photographs have no time: logs and bags lack them",
-            len(found) - len(fixes),
+            len(found) - len(poses),
             len(found),
         )
-    return sorted(fixes, key=lambda fix: fix.microseconds)
+    return sorted(poses, key=lambda stamped: stamped.microseconds)
 
 
 FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {

@@ -13,7 +13,7 @@ from typing import Final
 
 from objconnect.ingestion.telemetry import Telemetry, at_time, read_telemetry
 from objconnect.localization.pipeline.cameras import Calibration, CameraSource, calibration_of
-from objconnect.localization.pipeline.photographs import Place
+from objconnect.localization.pipeline.place import Place
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.quantities.coordinate_order import Pair

@@ -1,12 +1,14 @@
-"""The command ``localize``, which finds the poses of new photographs in a map."""
+"""The everyday job: find the poses of photographs, or of the frames of a video, in a map."""
 
 from __future__ import annotations
 
 import hashlib
-import logging
-from collections.abc import Mapping, Sequence
-from functools import partial
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from pydantic import Field
@@ -14,72 +16,36 @@ from pydantic import Field
 from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
 from objconnect.localization.pipeline.cameras import CameraSource, with_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
+from objconnect.localization.pipeline.frames import VideoFrames
 from objconnect.localization.pipeline.journal import Journal, journal_path
-from objconnect.localization.pipeline.photographs import (
-    PhotographReader,
-    Place,
-    QueryPhotograph,
-    priors_of,
-    warn_of_doubts,
-    warn_of_rolling_shutter,
-    with_estimates,
-)
-from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.photograph_folder import PhotographFolder, photographs_in
+from objconnect.localization.pipeline.place import Place, geography_of
+from objconnect.localization.pipeline.query_image import ImageSource, QueryImage
+from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
+from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
-from objconnect.scene.bundle.scene import Scene, is_scene
-from objconnect.scene.errors import InputError
-from objconnect.scene.flights.origin import read_origin
-from objconnect.scene.geo.crs import Projection, geoid_undulation
-from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status, prepare_first
-from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import Named, PoseNumbers
-from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.atomic import atomic_write, write_text
 from objconnect.scene.storage.digests import digests
-from objconnect.scene.storage.files import sha256_of
-from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 from objconnect.scene.storage.names import quote_name
-from objconnect.scene.storage.outputs import check_outputs, check_outside
+from objconnect.scene.storage.outputs import OutputFile, check_outputs, check_outside
 from objconnect.scene.storage.scratch import cache_or_scratch
 
-log = logging.getLogger(__name__)
+_RECORD: Final = "sequence by objconnect localize"
+_DEFAULTS: Final = LocalizeOptions()
 
 
-def open_place(path: Path) -> Place:
-    """Open a scene with its map, or a flight, to localize photographs in it.
-
-    Raises:
-        InputError: the path is neither, or its map is missing, damaged or empty.
-    """
-    if is_scene(path):
-        scene = Scene.open(path)
-        manifest = scene.manifest
-        images = scene.images_root
-        return Place(scene.sparse_map(), images, manifest.origin, manifest.on_earth)
-    if (path / "sparse" / "map").is_dir():
-        return Place(read_model(path / "sparse" / "map"), path / "images", read_origin(path))
-    raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
-
-
-# More than six parameters: they are the options of the command ``localize``.
 def localize(
     place: Place,
     photographs: Path,
     localizer: Localizer,
     out: Path,
-    *,
-    camera: Camera | None = None,
-    priors: Path | None = None,
-    gps_sigma_m: float = 10.0,
-    gimbal_sigma_deg: float = 5.0,
-    cache: Path | None = None,
-    also: Sequence[Path] = (),
-    undulation_m: float | None = None,
-    projection: Projection | None = None,
+    options: LocalizeOptions = _DEFAULTS,
 ) -> list[Located]:
     """Localize every photograph of a folder and write the poses as a text file and a CSV file.
 
@@ -90,59 +56,211 @@ def localize(
     photograph that cannot be read fails with that reason. Answers are kept in a
     hidden journal until the end, so that an interrupted run goes on where it stopped.
 
+    With ``options.sequence``, each photograph is looked for where those before it lead
+    (``Tracker``), the table has the seconds of each, and a JSON file beside the poses records
+    the method and its options.
+
     Args:
         place: map to localize in.
         photographs: folder of the photographs.
         localizer: method to run.
         out: text file of the poses. It and the CSV file replace only files of this command.
-        camera: camera of all photographs; None takes that of each one (``calibration_of``).
-        priors: CSV file of positions, and perhaps attitudes (``read_priors``); None takes
-            positions from EXIF and attitudes of the gimbal from XMP, where a photograph has them.
-        gps_sigma_m: standard deviation of EXIF positions per axis, metres, and of those of a table
-            that states none; XMP has that of a fixed position of RTK.
-        gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
-        cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
-        also: further files to write, by their ending: GeoJSON, KML, MAVLink's .tlog, ROS 2's .mcap.
-        undulation_m: height of the geoid above the ellipsoid at the place; None takes it from the
-            grid of PROJ where that is installed, and else leaves heights above sea level out.
-        projection: coordinate reference system in which coordinates are written, too.
+        options: what is known of the photographs, and what else is written.
 
     Returns:
         One entry for each photograph.
 
     Raises:
         InputError: there is no photograph that can be read, the priors cannot be read or name none
-            of the photographs, an output cannot be written, lies in their folder or would replace
-            a file of another program, or the map of further files has no position on earth.
+            of the photographs, those of a sequence tell no times, an output cannot be written, lies
+            in their folder or would replace a file of another program, or the map of further files
+            has no position on earth.
     """
-    paths = {path.name: path for path in photographs_in(photographs)}
-    files = outputs(out, also)
-    check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
-    check_outside(files, photographs)
-    geography = geography_of(place, also, undulation_m, projection)
-    sigmas = gps_sigma_m, gimbal_sigma_deg
-    known = priors_of(priors, paths, place, *sigmas)
-    reader = PhotographReader(place, camera, known, *sigmas, geography.undulation_m)
-    _require_one(reader, paths, photographs)
-    located: list[Located] = []
-    with (
-        Journal(journal_path(out), journal_key(place, localizer), Answer) as journal,
-        # The disk of the output has room for what the method keeps per map.
-        cache_or_scratch(cache, out.parent) as kept,
-    ):
-        prepare_first(localizer, place.sparse_map, place.images, kept)
-        reader = with_estimates(reader, paths, partial(_localize_twice, reader, localizer))
-        with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
-            for name, path in paths.items():
-                located.append(_localize_one(reader, localizer, journal, name, path))
-                advance(len(located))
+    job = _Job(place, localizer, out, options, options.sequence)
+    table = [] if options.priors is None else [options.priors]
+    job.check([*photographs_in(photographs).values(), *table], photographs)
+    geography = geography_of(place, options)
+    source = PhotographFolder.open(photographs, place, options, geography.undulation_m)
+    return job.run(source, geography)
+
+
+def localize_video(
+    place: Place,
+    video: Path,
+    localizer: Localizer,
+    out: Path,
+    options: LocalizeOptions = _DEFAULTS,
+) -> list[Located]:
+    """Localize frames of a video as a sequence; the files are those of ``localize``.
+
+    Args:
+        place: map to localize in.
+        video: MP4 or another file that FFmpeg reads.
+        localizer: method to run.
+        out: text file of the poses.
+        options: what is known of the video, and what else is written. A table of priors is one of
+            photographs, and not read.
+
+    Returns:
+        One entry for each frame.
+
+    Raises:
+        InputError: video or subtitles cannot be read, the frames have no camera, or an output
+            cannot be written.
+    """
+    job = _Job(place, localizer, out, options, options.sequence or SequenceConfig())
+    job.check([video] if options.srt is None else [video, options.srt])
+    geography = geography_of(place, options)
+    source = VideoFrames.open(video, place, options, geography.undulation_m)
+    return job.run(source, geography)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What is localized how, and where its answers go; ``sequence`` is None outside of one."""
+
+    place: Place
+    localizer: Localizer
+    out: Path
+    options: LocalizeOptions
+    sequence: SequenceConfig | None
+
+    @property
+    def record(self) -> Path:
+        """Return the JSON file of how the poses of a sequence were made."""
+        return self.out.with_suffix(".json")
+
+    def check(self, inputs: Iterable[Path], folder: Path | None = None) -> None:
+        """Check that everything can be written.
+
+        Args:
+            inputs: files that are read.
+            folder: where nothing may be written.
+
+        Raises:
+            InputError: an output cannot be written, would replace an input or a file of another
+                program, or lies in the folder.
+        """
+        files = outputs(self.out, self.options.also)
+        if self.sequence is not None:
+            files.append(OutputFile(self.record, _RECORD.encode()))
+        check_outputs(files, inputs)
+        if folder is not None:
+            check_outside(files, folder)
+
+    def run(self, source: ImageSource, geography: Geography) -> list[Located]:
+        """Localize every image, or take the answer that the journal has, and write the answers."""
+        place, localizer = self.place, self.localizer
+        located: list[Located] = []
+        with (
+            Journal(journal_path(self.out), self._key(), Answer) as journal,
+            # The disk of the output has room for what the method keeps per map.
+            cache_or_scratch(self.options.cache, self.out.parent) as kept,
+        ):
+            prepare = partial(prepare_first, localizer, place.sparse_map, place.images, kept)
+            answering = _Answering(self, journal, cache(prepare))
+            images = source.images(answering.ask)
+            with progress_bar(f"localize with {localizer.name}", source.count) as advance:
+                for image in images:
+                    located.append(self._located(image, answering(image)))
+                    advance(min(len(located), source.count))
+            self._write(source, located, geography)
+        source.warn()
+        warn_of_disagreement(located, geography)
+        return located
+
+    def _key(self) -> str:
+        """Return the digest of everything but the images that decides the answers."""
+        words = [Method.of(self.localizer).model_dump_json(), self.place.sparse_map.sha256]
+        names = (self.place.images / name for name in self.place.sparse_map.names)
+        words += digests(names, "missing")
+        words.append(Environment.current().model_dump_json())
+        words.append("" if self.sequence is None else self.sequence.model_dump_json())
+        return _digest(*words)
+
+    def _located(self, image: QueryImage, estimate: Estimate) -> Located:
+        """Return the answer to an image with what is known of it."""
+        camera = None if image.query is None else image.query.camera
+        source = None if image.calibration is None else image.calibration.source
+        if camera is not None and source is CameraSource.ESTIMATED:
+            points = self.place.sparse_map.xyz
+            estimate = with_focal_error(estimate, camera, self.place.cameras, points)
+        return Located(
+            image.name,
+            estimate,
+            self.place.on_earth(estimate),
+            image.time,
+            camera,
+            source,
+            image.seconds,
+            image.gps,
+            image.doubts,
+        )
+
+    def _write(self, source: ImageSource, located: Sequence[Located], geography: Geography) -> None:
+        """Write the answers, and of a sequence how they were made."""
+        files = outputs(self.out, self.options.also)
         for file, content in contents(located, files, geography):
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
-    warn_of_rolling_shutter(reader.said.values())
-    warn_of_doubts(reader)
-    warn_of_disagreement(located, geography)
-    return located
+        if self.sequence is None:
+            return
+        values = {
+            "generator": _RECORD,
+            **source.record,
+            "images": len(located),
+            "found": sum(item.found for item in located),
+            "method": Method.of(self.localizer).model_dump(mode="json"),
+            "sequence": self.sequence.model_dump(mode="json"),
+        }
+        write_text(self.record, json.dumps(values, indent=1) + "\n")
+
+
+class _Answering:
+    """Answers images in their order: from the journal, or by the method.
+
+    Args:
+        job: what is localized how.
+        journal: answers of the run that was interrupted, and of this one.
+        prepare: prepares the method, once. It is called when the first image was read, so that what
+            cannot be read is refused before.
+    """
+
+    def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
+        self._job, self._journal, self._prepare = job, journal, prepare
+        self._tracker = None if job.sequence is None else Tracker(job.localizer, job.sequence)
+        self._asked = ""
+
+    def ask(self, query: Query) -> Estimate:
+        """Localize a query by itself. The attitude of a gimbal may be wrong, and is retried."""
+        self._prepare()
+        retries = self._job.options.priors is None
+        return (localize_retrying if retries else localize_safely)(self._job.localizer, query)
+
+    def __call__(self, image: QueryImage) -> Estimate:
+        """Return the answer to the next image."""
+        self._prepare()
+        # What is found in a sequence depends on all images before.
+        before = "" if self._tracker is None else self._asked
+        self._asked = _digest(before, image.seconds, *_words(image))
+        estimate = self._estimate(image)
+        if self._tracker is not None and image.seconds is not None:
+            self._tracker.take(estimate, image.seconds)
+        return estimate
+
+    def _estimate(self, image: QueryImage) -> Estimate:
+        """Return the answer of the journal, or localize the image and add it there."""
+        if image.query is None:
+            return Estimate(Status.FAILED, reason=image.reason)
+        answer = self._journal.done.get(quote_name(image.name))
+        if answer is None or answer.asked != self._asked:
+            if self._tracker is None or image.seconds is None:
+                estimate = self.ask(image.query)
+            else:
+                estimate = self._tracker.localize(image.query, image.seconds)
+            answer = Answer.of(image.name, self._asked, estimate)
+            self._journal.add(answer)
+        return answer.estimate()
 
 
 class Answer(Named):
@@ -151,7 +269,7 @@ class Answer(Named):
     Attributes:
         name: file name, escaped by ``quote_name`` because JSON cannot hold every
             file name.
-        asked: digest of the photograph, its camera and its prior.
+        asked: digest of the image, its camera and its prior, in a sequence with those before it.
         status: status of the estimate.
         reason: reason of the estimate.
         cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
@@ -205,140 +323,17 @@ class Answer(Named):
         )
 
 
-def photographs_in(folder: Path) -> list[Path]:
-    """Return the photographs of a folder, by name.
-
-    Raises:
-        InputError: the folder does not exist or holds no photograph.
-    """
-    if not folder.is_dir():
-        wrong = "is not a folder" if folder.exists() else "does not exist"
-        raise InputError(f"folder of photographs {folder} {wrong}")
-    paths = list_files(folder, PHOTOGRAPHS)
-    if not paths:
-        raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
-    return paths
+def _words(image: QueryImage) -> Iterator[object]:
+    """Yield what decides the answer to an image beside the images before it."""
+    yield image.name
+    if image.query is None:
+        return
+    yield hashlib.sha256(image.query.image.tobytes()).hexdigest()
+    yield image.query.camera
+    if image.query.prior is not None:
+        for value in vars(image.query.prior).values():
+            yield None if value is None else np.asarray(value).tolist()
 
 
-def _require_one(reader: PhotographReader, paths: Mapping[str, Path], folder: Path) -> None:
-    """Refuse, before any work, a folder without a photograph that can be localized.
-
-    Raises:
-        InputError: no photograph can be read and has a camera.
-    """
-    reason = ""
-    for name, path in paths.items():
-        try:
-            reader(name, path)
-            return
-        except InputError as error:
-            reason = reason or str(error)
-    several = f"none of the {len(paths)} photographs in {folder} can be localized: "
-    raise InputError((several if len(paths) > 1 else "") + reason)
-
-
-def _localize_one(
-    reader: PhotographReader, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
-) -> Located:
-    """Localize a photograph, or return the answer that the journal has for it.
-
-    A photograph that is not found with the attitude of its gimbal is tried again without it. A
-    photograph that cannot be read is a failure with the reason.
-    """
-    try:
-        photograph = reader.read(name, path)
-        asked = _digest(photograph, path)
-    except InputError as error:
-        return Located(name, Estimate(Status.FAILED, reason=str(error)), None)
-    except OSError as error:
-        reason = f"cannot read {path}: {error.strerror}"
-        return Located(name, Estimate(Status.FAILED, reason=reason), None)
-    answer = journal.done.get(quote_name(name))
-    if answer is None or answer.asked != asked:
-        estimate = _localize_twice(reader, localizer, photograph.query)
-        answer = Answer.of(name, asked, estimate)
-        journal.add(answer)
-    estimate, place = answer.estimate(), reader.place
-    camera, source = photograph.query.camera, photograph.calibration.source
-    if source is CameraSource.ESTIMATED:
-        points = place.sparse_map.xyz
-        estimate = with_focal_error(estimate, camera, place.cameras, points)
-    at, time = on_earth(estimate, place), photograph.exif.time
-    gps, doubts = reader.gps(photograph.exif), reader.doubts(photograph.exif)
-    return Located(name, estimate, at, time, camera, source, gps=gps, doubts=doubts)
-
-
-def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:
-    """Localize a query, and where it is not found once more without its gimbal's attitude."""
-    estimate = localize_safely(localizer, query)
-    if estimate.status is not Status.OK and (other := reader.without_gimbal(query)) is not None:
-        second = localize_safely(localizer, other)
-        return second if second.status is Status.OK else estimate
-    return estimate
-
-
-def _digest(photograph: QueryPhotograph, path: Path) -> str:
-    """Return the digest of a photograph, its camera and its prior."""
-    prior = photograph.query.prior
-    words = [sha256_of(path), str(photograph.query.camera)]
-    if prior is not None:
-        arrays = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
-        words += ["" if numbers is None else str(numbers.tolist()) for numbers in arrays]
-        words.append(f"{prior.attitude_sigma_deg} {prior.heading_sigma_deg}")
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
-
-
-def journal_key(place: Place, localizer: Localizer) -> str:
-    """Return the digest of everything but the photographs that decides the answers."""
-    words = [Method.of(localizer).model_dump_json(), place.sparse_map.sha256]
-    words += digests((place.images / name for name in place.sparse_map.names), "missing")
-    words.append(Environment.current().model_dump_json())
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
-
-
-def require_origin(place: Place, asked: Sequence[Path | str]) -> None:
-    """Refuse what needs positions on earth where the map has none.
-
-    Args:
-        place: the map.
-        asked: files or coordinate reference systems.
-
-    Raises:
-        InputError: the map has no origin.
-    """
-    if asked and place.origin is None:
-        raise InputError(
-            f"{asked[0]} cannot be written, for the map has no position on earth: give a flight "
-            "its origin.json (lat, lon, alt)"
-        )
-
-
-def geography_of(
-    place: Place,
-    also: Sequence[Path],
-    undulation_m: float | None,
-    projection: Projection | None,
-) -> Geography:
-    """Return what places are said in beside WGS84.
-
-    Raises:
-        InputError: the map has no position on earth and something was asked that needs one, or the
-            system does not reach there.
-    """
-    require_origin(place, [*also, *([] if projection is None else [projection.name])])
-    if place.origin is None:
-        return Geography(undulation_m)
-    if projection is not None and not projection.reaches(place.origin):
-        raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
-    if projection is not None and (doubt := projection.doubt_at(place.origin)):
-        log.warning("%s", doubt)
-    if undulation_m is None:
-        undulation_m = geoid_undulation(place.origin)
-    return Geography(undulation_m, projection, place.georeference)
-
-
-def on_earth(estimate: Estimate, place: Place) -> Geodetic | None:
-    """Return the camera's position on earth; None without a pose or an origin."""
-    if estimate.cam_from_world is None or place.origin is None:
-        return None
-    return geodetic_from_enu(estimate.cam_from_world.centre().numpy(), place.origin)
+def _digest(*words: object) -> str:
+    return hashlib.sha256("\n".join(map(str, words)).encode("utf-8", "surrogatepass")).hexdigest()

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from objconnect.localization.pipeline.fixes import Fix
+from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.geometry.pose import quaternion_from_rotation
 from objconnect.scene.runtime.extras import import_extra
 
@@ -34,17 +34,17 @@ def dialect() -> ModuleType:
     return import_extra("pymavlink.dialects.v20.common", "robot", "a telemetry log (.tlog)")
 
 
-def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -> bytes:
+def telemetry_log(poses: Sequence[StampedPose], undulation_m: float | None, mark: str) -> bytes:
     """Return a telemetry log: every message behind its time, 8 bytes of microseconds.
 
-    Each fix is a GLOBAL_POSITION_SENSOR, which PX4 takes as auxiliary global position, and an
+    Each pose is a GLOBAL_POSITION_SENSOR, which PX4 takes as auxiliary global position, and an
     ODOMETRY, the local position from the map's origin in MAV_FRAME_LOCAL_NED. Its attitude is that
     of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle, and
     its covariance is about the axes of the local frame and within the map. ``eph`` and ``epv`` are
     those on earth, and NaN where the map's place on earth is not known as exactly as that.
 
     Args:
-        fixes: sorted by time.
+        poses: sorted by time.
         undulation_m: height of the geoid above the ellipsoid; altitudes above sea level are NaN,
             which MAVLink has for unknown values, without it.
         mark: text that says which program made the log.
@@ -54,12 +54,12 @@ def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -
     """
     common = dialect()
     link = common.MAVLink(None, _VEHICLE, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
-    first = fixes[0].microseconds if fixes else 0
+    first = poses[0].microseconds if poses else 0
     text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())
     messages = [(first, text)]
-    for fix in fixes:
-        messages.append((fix.microseconds, _global_position(common, fix, undulation_m)))
-        messages.append((fix.microseconds, _odometry(common, fix)))
+    for stamped in poses:
+        messages.append((stamped.microseconds, _global_position(common, stamped, undulation_m)))
+        messages.append((stamped.microseconds, _odometry(common, stamped)))
     log = bytearray()
     for number, (microseconds, message) in enumerate(messages):
         link.seq = number % 256
@@ -67,35 +67,37 @@ def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -
     return bytes(log)
 
 
-def _global_position(common: ModuleType, fix: Fix, undulation_m: float | None) -> object:
-    eph_m, epv_m = fix.accuracy.eph_m, fix.accuracy.epv_m
+def _global_position(
+    common: ModuleType, stamped: StampedPose, undulation_m: float | None
+) -> object:
+    eph_m, epv_m = stamped.accuracy.eph_m, stamped.accuracy.epv_m
     return common.MAVLink_global_position_sensor_message(
         target_system=0,  # everyone
         target_component=0,
         id=0,
-        time_usec=fix.microseconds,
+        time_usec=stamped.microseconds,
         processing_time=0,
         source=common.GLOBAL_POSITION_SRC_VISION,
         flags=0,
-        lat=round(fix.place.latitude * 1e7),
-        lon=round(fix.place.longitude * 1e7),
-        alt_ellipsoid=fix.place.altitude,
-        alt=math.nan if undulation_m is None else fix.place.altitude - undulation_m,
+        lat=round(stamped.place.latitude * 1e7),
+        lon=round(stamped.place.longitude * 1e7),
+        alt_ellipsoid=stamped.place.altitude,
+        alt=math.nan if undulation_m is None else stamped.place.altitude - undulation_m,
         eph=math.nan if eph_m is None else eph_m,
         epv=math.nan if epv_m is None else epv_m,
     )
 
 
-def _odometry(common: ModuleType, fix: Fix) -> object:
-    ned_from_frd = _NED_FROM_ENU @ fix.world_from_cam @ _CAM_FROM_FRD
-    x, y, z = (_NED_FROM_ENU @ fix.centre).tolist()
+def _odometry(common: ModuleType, stamped: StampedPose) -> object:
+    ned_from_frd = _NED_FROM_ENU @ stamped.world_from_cam @ _CAM_FROM_FRD
+    x, y, z = (_NED_FROM_ENU @ stamped.centre).tolist()
     upper = np.full(21, math.nan)
-    if fix.covariance is not None:
+    if stamped.covariance is not None:
         turn = np.kron(np.eye(2), _NED_FROM_ENU)
-        upper = (turn @ fix.covariance @ turn.T)[np.triu_indices(6)]
+        upper = (turn @ stamped.covariance @ turn.T)[np.triu_indices(6)]
     unknown = math.nan
     return common.MAVLink_odometry_message(
-        time_usec=fix.microseconds,
+        time_usec=stamped.microseconds,
         frame_id=common.MAV_FRAME_LOCAL_NED,
         child_frame_id=common.MAV_FRAME_BODY_FRD,
         x=x,

@@ -1,4 +1,4 @@
-"""Photographs that ``localize`` reads, as queries with their camera and their prior."""
+"""Photographs as queries, with their camera and their prior."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import logging
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objconnect.ingestion.attitude import gimbal_pose
 from objconnect.localization.pipeline.cameras import (
@@ -20,15 +18,14 @@ from objconnect.localization.pipeline.cameras import (
     calibration_of,
     estimate_camera,
 )
-from objconnect.scene.bundle.georeference import Georeference
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.place import Place
+from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
-from objconnect.scene.flights.priors import Assumed, MapFrame
-from objconnect.scene.flights.textfiles import read_priors, require_same_case
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Estimate, Prior, Query
-from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.quantities.coordinate_order import REACH_M
 from objconnect.scene.quantities.doubts import said_of
 from objconnect.scene.runtime.progress import progress_bar
@@ -47,66 +44,13 @@ Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
 
 
 @dataclass(frozen=True)
-class Place:
-    """A map, its photographs, and its place on earth.
-
-    Attributes:
-        sparse_map: the map.
-        images: folder of its photographs.
-        origin: position of its origin on earth; None if unknown.
-        georeference: how exactly that position is known; None if unknown.
-    """
-
-    sparse_map: SparseMap
-    images: Path
-    origin: Geodetic | None
-    georeference: Georeference | None = None
-
-    @cached_property
-    def cameras(self) -> frozenset[Camera]:
-        """Return the cameras of the map's photographs."""
-        return frozenset(image.camera for image in self.sparse_map.images.values())
-
-    def located(
-        self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a place on earth in the map's world, (3,) metres, and its standard deviations.
-
-        Where the altitude is unknown, the height is that of the map's cameras, and its sigma is
-        infinite.
-        """
-        if not np.isnan(place.altitude):
-            return enu_from_geodetic(place, origin), sigma
-        position = enu_from_geodetic(place._replace(altitude=origin.altitude), origin)
-        position[2] = np.median(self.sparse_map.centres[:, 2])
-        return position, np.array([*sigma[:2], np.inf])
-
-
-@dataclass(frozen=True)
-class QueryPhotograph:
-    """A photograph to localize.
-
-    Attributes:
-        query: the query, with ``calibration.camera``.
-        calibration: its camera, or cameras to try.
-        exif: what it says of itself.
-    """
-
-    query: Query
-    calibration: Calibration
-    exif: Exif
-
-
-@dataclass(frozen=True)
 class PhotographReader:
     """Reads photographs as queries, with their camera and their prior.
 
     Attributes:
         place: map to localize in.
-        camera: camera of all photographs; None for that of each one.
+        options: the camera of all photographs, and standard deviations.
         priors: priors by name; None takes them from EXIF and XMP.
-        gps_sigma_m: standard deviation of positions in EXIF per axis, metres.
-        gimbal_sigma_deg: standard deviation of attitudes in XMP per axis, degrees.
         undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
             are above sea level; None where it is not known.
         estimated: cameras of lenses of which nothing else says what they are.
@@ -114,28 +58,30 @@ class PhotographReader:
     """
 
     place: Place
-    camera: Camera | None
-    priors: Mapping[str, Prior] | None
-    gps_sigma_m: float
-    gimbal_sigma_deg: float
+    options: LocalizeOptions
+    priors: Mapping[str, Prior] | None = None
     undulation_m: float | None = None
     estimated: Mapping[Lens, Camera] = field(default_factory=dict)
     said: dict[Path, Exif] = field(default_factory=dict)
 
-    def __call__(self, name: str, path: Path) -> Query:
-        """Read a photograph as a query; see ``read``."""
-        return self.read(name, path).query
-
-    def read(self, name: str, path: Path) -> QueryPhotograph:
+    def __call__(self, name: str, path: Path) -> QueryImage:
         """Read a photograph.
 
         Raises:
             InputError: it cannot be read, or is not of the size of the camera of all photographs.
         """
-        image, exif = read_rgb(path, self.camera), self.exif(path)
-        calibration = self.calibration(exif, (image.shape[1], image.shape[0]))
-        prior = self._prior(exif) if self.priors is None else self.priors.get(name)
-        return QueryPhotograph(Query(name, image, calibration.camera, prior), calibration, exif)
+        pixels, exif = read_rgb(path, self.options.camera), self.exif(path)
+        calibration = self.calibration(exif, (pixels.shape[1], pixels.shape[0]))
+        measured = self._measured(exif)
+        prior = measured if self.priors is None else self.priors.get(name)
+        return QueryImage(
+            name,
+            Query(name, pixels, calibration.camera, prior),
+            calibration,
+            exif.time,
+            gps=measured,
+            doubts=self.doubts(exif),
+        )
 
     def exif(self, path: Path) -> Exif:
         """Return what a photograph says of itself; it is read once.
@@ -149,8 +95,8 @@ class PhotographReader:
 
     def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:
         """Return the camera of a photograph, or the cameras to try."""
-        if self.camera is not None:
-            return Calibration(self.camera, CameraSource.GIVEN)
+        if self.options.camera is not None:
+            return Calibration(self.options.camera, CameraSource.GIVEN)
         if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
             return Calibration(estimate, CameraSource.ESTIMATED)
         return calibration_of(size, exif, self.place.cameras)
@@ -163,7 +109,7 @@ class PhotographReader:
         place: tuple[str, ...] = ()
         if self.priors is None and self.place.origin is not None:
             place = (*exif.place_doubts, *self._far(exif, self.place.origin))
-        lens = exif.lens_doubts if self.camera is None else ()
+        lens = exif.lens_doubts if self.options.camera is None else ()
         return (*place, *lens, *exif.other_doubts)
 
     def _far(self, exif: Exif, origin: Geodetic) -> list[str]:
@@ -173,38 +119,22 @@ class PhotographReader:
         apart = float(np.linalg.norm(enu_from_geodetic(there, origin)))
         return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
 
-    def gps(self, exif: Exif) -> Prior | None:
-        """Return the position that the receiver of a photograph measured, in the map's frame.
+    def _measured(self, exif: Exif) -> Prior | None:
+        """Return the position in EXIF, with what XMP knows of its sigma and of the attitude.
 
-        None without one, or where the map has no position on earth.
+        None without a position, or where the map has none on earth.
         """
-        return self._prior(exif)
-
-    def without_gimbal(self, query: Query) -> Query | None:
-        """Return the query without the attitude of its gimbal; None where it has none.
-
-        The attitude is wrong for a picture that was rotated after it was taken.
-        """
-        prior = query.prior
-        if prior is None or prior.cam_from_world_rotation is None or self.priors is not None:
-            return None
-        return replace(
-            query, prior=replace(prior, cam_from_world_rotation=None, attitude_sigma_deg=None)
-        )
-
-    def _prior(self, exif: Exif) -> Prior | None:
-        """Return the position in EXIF, with what XMP knows of its sigma and of the attitude."""
         origin = self.place.origin
         if exif.position is None or origin is None:
             return None
-        sigma = np.array(exif.xmp.rtk_sigma or (self.gps_sigma_m,) * 3)
+        sigma = np.array(exif.xmp.rtk_sigma or (self.options.gps_sigma_m,) * 3)
         prior = Prior(*self.place.located(exif.position, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(
             prior,
             cam_from_world_rotation=gimbal_pose(*exif.gimbal).rotation.numpy(),
-            attitude_sigma_deg=self.gimbal_sigma_deg,
+            attitude_sigma_deg=self.options.gimbal_sigma_deg,
         )
 
 
@@ -262,7 +192,8 @@ def _read(
     for done, (name, path) in enumerate(paths.items()):
         advance(done)
         with suppress(InputError, OSError):
-            yield reader(name, path)
+            if (query := reader(name, path).query) is not None:
+                yield query
 
 
 def warn_of_doubts(reader: PhotographReader) -> None:
@@ -285,42 +216,3 @@ def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
             len(speeds),
             max(filter(None, speeds)),
         )
-
-
-def priors_of(
-    path: Path | None,
-    photographs: Mapping[str, Path],
-    place: Place,
-    gps_sigma_m: float,
-    gimbal_sigma_deg: float,
-) -> dict[str, Prior] | None:
-    """Read the priors of a table; None without a table.
-
-    Args:
-        path: the table.
-        photographs: photographs by name.
-        place: the map, in whose frame priors are.
-        gps_sigma_m: standard deviation of positions where the table states none, metres.
-        gimbal_sigma_deg: standard deviation of attitudes where the table states none, degrees.
-
-    Raises:
-        InputError: the table cannot be read, has none of the photographs, or has positions on
-            earth where the map has none.
-    """
-    if path is None:
-        return None
-    stated = read_priors(path)
-    require_same_case(path, stated.rows, photographs)
-    without = [name for name in photographs if name not in stated.rows]
-    if len(without) == len(photographs):
-        raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
-    if without:
-        log.warning("%s lacks %d of %d photographs", path, len(without), len(photographs))
-    frame = MapFrame.of(place.sparse_map, place.origin)
-    assumed = Assumed(
-        np.full(3, gps_sigma_m),
-        gimbal_sigma_deg,
-        f"--gps-sigma {gps_sigma_m:g} (metres) stands for it",
-        f"--gimbal-sigma {gimbal_sigma_deg:g} (degrees) stands for it",
-    )
-    return stated.priors(frame, photographs, assumed)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from objconnect.localization.pipeline.fixes import Fix
+from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.geometry.pose import quaternion_from_rotation
 from objconnect.scene.runtime.extras import import_extra
 
@@ -36,10 +36,10 @@ def library() -> tuple[ModuleType, ModuleType]:
     return bags, import_extra("rosbags.typesys", "robot", purpose)
 
 
-def bag(fixes: Sequence[Fix], mark: str) -> bytes:
+def bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
-    Each fix is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid and whose
+    Each pose is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid and whose
     covariance is that on earth, of type unknown where the map's place on earth is not known so
     exactly. Where the covariance within the map is known, it is a
     ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``, too: metres east, north and up
@@ -47,7 +47,7 @@ def bag(fixes: Sequence[Fix], mark: str) -> bytes:
     up), with rotations about the fixed axes of the map.
 
     Args:
-        fixes: sorted by time.
+        poses: sorted by time.
         mark: text that says which program made the bag.
 
     Raises:
@@ -58,12 +58,12 @@ def bag(fixes: Sequence[Fix], mark: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
         with bags.Writer(path, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
-            _write(writer, store, fixes, mark)
+            _write(writer, store, poses, mark)
         (file,) = path.glob("*.mcap")
         return file.read_bytes()
 
 
-def _write(writer: Any, store: Any, fixes: Sequence[Fix], mark: str) -> None:
+def _write(writer: Any, store: Any, poses: Sequence[StampedPose], mark: str) -> None:
     def topic(name: str, kind: str) -> Any:
         return writer.add_connection(f"{_TOPIC}/{name}", kind, typestore=store)
 
@@ -73,32 +73,32 @@ def _write(writer: Any, store: Any, fixes: Sequence[Fix], mark: str) -> None:
 
     # It comes first, so that the beginning of the file tells whose it is.
     text = store.types["std_msgs/msg/String"](data=mark)
-    put(topic("made_by", "std_msgs/msg/String"), fixes[0].microseconds if fixes else 0, text)
+    put(topic("made_by", "std_msgs/msg/String"), poses[0].microseconds if poses else 0, text)
     position = topic("fix", "sensor_msgs/msg/NavSatFix")
     pose = topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
-    for fix in fixes:
-        put(position, fix.microseconds, _position(store.types, fix))
+    for stamped in poses:
+        put(position, stamped.microseconds, _position(store.types, stamped))
         # A filter would take a covariance of zeros for certainty.
-        if fix.covariance is not None:
-            put(pose, fix.microseconds, _pose(store.types, fix))
+        if stamped.covariance is not None:
+            put(pose, stamped.microseconds, _pose(store.types, stamped))
 
 
-def _header(types: Any, fix: Fix, frame: str) -> Any:
-    seconds, rest = divmod(fix.microseconds, 1_000_000)
+def _header(types: Any, stamped: StampedPose, frame: str) -> Any:
+    seconds, rest = divmod(stamped.microseconds, 1_000_000)
     time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 1000)
     return types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
-def _position(types: Any, fix: Fix) -> Any:
+def _position(types: Any, stamped: StampedPose) -> Any:
     kind = types["sensor_msgs/msg/NavSatFix"]
     status = types["sensor_msgs/msg/NavSatStatus"]
-    covariance = fix.accuracy.covariance
+    covariance = stamped.accuracy.covariance
     return kind(
-        header=_header(types, fix, _CAMERA),
+        header=_header(types, stamped, _CAMERA),
         status=status(status=status.STATUS_FIX, service=0),  # no satellites
-        latitude=fix.place.latitude,
-        longitude=fix.place.longitude,
-        altitude=fix.place.altitude,
+        latitude=stamped.place.latitude,
+        longitude=stamped.place.longitude,
+        altitude=stamped.place.altitude,
         position_covariance=np.zeros(9) if covariance is None else covariance.ravel(),
         position_covariance_type=kind.COVARIANCE_TYPE_UNKNOWN
         if covariance is None
@@ -106,17 +106,17 @@ def _position(types: Any, fix: Fix) -> Any:
     )
 
 
-def _pose(types: Any, fix: Fix) -> Any:
-    assert fix.covariance is not None
-    x, y, z = fix.centre.tolist()
-    turned = torch.from_numpy(fix.world_from_cam @ _CAM_FROM_BODY)
+def _pose(types: Any, stamped: StampedPose) -> Any:
+    assert stamped.covariance is not None
+    x, y, z = stamped.centre.tolist()
+    turned = torch.from_numpy(stamped.world_from_cam @ _CAM_FROM_BODY)
     qw, qx, qy, qz = quaternion_from_rotation(turned).tolist()
     pose = types["geometry_msgs/msg/Pose"](
         position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
         orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
     )
-    covariance = np.ascontiguousarray(fix.covariance).ravel()
+    covariance = np.ascontiguousarray(stamped.covariance).ravel()
     return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header=_header(types, fix, _MAP),
+        header=_header(types, stamped, _MAP),
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance),
     )

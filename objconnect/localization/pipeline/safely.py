@@ -1,12 +1,13 @@
-"""A query is localized whatever the method does: its exceptions are failures."""
+"""Asking a method: its exceptions are failures, and a failure may be tried again."""
 
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 from objconnect.scene.errors import InputError, PreparationError
 from objconnect.scene.geometry.geodesy import FARTHEST_M
-from objconnect.scene.localizer import Estimate, Localizer, Query, Status
+from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
 from objconnect.scene.runtime.progress import one_step
 
 log = logging.getLogger(__name__)
@@ -41,3 +42,17 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
     if bool((matrix.abs() > FARTHEST_M).any()):
         return Estimate(Status.FAILED, reason=f"the pose is more than {FARTHEST_M:g} m away")
     return estimate
+
+
+def localize_retrying(localizer: Localizer, query: Query) -> Estimate:
+    """Localize a query; where it is not found, once more without its attitude, which may be wrong.
+
+    A picture may have been rotated after it was taken. Arguments and errors are those of
+    ``localize_safely``.
+    """
+    estimate, prior = localize_safely(localizer, query), query.prior
+    if estimate.status is Status.OK or prior is None or prior.cam_from_world_rotation is None:
+        return estimate
+    position = Prior(prior.position, prior.position_sigma) if prior.has_position else None
+    second = localize_safely(localizer, replace(query, prior=position))
+    return second if second.status is Status.OK else estimate

@@ -8,13 +8,14 @@ search from what else is known, and after some failures the camera counts as los
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from objconnect.localization.pipeline.motion import Array, Motion, MotionOptions
-from objconnect.localization.pipeline.safely import localize_safely
-from objconnect.scene.config import Config
+from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
+from objconnect.scene.config import Config, load_config
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
 
 # A position that claims to be more exact than this, metres, counts as this exact.
@@ -60,6 +61,23 @@ class SequenceConfig(Config):
     unknown_sigma_deg: float = Field(
         2.0, gt=0, description="Sigma per axis of an attitude that states no covariance."
     )
+
+
+class _Settings(Config):
+    sequence: SequenceConfig = SequenceConfig()
+
+
+def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
+    """Take the settings of a sequence, ``sequence.KEY``, out of others.
+
+    Args:
+        settings: values by key; those of the sequence are removed.
+
+    Raises:
+        InputError: a key of the sequence is unknown or its value is bad.
+    """
+    own = [key for key in settings if key.partition(".")[0] == "sequence"]
+    return load_config(_Settings, None, {key: settings.pop(key) for key in own}).sequence
 
 
 class Tracker:
@@ -137,18 +155,9 @@ class Tracker:
         return self._agrees(estimate, moving) and self._fits(estimate, prior)
 
     def _search(self, query: Query) -> Estimate:
-        """Localize an image from what is known without the motion.
-
-        Where that fails, it is tried again without the attitude, which may be wrong.
-        """
+        """Localize an image from what is known without the motion."""
         self.searched += 1
-        estimate = localize_safely(self._localizer, query)
-        prior = query.prior
-        if estimate.status is Status.OK or prior is None or prior.cam_from_world_rotation is None:
-            return estimate
-        position = Prior(prior.position, prior.position_sigma) if prior.has_position else None
-        second = localize_safely(self._localizer, replace(query, prior=position))
-        return second if second.status is Status.OK else estimate
+        return localize_retrying(self._localizer, query)
 
     def _agrees(self, estimate: Estimate, moving: Motion) -> bool:
         """Return whether an answer is a pose that the motion predicts."""

@@ -24,7 +24,7 @@ from objconnect.ingestion.photographs import read_flight
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.loop import _claim as claim_run
 from objconnect.localization.matching.structure import StructureConfig
-from objconnect.localization.pipeline.localize import open_place
+from objconnect.localization.pipeline.place import open_place
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
 from objconnect.scene.flights.textfiles import (

@@ -13,7 +13,9 @@ from PIL import Image
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
-from objconnect.localization.pipeline.localize import localize, open_place
+from objconnect.localization.pipeline.localize import localize
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.place import open_place
 from objconnect.localization.pipeline.safely import localize_safely
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
@@ -154,7 +156,8 @@ def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Pat
     Image.fromarray(told_nothing(hamlet).image).save(folder / "a.jpg", quality=95)
     cache, out = tmp_path / "cache", tmp_path / "poses.txt"
     method = create("objconnect", OPTIONS)
-    (located,) = localize(open_place(rendered.path), folder, method, out, cache=cache)
+    options = LocalizeOptions(cache=cache)
+    (located,) = localize(open_place(rendered.path), folder, method, out, options)
     assert located.found and located.estimate.by is By.MATCHES
     assert kept(cache) == {"sift-points"}
     (row,) = csv.DictReader(out.with_suffix(".csv").open())

@@ -17,8 +17,7 @@ from objconnect.localization.pipeline.footage import (
     Timing,
     cameras_of_frames,
 )
-from objconnect.localization.pipeline.localize import open_place
-from objconnect.localization.pipeline.photographs import Place
+from objconnect.localization.pipeline.place import Place, open_place
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.storage.video import Video, VideoFrame

@@ -142,23 +142,23 @@ def test_both_accuracies_in_ros(tmp_path: Path) -> None:
     assert covariance is not None
     placed = Georeference(horizontal_m=5, vertical_m=2, source="gps")
     (tmp_path / "a").mkdir()
-    fixes = {}
+    poses = {}
     for name, georeference in (("a", placed), ("b", None)):
         (tmp_path / name).mkdir(exist_ok=True)
         (path,) = written(tmp_path / name, Geography(georeference=georeference), "mcap")
         with highlevel.AnyReader([path]) as reader:
             for connection, _, data in reader.messages():
                 message = reader.deserialize(data, connection.msgtype)
-                fixes[f"{name}{connection.topic}"] = message  # the last one has a covariance
-    fix = fixes["a/objconnect/fix"]
-    assert fix.position_covariance_type == fix.COVARIANCE_TYPE_KNOWN
+                poses[f"{name}{connection.topic}"] = message  # the last one has a covariance
+    stamped = poses["a/objconnect/fix"]
+    assert stamped.position_covariance_type == stamped.COVARIANCE_TYPE_KNOWN
     on_earth = covariance[:3, :3] + np.diag([12.5, 12.5, 4])
-    np.testing.assert_allclose(fix.position_covariance.reshape(3, 3), on_earth)
-    fix = fixes["b/objconnect/fix"]
-    assert fix.position_covariance_type == fix.COVARIANCE_TYPE_UNKNOWN
-    assert not fix.position_covariance.any()
+    np.testing.assert_allclose(stamped.position_covariance.reshape(3, 3), on_earth)
+    stamped = poses["b/objconnect/fix"]
+    assert stamped.position_covariance_type == stamped.COVARIANCE_TYPE_UNKNOWN
+    assert not stamped.position_covariance.any()
     for name in "ab":
-        within = fixes[f"{name}/objconnect/pose"].pose.covariance.reshape(6, 6)
+        within = poses[f"{name}/objconnect/pose"].pose.covariance.reshape(6, 6)
         np.testing.assert_allclose(within, covariance)
 
 
@@ -177,20 +177,20 @@ def test_ros(tmp_path: Path) -> None:
             message = reader.deserialize(data, connection.msgtype)
             read.setdefault(connection.topic, []).append((time, message))
     assert read["/objconnect/made_by"][0][1].data == "poses by objconnect localize"
-    (_, before), (time, fix) = read["/objconnect/fix"]
+    (_, before), (time, stamped) = read["/objconnect/fix"]
     assert (
         time
-        == fix.header.stamp.sec * 10**9 + fix.header.stamp.nanosec
+        == stamped.header.stamp.sec * 10**9 + stamped.header.stamp.nanosec
         == round(SECONDS * 1e3) * 10**6
     )
-    assert (fix.latitude, fix.longitude, fix.altitude) == PLACE, "above the ellipsoid"
+    assert (stamped.latitude, stamped.longitude, stamped.altitude) == PLACE, "above the ellipsoid"
     covariance = located()[0].covariance
     assert covariance is not None
-    assert fix.position_covariance_type == fix.COVARIANCE_TYPE_KNOWN
-    np.testing.assert_allclose(fix.position_covariance.reshape(3, 3), covariance[:3, :3])
+    assert stamped.position_covariance_type == stamped.COVARIANCE_TYPE_KNOWN
+    np.testing.assert_allclose(stamped.position_covariance.reshape(3, 3), covariance[:3, :3])
     assert before.position_covariance_type == before.COVARIANCE_TYPE_UNKNOWN
     ((_, pose),) = read["/objconnect/pose"]  # zeros would be certainty
-    assert (pose.header.frame_id, pose.header.stamp) == ("map", fix.header.stamp)
+    assert (pose.header.frame_id, pose.header.stamp) == ("map", stamped.header.stamp)
     at, turned = pose.pose.pose.position, pose.pose.pose.orientation
     np.testing.assert_allclose([at.x, at.y, at.z], [10, 20, 30], atol=1e-9)
     # REP 103: yaw is from east counter-clockwise, and a nose that points down has positive pitch.
@@ -217,8 +217,8 @@ def test_heights_differ_by_the_undulation_in_every_format(tmp_path: Path) -> Non
     point = next(ElementTree.parse(kml).getroot().iter("{http://www.opengis.net/kml/2.2}Point"))
     sensor = messages(tlog)[3]
     with highlevel.AnyReader([mcap]) as reader:
-        fixes = [c for c in reader.connections if c.topic == "/objconnect/fix"]
-        ros = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(fixes)][1]
+        poses = [c for c in reader.connections if c.topic == "/objconnect/fix"]
+        ros = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(poses)][1]
     ellipsoidal = [
         float(row["altitude"]),
         float(row["h"]),

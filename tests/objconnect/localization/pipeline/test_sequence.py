@@ -15,8 +15,9 @@ from typer.testing import CliRunner, Result
 import objconnect.methods
 from benchmark.cli import app
 from objconnect.ingestion.telemetry import Telemetry
-from objconnect.localization.pipeline.localize import open_place
-from objconnect.localization.pipeline.shots import TelemetryReader
+from objconnect.localization.pipeline.frames import TelemetryReader
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.place import open_place
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.exports.export import export
 from objconnect.scene.flights.textfiles import read_poses
@@ -279,17 +280,17 @@ def test_the_camera_of_a_video(scene: Path, method: FakeLocalizer, tmp_path: Pat
 
 
 def test_priors_of_telemetry(scene: Path) -> None:
-    place = open_place(scene)
+    place, options = open_place(scene), LocalizeOptions(gps_sigma_m=2.0)
     assert place.origin is not None
     fix = geodetic_from_enu(np.array([12.0, -7.0, 60.0]), place.origin)
     said = Telemetry(0, 1, (fix.latitude, fix.longitude), abs_alt=fix.altitude - 48)
-    known = TelemetryReader(place, 2.0, 5.0, undulation_m=48.0)(said)
+    known = TelemetryReader(place, options, undulation_m=48.0)(said)
     assert known is not None and known.position_sigma is not None
     np.testing.assert_allclose(known.position, [12, -7, 60], atol=1e-6)
     assert known.position_sigma.tolist() == [2, 2, 2]
 
     # Without the geoid the altitude is not known: the map's cameras have one to begin with.
-    reader = TelemetryReader(place, 2.0, 5.0, undulation_m=None)
+    reader = TelemetryReader(place, options, undulation_m=None)
     level = reader(said)
     assert level is not None and level.position_sigma is not None
     np.testing.assert_allclose(level.position[:2], [12, -7], atol=0.01)

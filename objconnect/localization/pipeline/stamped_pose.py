@@ -1,4 +1,4 @@
-"""Answers in the terms of autopilots and robots: a time, a place and a pose with covariance."""
+"""A pose with its time, its place on earth and its covariance, as autopilots and robots take it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 
 
 @dataclass(frozen=True)
-class Fix:
+class StampedPose:
     """A camera that was localized, at its time.
 
     Attributes:

@@ -1,0 +1,192 @@
+"""The frames of a video as queries, with the priors of its telemetry."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.ingestion.telemetry import Telemetry
+from objconnect.localization.pipeline.footage import (
+    Footage,
+    FrameCameras,
+    Timing,
+    cameras_of_frames,
+)
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.place import Place
+from objconnect.localization.pipeline.query_image import QueryImage
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from objconnect.scene.geometry.gimbal import gimbal_pose
+from objconnect.scene.localizer import Estimate, Prior, Query
+from objconnect.scene.quantities.coordinate_order import REACH_M
+from objconnect.scene.storage.video import decode_frames, frame_name
+
+log = logging.getLogger(__name__)
+
+RATE_HZ: Final = 2.0
+"""Frames a second of a video that are localized where nothing else is asked for."""
+
+
+@dataclass(frozen=True)
+class TelemetryReader:
+    """Turns telemetry into priors of a map.
+
+    Attributes:
+        place: the map.
+        options: standard deviations of positions and attitudes.
+        undulation_m: height of the geoid above the ellipsoid; None leaves altitudes unknown.
+    """
+
+    place: Place
+    options: LocalizeOptions
+    undulation_m: float | None
+
+    def __call__(self, said: Telemetry | None) -> Prior | None:
+        """Return what telemetry says in the map's frame; None where it says neither position nor
+        attitude, or the position is not near the map."""
+        if said is None:
+            return None
+        prior = self._position(said)
+        if said.gimbal is None:
+            return prior
+        if prior is None:
+            prior = Prior(self._middle(), np.full(3, np.inf))
+        return replace(
+            prior,
+            cam_from_world_rotation=gimbal_pose(*said.gimbal).rotation.numpy(),
+            attitude_sigma_deg=self.options.gimbal_sigma_deg,
+        )
+
+    def _position(self, said: Telemetry) -> Prior | None:
+        origin = self.place.origin
+        if said.place is None or origin is None:
+            return None
+        sigma = np.full(3, self.options.gps_sigma_m)
+        if said.abs_alt is not None and self.undulation_m is not None:
+            altitude = said.abs_alt + self.undulation_m
+            position = enu_from_geodetic(Geodetic(*said.place, altitude), origin)
+        else:
+            # The height of the map's cameras stands where the altitude is unknown.
+            position = enu_from_geodetic(Geodetic(*said.place, origin.altitude), origin)
+            position[2], sigma[2] = self._middle()[2], np.inf
+        if np.hypot(*position[:2]) > REACH_M:
+            return None
+        return Prior(position, sigma)
+
+    def _middle(self) -> NDArray[np.float64]:
+        """Return the middle of the map's cameras, (3,) metres."""
+        images = self.place.sparse_map.images.values()
+        return np.asarray(np.median([image.pose.centre().numpy() for image in images], axis=0))
+
+
+@dataclass(frozen=True)
+class VideoFrames:
+    """The frames of a video at a rate. Implements ``query_image.ImageSource``.
+
+    Attributes:
+        footage: the video with its telemetry.
+        cameras: of the frames.
+        telemetry: makes priors of it.
+    """
+
+    footage: Footage
+    cameras: FrameCameras
+    telemetry: TelemetryReader
+
+    @staticmethod
+    def open(
+        video: Path, place: Place, options: LocalizeOptions, undulation_m: float | None
+    ) -> VideoFrames:
+        """Read what a video and its subtitles say.
+
+        Args:
+            video: MP4 or another file that FFmpeg reads.
+            place: map to localize in.
+            options: what is known of the video.
+            undulation_m: height of the geoid above the ellipsoid; None where it is not known.
+
+        Raises:
+            InputError: video or subtitles cannot be read, or nothing tells the camera.
+        """
+        footage = Footage.open(video, options.srt, options.rate_hz or RATE_HZ, place)
+        telemetry = TelemetryReader(place, options, undulation_m)
+        warn_of_far_telemetry(footage, telemetry)
+        return VideoFrames(footage, cameras_of_frames(footage, options.camera, place), telemetry)
+
+    @property
+    def count(self) -> int:
+        """Return about how many frames are localized."""
+        return self.footage.count
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """See ``ImageSource``."""
+        video, srt = self.footage.path.name, self.footage.srt
+        srt_name = None if srt is None else srt.name
+        return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}
+
+    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
+        """Yield the frames, with the priors of their telemetry."""
+        footage = self.footage
+        clock, timing = _clock(footage), Timing.of(footage.flight, footage.video)
+        for frame in decode_frames(footage.path, footage.rate_hz):
+            said = timing.said(footage.flight, frame)
+            calibration, gps = self.cameras.of(said), self.telemetry(said)
+            image = QueryImage(
+                frame_name(footage.path.stem, frame.index),
+                calibration=calibration,
+                time=None if clock is None else clock + timedelta(seconds=frame.seconds),
+                seconds=frame.seconds,
+                doubts=_doubts(footage, said, self.cameras, self.telemetry),
+            )
+            if calibration is None:
+                reason = f"{footage.srt} does not tell the focal length or zoom: give --camera"
+                yield replace(image, reason=reason)
+                continue
+            query = Query(image.name, frame.image, calibration.camera, gps)
+            yield replace(image, query=query, gps=gps)
+
+    def warn(self) -> None:
+        """Do nothing: what telemetry says is checked when it is opened."""
+
+
+def _doubts(
+    footage: Footage, said: Telemetry | None, cameras: FrameCameras, telemetry: TelemetryReader
+) -> tuple[str, ...]:
+    """Return what telemetry does not say of a frame for sure, of what is taken from it."""
+    if said is None:
+        return ("the subtitles say nothing of this frame",) if footage.flight else ()
+    doubts = [] if cameras.is_given else [*said.lens_doubts]
+    if telemetry.place.origin is not None:
+        doubts = [*said.place_doubts, *doubts]
+        if said.place is not None and telemetry(replace(said, gimbal=None)) is None:
+            doubts.append(f"its position is more than {REACH_M / 1000:.0f} km from the map")
+    return tuple(doubts)
+
+
+def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
+    """Warn where no position of the telemetry lies near the map."""
+    fixes = [said for said in footage.flight if said.place is not None]
+    if fixes and telemetry.place.origin is not None and telemetry(fixes[0]) is None:
+        places = [replace(said, gimbal=None) for said in fixes]
+        if all(telemetry(said) is None for said in places):
+            log.warning(
+                "%s has positions, and none within %.0f km of the map: they are not used",
+                footage.srt,
+                REACH_M / 1000,
+            )
+
+
+def _clock(footage: Footage) -> datetime | None:
+    """Return the drone's clock at the start of a video, from its subtitles, else from the file."""
+    for said in footage.flight:
+        if said.time is not None:
+            return said.time - timedelta(seconds=said.start_s)
+    return footage.video.created

@@ -1,0 +1,206 @@
+"""A folder of photographs: each by itself, or in the order in which they were taken."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objconnect.localization.pipeline.options import LocalizeOptions
+from objconnect.localization.pipeline.photographs import (
+    PhotographReader,
+    warn_of_doubts,
+    warn_of_rolling_shutter,
+    with_estimates,
+)
+from objconnect.localization.pipeline.place import Place
+from objconnect.localization.pipeline.query_image import QueryImage
+from objconnect.scene.errors import InputError
+from objconnect.scene.flights.priors import Assumed, MapFrame
+from objconnect.scene.flights.textfiles import read_priors, require_same_case
+from objconnect.scene.localizer import Estimate, Prior, Query
+from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
+
+log = logging.getLogger(__name__)
+
+
+def photographs_in(folder: Path) -> dict[str, Path]:
+    """Return the photographs of a folder by name, in the order of their names.
+
+    Raises:
+        InputError: the folder does not exist or holds no photograph.
+    """
+    if not folder.is_dir():
+        wrong = "is not a folder" if folder.exists() else "does not exist"
+        raise InputError(f"folder of photographs {folder} {wrong}")
+    paths = list_files(folder, PHOTOGRAPHS)
+    if not paths:
+        raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
+    return {path.name: path for path in paths}
+
+
+@dataclass(frozen=True)
+class PhotographFolder:
+    """The photographs of a folder. Implements ``query_image.ImageSource``.
+
+    Attributes:
+        folder: the folder.
+        paths: its photographs by name.
+        reader: makes them queries.
+        rate_hz: photographs a second, of a sequence in the order of names; None for times of EXIF.
+        seconds: time of each from the start of the sequence; those that cannot be read have none.
+            None where each is localized by itself.
+    """
+
+    folder: Path
+    paths: Mapping[str, Path]
+    reader: PhotographReader
+    rate_hz: float | None
+    seconds: Mapping[str, float] | None
+
+    @staticmethod
+    def open(
+        folder: Path, place: Place, options: LocalizeOptions, undulation_m: float | None
+    ) -> PhotographFolder:
+        """Read what a table and the photographs of a sequence say of priors and times.
+
+        Args:
+            folder: the folder.
+            place: map to localize in.
+            options: what is known of the photographs.
+            undulation_m: height of the geoid above the ellipsoid; None where it is not known.
+
+        Raises:
+            InputError: there is no photograph, the priors cannot be read or name none of them, or
+                those of a sequence tell no times, or two of them tell the same.
+        """
+        paths = photographs_in(folder)
+        reader = PhotographReader(place, options, _priors(paths, place, options), undulation_m)
+        seconds = None if options.sequence is None else _seconds(paths, reader, options.rate_hz)
+        return PhotographFolder(folder, paths, reader, options.rate_hz, seconds)
+
+    @property
+    def count(self) -> int:
+        """Return the number of photographs."""
+        return len(self.paths)
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """See ``ImageSource``."""
+        return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
+
+    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
+        """See ``ImageSource``. Cameras are estimated outside sequences, before the first image."""
+        self._require_one()
+        reader = self.reader
+        if self.seconds is None:
+            reader = with_estimates(reader, self.paths, ask)
+        return (self._image(reader, name) for name in self._order())
+
+    def warn(self) -> None:
+        """See ``ImageSource``."""
+        warn_of_rolling_shutter(self.reader.said.values())
+        warn_of_doubts(self.reader)
+
+    def _require_one(self) -> None:
+        """Refuse, before any work, a folder of which no photograph can be localized.
+
+        Raises:
+            InputError: it is one.
+        """
+        reason = ""
+        for name in self._order():
+            image = self._image(self.reader, name)
+            if image.query is not None:
+                return
+            reason = reason or image.reason
+        several = f"none of the {self.count} photographs in {self.folder} can be localized: "
+        raise InputError((several if self.count > 1 else "") + reason)
+
+    def _order(self) -> list[str]:
+        """Return the names in the order of their times; those without one come last."""
+        seconds = self.seconds or {}
+        return sorted(self.paths, key=lambda name: seconds.get(name, math.inf))
+
+    def _image(self, reader: PhotographReader, name: str) -> QueryImage:
+        """Read a photograph; where it cannot be localized, say why."""
+        path, sequence = self.paths[name], self.seconds
+        seconds = None if sequence is None else sequence.get(name)
+        try:
+            image = replace(reader(name, path), seconds=seconds)
+        except (InputError, OSError) as error:
+            reason = str(error)
+            if isinstance(error, OSError):
+                reason = f"cannot read {path}: {error.strerror}"
+            exif = None if sequence is None else reader.said.get(path)
+            time = None if exif is None else exif.time
+            return QueryImage(name, time=time, seconds=seconds, reason=reason)
+        if sequence is None or image.calibration is None or not image.calibration.others:
+            return image
+        told = f" ({'; '.join(reader.exif(path).lens_doubts)})" if image.doubts else ""
+        reason = f"nothing tells the focal length of {path}{told}: give --camera"
+        return replace(image, query=None, reason=reason)
+
+
+def _priors(
+    paths: Mapping[str, Path], place: Place, options: LocalizeOptions
+) -> dict[str, Prior] | None:
+    """Read the priors of a table, by name; None without a table.
+
+    Raises:
+        InputError: the table cannot be read, has none of the photographs, or has positions on
+            earth where the map has none.
+    """
+    path = options.priors
+    if path is None:
+        return None
+    stated = read_priors(path)
+    require_same_case(path, stated.rows, paths)
+    without = [name for name in paths if name not in stated.rows]
+    if len(without) == len(paths):
+        raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
+    if without:
+        log.warning("%s lacks %d of %d photographs", path, len(without), len(paths))
+    frame = MapFrame.of(place.sparse_map, place.origin)
+    assumed = Assumed(
+        np.full(3, options.gps_sigma_m),
+        options.gimbal_sigma_deg,
+        f"--gps-sigma {options.gps_sigma_m:g} (metres) stands for it",
+        f"--gimbal-sigma {options.gimbal_sigma_deg:g} (degrees) stands for it",
+    )
+    return stated.priors(frame, paths, assumed)
+
+
+def _seconds(
+    paths: Mapping[str, Path], reader: PhotographReader, rate_hz: float | None
+) -> dict[str, float]:
+    """Return seconds from the first photograph, by a rate or by EXIF.
+
+    Raises:
+        InputError: there is no rate, and a photograph does not tell when it was taken, or two tell
+            the same time.
+    """
+    times: dict[str, datetime | None] = {}
+    for name, path in paths.items():
+        with suppress(InputError, OSError):
+            times[name] = reader.exif(path).time
+    if rate_hz is not None:
+        return {name: index / rate_hz for index, name in enumerate(paths)}
+    known = {name: time.replace(tzinfo=None) for name, time in times.items() if time is not None}
+    hint = "give --rate, photographs a second, and they are taken in the order of their names"
+    for name in times:
+        if name not in known:
+            raise InputError(f"photograph {name} does not tell when it was taken: {hint}")
+    ordered = sorted(known, key=lambda name: known[name])
+    for before, name in pairwise(ordered):
+        if known[before] == known[name]:
+            raise InputError(f"photographs {before} and {name} tell the same time: {hint}")
+    return {name: (known[name] - known[ordered[0]]).total_seconds() for name in ordered}

@@ -1,0 +1,65 @@
+"""An image to localize, and where such images come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Protocol
+
+from objconnect.localization.pipeline.cameras import Calibration
+from objconnect.scene.localizer import Estimate, Prior, Query
+
+
+@dataclass(frozen=True)
+class QueryImage:
+    """A photograph or a frame of a video, with what is known of it.
+
+    Attributes:
+        name: name among the poses.
+        query: the image with its camera and its prior; None where it cannot be localized.
+        calibration: its camera, or cameras to try; None where that is not known.
+        time: when it was taken; None if unknown.
+        seconds: from the start of its sequence; None outside one, or if unknown.
+        gps: position that a receiver measured, in the map's frame; None without one.
+        doubts: what the photograph, or the telemetry of a frame, does not say for sure.
+        reason: why it cannot be localized.
+    """
+
+    name: str
+    query: Query | None = None
+    calibration: Calibration | None = None
+    time: datetime | None = None
+    seconds: float | None = None
+    gps: Prior | None = None
+    doubts: tuple[str, ...] = ()
+    reason: str = ""
+
+
+class ImageSource(Protocol):
+    """A folder of photographs, or a video."""
+
+    @property
+    def count(self) -> int:
+        """Return the number of images, of a video about that."""
+        ...
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """Return what the record of a sequence says of the source."""
+        ...
+
+    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
+        """Yield the images in their order.
+
+        Args:
+            ask: localizes a query, by which a camera that nothing tells may be estimated.
+
+        Raises:
+            InputError: none of them can be localized.
+        """
+        ...
+
+    def warn(self) -> None:
+        """Warn of what the images say and what cannot be believed."""
+        ...
