@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from objconnect.scene.maps.colmap_files import read_model as read_model
     from objconnect.scene.maps.sparse_map import SparseMap as SparseMap
     from objconnect.scene.runtime.script import run_script as run_script
+    from objconnect.scene.runtime.tuning import ProcessTuning as ProcessTuning
     from objconnect.scene.storage.images import read_rgb as read_rgb
 
     open_scene = Scene.open
@@ -77,6 +78,7 @@ _TARGETS = {
     "TrainConfig": "objconnect.learning.training.config",
     # Write scripts.
     "run_script": "objconnect.scene.runtime.script",
+    "ProcessTuning": "objconnect.scene.runtime.tuning",
     # Types.
     "By": "objconnect.scene.localizer",
     "Camera": "objconnect.scene.geometry.camera",

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objconnect.ingestion.telemetry import Telemetry
 from objconnect.localization.pipeline.footage import (
@@ -22,7 +21,7 @@ from objconnect.localization.pipeline.footage import (
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.place import Place
 from objconnect.localization.pipeline.query_image import QueryImage
-from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.geometry.gimbal import gimbal_pose
 from objconnect.scene.localizer import Estimate, Prior, Query
 from objconnect.scene.quantities.coordinate_order import REACH_M
@@ -57,7 +56,8 @@ class TelemetryReader:
         if said.gimbal is None:
             return prior
         if prior is None:
-            prior = Prior(self._middle(), np.full(3, np.inf))
+            # In the middle of the map's cameras.
+            prior = Prior(np.median(self.place.sparse_map.centres, 0), np.full(3, np.inf))
         return replace(
             prior,
             cam_from_world_rotation=gimbal_pose(*said.gimbal).rotation.numpy(),
@@ -68,27 +68,16 @@ class TelemetryReader:
         origin = self.place.origin
         if said.place is None or origin is None:
             return None
-        sigma = np.full(3, self.options.gps_sigma_m)
-        if said.abs_alt is not None and self.undulation_m is not None:
-            altitude = said.abs_alt + self.undulation_m
-            position = enu_from_geodetic(Geodetic(*said.place, altitude), origin)
-        else:
-            # The height of the map's cameras stands where the altitude is unknown.
-            position = enu_from_geodetic(Geodetic(*said.place, origin.altitude), origin)
-            position[2], sigma[2] = self._middle()[2], np.inf
-        if np.hypot(*position[:2]) > REACH_M:
-            return None
-        return Prior(position, sigma)
-
-    def _middle(self) -> NDArray[np.float64]:
-        """Return the middle of the map's cameras, (3,) metres."""
-        images = self.place.sparse_map.images.values()
-        return np.asarray(np.median([image.pose.centre().numpy() for image in images], axis=0))
+        known = said.abs_alt is not None and self.undulation_m is not None
+        altitude = (said.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
+        fix, sigma = Geodetic(*said.place, altitude), np.full(3, self.options.gps_sigma_m)
+        prior = Prior(*self.place.located(fix, origin, sigma))
+        return None if np.hypot(*prior.position[:2]) > REACH_M else prior
 
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video at a rate. Implements ``query_image.ImageSource``.
+    """The frames of a video at a rate.
 
     Attributes:
         footage: the video with its telemetry.
@@ -127,13 +116,13 @@ class VideoFrames:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """See ``ImageSource``."""
+        """Return what the record of a sequence says of the source."""
         video, srt = self.footage.path.name, self.footage.srt
         srt_name = None if srt is None else srt.name
         return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}
 
     def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """Yield the frames, with the priors of their telemetry."""
+        """Yield the frames, with the priors of their telemetry; ``ask`` is not asked."""
         footage = self.footage
         clock, timing = _clock(footage), Timing.of(footage.flight, footage.video)
         for frame in decode_frames(footage.path, footage.rate_hz):

@@ -21,7 +21,7 @@ from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.photograph_folder import PhotographFolder, photographs_in
 from objconnect.localization.pipeline.place import Place, geography_of
-from objconnect.localization.pipeline.query_image import ImageSource, QueryImage
+from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
@@ -35,6 +35,8 @@ from objconnect.scene.storage.digests import digests
 from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.outputs import OutputFile, check_outputs, check_outside
 from objconnect.scene.storage.scratch import cache_or_scratch
+
+Source = PhotographFolder | VideoFrames
 
 _RECORD: Final = "sequence by objconnect localize"
 _DEFAULTS: Final = LocalizeOptions()
@@ -148,7 +150,7 @@ class _Job:
         if folder is not None:
             check_outside(files, folder)
 
-    def run(self, source: ImageSource, geography: Geography) -> list[Located]:
+    def run(self, source: Source, geography: Geography) -> list[Located]:
         """Localize every image, or take the answer that the journal has, and write the answers."""
         place, localizer = self.place, self.localizer
         located: list[Located] = []
@@ -197,7 +199,12 @@ class _Job:
             image.doubts,
         )
 
-    def _write(self, source: ImageSource, located: Sequence[Located], geography: Geography) -> None:
+    def _write(
+        self,
+        source: Source,
+        located: Sequence[Located],
+        geography: Geography,
+    ) -> None:
         """Write the answers, and of a sequence how they were made."""
         files = outputs(self.out, self.options.also)
         for file, content in contents(located, files, geography):

@@ -49,7 +49,7 @@ def photographs_in(folder: Path) -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class PhotographFolder:
-    """The photographs of a folder. Implements ``query_image.ImageSource``.
+    """The photographs of a folder.
 
     Attributes:
         folder: the folder.
@@ -94,11 +94,19 @@ class PhotographFolder:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """See ``ImageSource``."""
+        """Return what the record of a sequence says of the source."""
         return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
 
     def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """See ``ImageSource``. Cameras are estimated outside sequences, before the first image."""
+        """Yield the photographs in their order.
+
+        Args:
+            ask: localizes a query. Outside a sequence, a camera that nothing tells is estimated by
+                it, before the first photograph.
+
+        Raises:
+            InputError: none of them can be localized.
+        """
         self._require_one()
         reader = self.reader
         if self.seconds is None:
@@ -106,7 +114,7 @@ class PhotographFolder:
         return (self._image(reader, name) for name in self._order())
 
     def warn(self) -> None:
-        """See ``ImageSource``."""
+        """Warn of what the photographs that were read say and what cannot be believed."""
         warn_of_rolling_shutter(self.reader.said.values())
         warn_of_doubts(self.reader)
 

@@ -1,14 +1,12 @@
-"""An image to localize, and where such images come from."""
+"""An image to localize, with what is known of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Protocol
 
 from objconnect.localization.pipeline.cameras import Calibration
-from objconnect.scene.localizer import Estimate, Prior, Query
+from objconnect.scene.localizer import Prior, Query
 
 
 @dataclass(frozen=True)
@@ -34,32 +32,3 @@ class QueryImage:
     gps: Prior | None = None
     doubts: tuple[str, ...] = ()
     reason: str = ""
-
-
-class ImageSource(Protocol):
-    """A folder of photographs, or a video."""
-
-    @property
-    def count(self) -> int:
-        """Return the number of images, of a video about that."""
-        ...
-
-    @property
-    def record(self) -> Mapping[str, Any]:
-        """Return what the record of a sequence says of the source."""
-        ...
-
-    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """Yield the images in their order.
-
-        Args:
-            ask: localizes a query, by which a camera that nothing tells may be estimated.
-
-        Raises:
-            InputError: none of them can be localized.
-        """
-        ...
-
-    def warn(self) -> None:
-        """Warn of what the images say and what cannot be believed."""
-        ...
