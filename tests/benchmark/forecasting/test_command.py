@@ -20,9 +20,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
 
-QUICK = ForecastConfig(
-    seasons=("summer-noon", "snow-dusk"), views=1, size=96, waypoints=3, deviation_m=0.2
-)
+QUICK = ForecastConfig(seasons=("summer-noon", "snow-dusk"), views=1, size=96, waypoints=3)
 FILES = ("forecast.geojson", "forecast.html", "forecast.json", "forecast.png", "views")
 
 
