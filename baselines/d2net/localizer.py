@@ -52,10 +52,15 @@ class D2NetConfig(StructureConfig):
         description="No image and no level is made larger (px); where the largest would be, all "
         "levels shrink alike.",
     )
-    # The authors use no ratio test. It helps where roofs repeat.
-    ratio: float = Field(0.9, gt=0, le=1)
-    max_error_px: float = Field(8.0, gt=0)
-    max_features: int = Field(6000, ge=100)
+    ratio: float = Field(
+        0.9,
+        gt=0,
+        le=1,
+        description="Ratio of nearest to second nearest descriptor distance. The authors use no "
+        "ratio test. It helps where roofs repeat.",
+    )
+    max_error_px: float = Field(8.0, gt=0, description="Inlier threshold of PnP.")
+    max_features: int = Field(6000, ge=100, description="Most features of an image.")
 
     @model_validator(mode="after")
     def _pyramid(self) -> Self:

@@ -34,6 +34,7 @@ from objconnect.scene.colmap.models import write_posed
 from objconnect.scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
 from objconnect.scene.config import as_recorded
 from objconnect.scene.errors import InputError
+from objconnect.scene.exports.depth_views import DENSE as DENSE
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES
 from objconnect.scene.maps.photographs import PosedImage
@@ -53,7 +54,6 @@ from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.lru_cache import LruCache
 from objconnect.scene.storage.resumable import ResumableFolder
 
-DENSE = "dense"
 UNFINISHED = f"{TEMPORARY_PREFIX}dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
+from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN, SINGULAR
 
 # Keeps denominators away from zero.
 _TINY = 1e-24
@@ -20,8 +20,6 @@ _TINY = 1e-24
 _CONVERGED = 1e-7
 # Exact matches have no noise to scale by (px).
 _LEAST_SIGMA = 1e-3
-# A condition number beyond which nothing is left of double precision.
-_SINGULAR = 1e15
 # Most steps of Levenberg-Marquardt; one that still moves then has nothing to hold on to.
 _MOST_STEPS: Final = 30
 
@@ -112,7 +110,7 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
     sigma = _sigma(error)
     weighted = jacobian / (1 + (error / (CAUCHY * sigma)) ** 2)[:, None]
     information = weighted.T @ jacobian
-    if not float(torch.linalg.cond(information)) < _SINGULAR:
+    if not float(torch.linalg.cond(information)) < SINGULAR:
         return Refined(pose, None, iterations)
     return Refined(pose, (torch.linalg.inv(information) * sigma**2).numpy(), iterations)
 
