@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from benchmark.api import ForecastConfig, forecast
 from typer.testing import CliRunner
 
 import benchmark.forecasting.command as command
+from benchmark import ForecastConfig, forecast
 from benchmark.cli import app
 from benchmark.forecasting.calibration import UNCALIBRATED
 from benchmark.forecasting.config import forecast_config
