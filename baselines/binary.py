@@ -14,7 +14,6 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.matching.features import Extractor
@@ -99,7 +98,7 @@ class Akaze(Binary):
 
     name = "akaze"
 
-    def __init__(self, max_features: int, threshold: float) -> None:
+    def __init__(self, max_features: int, threshold: float = 0.001) -> None:
         self.options = f"OpenCV {cv2.__version__}, {max_features} features over {threshold}"
         self._max_features, self._threshold = max_features, threshold
 
@@ -112,13 +111,7 @@ class OrbConfig(StructureConfig):
 
 
 class AkazeConfig(StructureConfig):
-    """Options of the akaze localizer; see ``StructureConfig``.
-
-    Attributes:
-        threshold: least response of the detector.
-    """
-
-    threshold: float = Field(0.001, gt=0)
+    """Options of the akaze localizer; see ``StructureConfig``."""
 
 
 class OrbLocalizer(StructureLocalizer):
@@ -132,4 +125,4 @@ class AkazeLocalizer(StructureLocalizer):
     """The localizer ``akaze``, which matches AKAZE with the nearest photographs of the map."""
 
     def __init__(self, config: AkazeConfig) -> None:
-        super().__init__(config, Akaze(config.max_features, config.threshold), interpolate=True)
+        super().__init__(config, Akaze(config.max_features), interpolate=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -24,14 +25,19 @@ from objconnect.scene.colmap.relative_pose import estimate_relative_pose
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.rays import Rays
-from objconnect.scene.geometry.sampson import Matches, RefinementOptions, refine
+from objconnect.scene.geometry.sampson import Matches, refine
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.lru_cache import LruCache, room
 
-# A relative pose takes five matches; three more that agree are no coincidence.
-_LEAST_INLIERS = 8
+# Photographs with fewer inliers are left out: a relative pose takes five matches, and fifteen more
+# that agree are no coincidence.
+_MIN_INLIERS: Final = 20
+# Largest difference of references on the query's attitude and direction.
+_AGREE_DEG: Final = 5.0
+# Rays that cross at a smaller angle do not determine the position.
+_LEAST_ANGLE_DEG: Final = 5.0
 
 
 class EpipolarConfig(Config):
@@ -44,17 +50,6 @@ class EpipolarConfig(Config):
         0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
     )
     max_error_px: float = Field(2.0, gt=0, description="Inlier threshold of the Sampson error.")
-    min_inliers: int = Field(
-        20, ge=_LEAST_INLIERS, description="Photographs with fewer inliers are left out."
-    )
-    agree_deg: float = Field(
-        5.0,
-        gt=0,
-        description="Largest difference of references on the query's attitude and direction.",
-    )
-    least_angle_deg: float = Field(
-        5.0, gt=0, description="Rays that cross at a smaller angle do not determine the position."
-    )
     max_features: int = Field(8192, ge=100, description="Most features of an image.")
     memory_mb: int = Field(
         2048,
@@ -63,9 +58,6 @@ class EpipolarConfig(Config):
         "there is room below it.",
     )
     seed: int = Field(0, description="Random seed of RANSAC.")
-    refinement: RefinementOptions = Field(
-        RefinementOptions(), description="How the pose is refined over all references."
-    )
     retrieval: RetrievalOptions = Field(
         RetrievalOptions(), description="How photographs are chosen where there is no prior."
     )
@@ -127,7 +119,7 @@ class EpipolarLocalizer:
             related = [each for each in attempts if each is not None]
         with clock.stage("pose"):
             rays = _rays(related)
-            agreeing = rays.consensus(self.config.agree_deg, self.config.least_angle_deg)
+            agreeing = rays.consensus(_AGREE_DEG, _LEAST_ANGLE_DEG)
             if not len(agreeing):
                 reason = self._why_not(rays, len(references))
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
@@ -136,7 +128,7 @@ class EpipolarLocalizer:
             start = Pose(torch.from_numpy(rotation), torch.from_numpy(-rotation @ chosen.meet()))
             used = [related[row][0] for row in agreeing]
             focal = float(np.mean(query.camera.focal))
-            refined = refine(start, used, focal, self.config.refinement)
+            refined = refine(start, used, focal)
         return Estimate(
             Status.OK,
             refined.pose,
@@ -153,7 +145,7 @@ class EpipolarLocalizer:
         """Match one photograph and find ``query_from_reference``; None where too few agree."""
         seen = self._seen(image.name)
         matches = self._sift.match(unit, seen.unit, self.config.ratio)
-        if len(matches) < self.config.min_inliers:
+        if len(matches) < _MIN_INLIERS:
             return None
         here = features.xy[matches[:, 0]].astype(np.float64)
         there = seen.xy[matches[:, 1]].astype(np.float64)
@@ -165,14 +157,14 @@ class EpipolarLocalizer:
         here_rays, here_valid = query.camera.unproject(torch.from_numpy(here))
         there_rays, there_valid = image.camera.unproject(torch.from_numpy(there))
         kept = torch.from_numpy(relative.inliers) & here_valid & there_valid
-        if int(kept.sum()) < self.config.min_inliers:
+        if int(kept.sum()) < _MIN_INLIERS:
             return None
         return Matches(image.pose, here_rays[kept], there_rays[kept]), relative.b_from_a
 
     def _why_not(self, rays: Rays, tried: int) -> str:
         if len(rays) < 2:
             return f"{len(rays)} of {tried} references match the query, 2 are needed"
-        if rays.widest_deg() < self.config.least_angle_deg:
+        if rays.widest_deg() < _LEAST_ANGLE_DEG:
             return f"the rays of {len(rays)} references are parallel to {rays.widest_deg():.1f}°"
         return f"no two of {len(rays)} references agree where the query is"
 

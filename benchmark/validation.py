@@ -14,7 +14,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.scoring.score import FALSE_FIX
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import is_scene
-from objconnect.scene.checks.conventions import OURS, POSE_READINGS, Reading
+from objconnect.scene.checks.conventions import EXPLAINS, OURS, POSE_READINGS, Reading
 from objconnect.scene.checks.map_check import check_map, check_principal_points
 from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.checks.validate import validate as validate_scene
@@ -23,8 +23,6 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 # Number of queries whose reference poses are compared with poses that SIFT finds.
 _PROBES = 5
-# Another convention explains the poses if its errors are smaller than ours by this factor.
-_EXPLAINS = 0.5
 
 
 def validate(path: Path, cache: Path | None = None) -> Report:
@@ -77,7 +75,7 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
         (sum(_difference(localized, matrices, reading)), reading) for reading in POSE_READINGS
     ]
     best, reading = min(others, key=lambda item: item[0])
-    if best < _EXPLAINS * (metres + degrees):
+    if best < EXPLAINS * (metres + degrees):
         return Check(name, False, reading.fault, figures)
     detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(localized)} queries"
     ok = metres < FALSE_FIX.metres and degrees < FALSE_FIX.degrees

@@ -39,26 +39,31 @@ Role = Literal["map", "query"]
 
 
 class SessionConfig(Config):
-    """One flight under one condition.
+    """One flight under one condition."""
 
-    Attributes:
-        condition: SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.
-        flight: kind of flight and its numbers, or the kind alone, as "nadir".
-        role: "map" if its frames build the map, or "query".
-        frames: number of photographs; None takes the scene's ``frames``, or as many as the flight's
-            overlaps need.
-        change: objects that are moved, removed or added since the place was built.
-        camera: camera of this session's photographs; None takes the scene's.
-        name: name of its folder; None is condition-flight-role.
-    """
-
-    condition: str
-    flight: Flight
-    role: Role
-    frames: int | None = Field(None, ge=1, le=MAX_PHOTOGRAPHS)
-    change: Change = Change()
-    camera: CameraConfig | None = None
-    name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
+    condition: str = Field(description="SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.")
+    flight: Flight = Field(
+        description='Kind of flight and its numbers, or the kind alone, as "nadir".'
+    )
+    role: Role = Field(description='"map" if its frames build the map, or "query".')
+    frames: int | None = Field(
+        None,
+        ge=1,
+        le=MAX_PHOTOGRAPHS,
+        description="Number of photographs; None takes the scene's ``frames``, or as many as the "
+        "flight's overlaps need.",
+    )
+    change: Change = Field(
+        Change(), description="Objects that are moved, removed or added since the place was built."
+    )
+    camera: CameraConfig | None = Field(
+        None, description="Camera of this session's photographs; None takes the scene's."
+    )
+    name: str | None = Field(
+        None,
+        pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$",
+        description="Name of its folder; None is condition-flight-role.",
+    )
 
     @field_validator("condition")
     @classmethod
@@ -138,48 +143,57 @@ class SimulateConfig(Config):
 
     The preset street has its own defaults for area, frames and sessions, which are drives with two
     cameras. The preset site is a real place, of the files that ``site`` names.
-
-    Attributes:
-        preset: kind of place, such as town or farmland.
-        seed: random seed of the place and of every noise; the same seed gives the same scene.
-        area: side of the square place, metres; 120 or more but for a site.
-        size: long side of the photographs, pixels, unless the camera has its own size.
-        fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
-        camera: camera of sessions without their own; None is a square pinhole of ``size`` and
-            ``fov_deg``.
-        spp: rendering samples per pixel; the result is denoised.
-        denoising: quality of the denoiser, "fast" or "high". The latter takes 7 % longer, and is 0
-            to 0.2 dB nearer to a picture of 64 samples. With an ``spp`` below 4 choose it: of few
-            samples the fast one leaves noise that feature extractors take for texture.
-        frames: number of photographs of sessions that give no number of their own.
-        sessions: flights; on the command line "condition:flight[:role][:change]", where by default
-            the first is a map session and the others are query sessions.
-        map_plan: numbers of map flights.
-        query_plan: numbers of query flights.
-        position_jitter_m: standard deviation of positions per axis by wind, metres.
-        attitude_jitter_deg: standard deviation of attitudes per axis by wind, degrees.
-        gps_sigma_m: standard deviation of the white noise of position priors: east, north, up.
-        gps_drift_m: standard deviation of the drift of position priors, which has zero mean over
-            many flights: east, north, up.
-        attitude_sigma_deg: standard deviation of the white noise of attitude priors per axis.
-        attitude_drift_deg: standard deviation of the drift of attitude priors per axis.
-        drift_s: time constant of both drifts, seconds.
-        interval_s: time between exposures, seconds.
-        sensor: effects of lens and sensor on the photographs.
-        jpeg_quality: quality of the JPEGs.
-        origin: geodetic coordinates of the world's origin.
-        site: files of the preset site, from which area and origin follow where they are left out.
     """
 
-    preset: str = "town"
-    seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=LEAST_SITE_M, le=2000)
-    size: int = Field(512, ge=64, le=4096)
-    fov_deg: float = Field(60.0, gt=5, lt=120)
-    camera: CameraConfig | None = None
-    spp: int = Field(4, ge=1, le=_MOST_SAMPLES)
-    denoising: Denoising = "fast"
-    frames: int = Field(30, ge=1, le=MAX_PHOTOGRAPHS)
+    preset: str = Field("town", description="Kind of place, such as town or farmland.")
+    seed: int = Field(
+        0,
+        ge=0,
+        description="Random seed of the place and of every noise; the same seed gives the same "
+        "scene.",
+    )
+    area: float = Field(
+        200.0,
+        ge=LEAST_SITE_M,
+        le=2000,
+        description="Side of the square place, metres; 120 or more but for a site.",
+    )
+    size: int = Field(
+        512,
+        ge=64,
+        le=4096,
+        description="Long side of the photographs, pixels, unless the camera has its own size.",
+    )
+    fov_deg: float = Field(
+        60.0,
+        gt=5,
+        lt=120,
+        description="Horizontal field of view of the square photographs taken without a "
+        "``camera``.",
+    )
+    camera: CameraConfig | None = Field(
+        None,
+        description="Camera of sessions without their own; None is a square pinhole of ``size`` "
+        "and ``fov_deg``.",
+    )
+    spp: int = Field(
+        4,
+        ge=1,
+        le=_MOST_SAMPLES,
+        description="Rendering samples per pixel; the result is denoised.",
+    )
+    denoising: Denoising = Field(
+        "fast",
+        description='Quality of the denoiser, "fast" or "high". The latter takes 7 % longer, and '
+        "is 0 to 0.2 dB nearer to a picture of 64 samples. With an ``spp`` below 4 choose it: of "
+        "few samples the fast one leaves noise that feature extractors take for texture.",
+    )
+    frames: int = Field(
+        30,
+        ge=1,
+        le=MAX_PHOTOGRAPHS,
+        description="Number of photographs of sessions that give no number of their own.",
+    )
     sessions: tuple[SessionConfig, ...] = Field(
         (
             SessionConfig(condition="summer-noon", flight=NadirFlight(), role="map"),
@@ -187,21 +201,44 @@ class SimulateConfig(Config):
             SessionConfig(condition="winter-dusk", flight=NadirFlight(), role="query", frames=10),
         ),
         min_length=1,
+        description='Flights; on the command line "condition:flight[:role][:change]", where by '
+        "default the first is a map session and the others are query sessions.",
     )
-    map_plan: FlightPlan = MAP_PLAN
-    query_plan: FlightPlan = QUERY_PLAN
-    position_jitter_m: float = Field(0.7, ge=0)
-    attitude_jitter_deg: float = Field(1.5, ge=0)
-    gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
-    gps_drift_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
-    attitude_sigma_deg: float = Field(2.0, ge=0)
-    attitude_drift_deg: float = Field(0.0, ge=0)
-    drift_s: float = Field(600.0, gt=0)
-    interval_s: float = Field(2.0, gt=0)
-    sensor: SensorConfig = SensorConfig()
-    jpeg_quality: int = Field(95, ge=1, le=100)
-    origin: Geodetic = PLACE
-    site: SiteConfig | None = None
+    map_plan: FlightPlan = Field(MAP_PLAN, description="Numbers of map flights.")
+    query_plan: FlightPlan = Field(QUERY_PLAN, description="Numbers of query flights.")
+    position_jitter_m: float = Field(
+        0.7, ge=0, description="Standard deviation of positions per axis by wind, metres."
+    )
+    attitude_jitter_deg: float = Field(
+        1.5, ge=0, description="Standard deviation of attitudes per axis by wind, degrees."
+    )
+    gps_sigma_m: tuple[float, float, float] = Field(
+        (1.5, 1.5, 2.5),
+        description="Standard deviation of the white noise of position priors: east, north, up.",
+    )
+    gps_drift_m: tuple[NotNegative, NotNegative, NotNegative] = Field(
+        (0.0, 0.0, 0.0),
+        description="Standard deviation of the drift of position priors, which has zero mean over "
+        "many flights: east, north, up.",
+    )
+    attitude_sigma_deg: float = Field(
+        2.0, ge=0, description="Standard deviation of the white noise of attitude priors per axis."
+    )
+    attitude_drift_deg: float = Field(
+        0.0, ge=0, description="Standard deviation of the drift of attitude priors per axis."
+    )
+    drift_s: float = Field(600.0, gt=0, description="Time constant of both drifts, seconds.")
+    interval_s: float = Field(2.0, gt=0, description="Time between exposures, seconds.")
+    sensor: SensorConfig = Field(
+        SensorConfig(), description="Effects of lens and sensor on the photographs."
+    )
+    jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs.")
+    origin: Geodetic = Field(PLACE, description="Geodetic coordinates of the world's origin.")
+    site: SiteConfig | None = Field(
+        None,
+        description="Files of the preset site, from which area and origin follow where they are "
+        "left out.",
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -20,7 +20,7 @@ _MAX_OFFSET: Final = 0.5
 _LEAST: Final = 16
 
 EDGE_RATIO: Final = 5.0
-"""Default of the largest ratio of the two curvatures of a peak."""
+"""Largest ratio of the two curvatures of a peak. Beyond it the peak is an edge, as in SIFT."""
 
 
 class Keypoints(NamedTuple):
@@ -39,9 +39,7 @@ class Keypoints(NamedTuple):
     descriptors: Tensor
 
 
-def detect(
-    network: D2Net, image: Tensor, scales: Sequence[float], edge_ratio: float = EDGE_RATIO
-) -> Keypoints:
+def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
     """Detect and describe keypoints.
 
     The features of each level are added to those of the next level, which detects no keypoints
@@ -52,7 +50,6 @@ def detect(
         image: image (3, H, W) float RGB in 0..1.
         scales: sizes of the levels relative to the image, coarse to fine. Levels that are too small
             for a keypoint are left out.
-        edge_ratio: largest ratio of the two curvatures of a peak. Beyond it the peak is an edge.
     """
     height, width = image.shape[1:]
     coarser = taken = None
@@ -66,7 +63,7 @@ def detect(
         if coarser is not None:
             features = features + _resized(coarser[None], cells)[0]
         coarser = features
-        peaks, offsets = find_peaks(features, edge_ratio)
+        peaks, offsets = find_peaks(features)
         if taken is not None:
             again = functional.interpolate(taken[None, None].float(), cells)[0, 0].bool()
             peaks &= ~again
@@ -97,7 +94,7 @@ def detect(
     return Keypoints(*(torch.cat(parts) for parts in zip(*levels, strict=True)))
 
 
-def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor, Tensor]:
+def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     """Find the cells at which the strongest channel has a peak, and the exact positions of peaks.
 
     A peak is the largest of 3 x 3 cells, and its curvatures are similar in all directions. Its
@@ -105,7 +102,6 @@ def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor
 
     Args:
         features: features (C, h, w), not negative.
-        edge_ratio: the argument of ``detect``.
 
     Returns:
         Whether each cell has a peak, (h, w) bool, and offsets (2, h, w) of columns and rows in
@@ -125,7 +121,7 @@ def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor
     dxx, dyy, dxy = west + east - 2 * centre, n + s - 2 * centre, (nw - ne - sw + se) / 4
     dx, dy = (east - west) / 2, (s - n) / 2
     determinant = dxx * dyy - dxy**2
-    round_enough = (dxx + dyy) ** 2 <= (edge_ratio + 1) ** 2 / edge_ratio * determinant
+    round_enough = (dxx + dyy) ** 2 <= (EDGE_RATIO + 1) ** 2 / EDGE_RATIO * determinant
     curved = (determinant > 0) & (dxx + dyy < -_FLAT * centre)
     peaks = (centre == around.amax(0)) & curved & round_enough
     steps = torch.stack([dxy * dy - dyy * dx, dxy * dx - dxx * dy])

@@ -26,6 +26,11 @@ from objconnect.scene.runtime.tuning import return_freed
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""
 
+# Least standard deviation of grey levels in a window of this side (px) around a keypoint; plainer
+# ones are artefacts of the image border.
+_MIN_CONTRAST: Final = 1.0
+_CONTRAST_WINDOW_PX: Final = 33
+
 
 class D2NetConfig(StructureConfig):
     """Options of the d2net localizer, beside those of ``StructureConfig``."""
@@ -47,25 +52,15 @@ class D2NetConfig(StructureConfig):
         description="No image and no level is made larger (px); where the largest would be, all "
         "levels shrink alike.",
     )
-    max_edge_ratio: float = Field(
-        EDGE_RATIO,
-        ge=1,
-        description="Largest ratio of the two curvatures of a keypoint's peak; beyond it the "
-        "peak is an edge, as in SIFT.",
+    ratio: float = Field(
+        0.9,
+        gt=0,
+        le=1,
+        description="Ratio of nearest to second nearest descriptor distance. The authors use no "
+        "ratio test. It helps where roofs repeat.",
     )
-    min_contrast: float = Field(
-        1.0,
-        ge=0,
-        description="Least standard deviation of grey levels around a keypoint; plainer ones are "
-        "artefacts of the image border.",
-    )
-    contrast_window_px: int = Field(
-        33, ge=1, description="Side of the window in which that contrast is measured."
-    )
-    # The authors use no ratio test. It helps where roofs repeat.
-    ratio: float = Field(0.9, gt=0, le=1)
-    max_error_px: float = Field(8.0, gt=0)
-    max_features: int = Field(6000, ge=100)
+    max_error_px: float = Field(8.0, gt=0, description="Inlier threshold of PnP.")
+    max_features: int = Field(6000, ge=100, description="Most features of an image.")
 
     @model_validator(mode="after")
     def _pyramid(self) -> Self:
@@ -89,7 +84,7 @@ class D2NetExtractor(Extractor):
         self.weights_sha256 = weights_sha256
         self.options = (
             f"{config.scales} {config.max_edge} {config.max_features} "
-            f"{config.min_contrast} {config.contrast_window_px} {config.max_edge_ratio}"
+            f"{_MIN_CONTRAST} {_CONTRAST_WINDOW_PX} {EDGE_RATIO}"
         )
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -99,8 +94,8 @@ class D2NetExtractor(Extractor):
             rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
-            scales, ratio = self._scales(smaller.max()), self._config.max_edge_ratio
-            keypoints = detect(self._network, image.to(self._device), scales, ratio)
+            scales = self._scales(smaller.max())
+            keypoints = detect(self._network, image.to(self._device), scales)
             strongest = keypoints.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()
@@ -108,7 +103,7 @@ class D2NetExtractor(Extractor):
             )
         return_freed()  # half a gigabyte; the time does not count beside the pass
         config = self._config
-        clear = _has_contrast(rgb, xy, config.contrast_window_px, config.min_contrast)
+        clear = _has_contrast(rgb, xy)
         kept = np.flatnonzero(clear)[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
         # Resizing keeps the image's edges, so coordinates counted from the edge are multiplied.
@@ -123,19 +118,17 @@ class D2NetExtractor(Extractor):
         return [scale * fitting for scale in wanted]
 
 
-def _has_contrast(
-    rgb: NDArray[np.uint8], xy: NDArray[np.float32], window_px: int, min_contrast: float
-) -> NDArray[np.bool_]:
+def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which keypoints (N, 2) lie where the picture has contrast, (N,).
 
     In plain images, the padding of the convolutions causes peaks at the border. They are at the
     same positions in any two images, so that matches between them would agree on a pose.
     """
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    window = (window_px, window_px)
+    window = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
     variance = cv2.blur(grey**2, window) - cv2.blur(grey, window) ** 2
     columns, rows = np.floor(xy).astype(int).T
-    return np.asarray(variance[rows, columns] > min_contrast**2)
+    return np.asarray(variance[rows, columns] > _MIN_CONTRAST**2)
 
 
 class D2NetLocalizer(StructureLocalizer):

@@ -13,8 +13,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from objconnect.learning.training.contrastive import sample
-from objconnect.learning.training.options import LOSSES, LossOptions
 
+# Margin of the squared distances, as the authors have it.
+_MARGIN: Final = 1.0
+# Descriptors within this many cells (Chebyshev distance) of the true match are no negatives.
+_SAFE_RADIUS: Final = 4
 # Numerical guards.
 # A value above any squared distance of unit vectors.
 _FAR: Final = 10.0
@@ -52,21 +55,18 @@ class Described(NamedTuple):
     cells: Tensor
 
 
-def triplet_loss(
-    image_a: Described, image_b: Described, options: LossOptions = LOSSES
-) -> TripletLoss:
+def triplet_loss(image_a: Described, image_b: Described) -> TripletLoss:
     """Return the loss of one pair of images, whose points correspond by their order."""
     a = _descriptors(image_a.features, image_a.cells)
     b = _descriptors(image_b.features, image_b.cells)
     positive = 2 - 2 * (a * b).sum(1)
-    radius = options.triplet_safe_radius
     negative = torch.minimum(
-        _hardest(a, image_b.features, image_b.cells, radius),
-        _hardest(b, image_a.features, image_a.cells, radius),
+        _hardest(a, image_b.features, image_b.cells),
+        _hardest(b, image_a.features, image_a.cells),
     )
     score_a, score_b = (_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b))
     weight = score_a * score_b
-    hinge = functional.relu(options.triplet_margin + positive - negative)
+    hinge = functional.relu(_MARGIN + positive - negative)
     # Scores are about one over the number of cells, so their products are small.
     weight = weight / weight.sum().clamp_min(_TINY)
     return TripletLoss(
@@ -86,20 +86,18 @@ def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
     return functional.normalize(_at(features, cells), dim=1)
 
 
-def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor, safe_radius: int) -> Tensor:
+def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
     """Return the squared distance (N,) of each descriptor to its hardest negative.
 
     Args:
         descriptors: descriptors (N, C) of one image.
         features: features (C, h, w) of the other image.
         cells: position (N, 2) in the other image of each descriptor's true match.
-        safe_radius: descriptors within this many cells (Chebyshev distance) of the true match are
-            no negatives.
     """
     others = functional.normalize(features.float().flatten(1), dim=0)
     index = torch.arange(others.shape[1], device=cells.device)
     columns = features.shape[2]
     centres = torch.stack([index % columns, index // columns], -1) + 0.5
-    near = (cells[:, None] - centres).abs().amax(-1) <= safe_radius
+    near = (cells[:, None] - centres).abs().amax(-1) <= _SAFE_RADIUS
     distance = 2 - 2 * descriptors @ others
     return torch.where(near, distance + _FAR, distance).amin(1)

@@ -33,13 +33,14 @@ _TINY: Final = 1e-12
 
 
 class D2NetNetConfig(Config):
-    """The configuration of the network.
+    """The configuration of the network."""
 
-    Attributes:
-        width: number of channels as a share of VGG16's; 1 is the authors' network.
-    """
-
-    width: float = Field(1.0, gt=0, le=1)
+    width: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="Number of channels as a share of VGG16's; 1 is the authors' network.",
+    )
 
 
 class D2Net(nn.Module):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +18,9 @@ from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.vgg import IMAGENET_STD
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
+
+# Least number of correspondences of a pair in the triplet loss.
+_MIN_POINTS: Final = 128
 
 
 class D2NetTraining:
@@ -39,7 +42,7 @@ class D2NetTraining:
         else:
             self.network = start_from(config.weights)
         self.network_config = self.network.config
-        self._warm_up, self._losses = config.warm_up, config.losses
+        self._warm_up = config.warm_up
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """Return all parameters with the same learning rate."""
@@ -48,8 +51,8 @@ class D2NetTraining:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """Return the contrastive loss, plus the mean triplet loss after the warm-up.
 
-        The triplet loss is the mean over the pairs with at least ``triplet_min_points``
-        correspondences, or half of the number that the batch has room for if that is less.
+        The triplet loss is the mean over the pairs with at least 128 correspondences, as the
+        authors have it, or half of the number that the batch has room for if that is less.
 
         Returns:
             The loss, and figures: ``contrastive``, the fields of ``TripletLoss`` if any pair has
@@ -65,7 +68,7 @@ class D2NetTraining:
         inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
         cells = batch.xy_a / STRIDE, batch.xy_b / STRIDE
-        lost = contrastive(a, b, *cells, valid, self._losses.contrast)
+        lost = contrastive(a, b, *cells, valid)
         contrast = mean_over(valid, lost)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:
@@ -75,10 +78,9 @@ class D2NetTraining:
             triplet_loss(
                 Described(features[i], scores[i], cells[0][i, valid[i]]),
                 Described(features[count + i], scores[count + i], cells[1][i, valid[i]]),
-                self._losses,
             )
             for i in range(count)
-            if int(valid[i].sum()) >= min(self._losses.triplet_min_points, room // 2)
+            if int(valid[i].sum()) >= min(_MIN_POINTS, room // 2)
         ]
         if not triplets:
             return contrast, {**figures, "pairs": 0.0}

@@ -58,14 +58,11 @@ class PixlocTraining:
         if progress < self._warm_up:
             return contrast, figures
         levels = levels_of(maps, strides, batch)
-        by_level = unrolled(levels, batch, self.network.damping, self._losses.iterations)
-        pose_error, errors = pose_loss(
-            by_level, strides, batch.b_from_a, seen_by_b(batch), self._losses
-        )
+        by_level = unrolled(levels, batch, self.network.damping)
+        pose_error, errors = pose_loss(by_level, strides, batch.b_from_a, seen_by_b(batch))
         figures |= pixels_of(errors, strides, batch)
         return contrast + self._losses.pose_share * pose_error, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
-        faster = rate * self._losses.damping_rate
-        return filters_and_damping(self.network, self.network.damping, rate, faster)
+        return filters_and_damping(self.network, self.network.damping, rate)

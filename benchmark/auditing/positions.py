@@ -32,7 +32,7 @@ FEWEST = 3
 # Positions follow GPS if they are off by less than this share of the flight's extent.
 _FOLLOWS = 0.3
 # Another reading of positions explains GPS if the distance shrinks to this share.
-_EXPLAINS = 0.2
+_SHRINKS = 0.2
 # Scales nearer to one than this are metric; GPS and timing cost a few per cent.
 _METRIC = 0.05
 # Uncertainty of the scale beyond which it is not told.
@@ -192,7 +192,7 @@ def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Ar
     best, reading = min(
         ((distance(one.read(places)), one) for one in _LATLONS), key=lambda item: item[0]
     )
-    if best < _EXPLAINS * ours and ours > 1000:
+    if best < _SHRINKS * ours and ours > 1000:
         detail = f"{reading.looks}: so read they are {best:.0f} m from GPS, as stated {ours:.4g} m"
         found = wrong(LATLON, reading.fault, detail, metres=ours, explained_metres=best)
         return found, reading.read(places)
@@ -267,7 +267,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
     if len(stated) > 2 * max(SHIFTS) and not named:
         shifted = {k: _fit(*_moved(stated, measured, k))[1] for k in SHIFTS}
         k = min(shifted, key=lambda key: shifted[key])
-        if shifted[k] < _EXPLAINS * residual:
+        if shifted[k] < _SHRINKS * residual:
             when = "earlier" if k > 0 else "later"
             detail = (
                 f"positions are those of photographs {abs(k)} {when}: so read they are "
@@ -275,7 +275,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
             )
             return wrong(FOLLOW, "positions-shifted", detail, **figures, photographs=float(-k))
     mirrored = _fit(stated * [1, 1, -1], measured)[1]
-    if mirrored < _EXPLAINS * residual:
+    if mirrored < _SHRINKS * residual:
         detail = f"the world is mirrored (left-handed): mirrored back it is {mirrored:.1f} m off"
         return wrong(FOLLOW, "world-mirrored", detail, **figures)
     if named:
@@ -287,7 +287,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
     if compared.absolute:
         apart = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
         nearest = float(np.median(apart.min(1)))
-        if nearest < _EXPLAINS * float(np.median(np.diag(apart))):
+        if nearest < _SHRINKS * float(np.median(np.diag(apart))):
             detail = (
                 f"names are shuffled: every position is {nearest:.1f} m from the GPS of some "
                 f"photograph, but {np.median(np.diag(apart)):.1f} m from that of its own"

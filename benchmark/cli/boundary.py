@@ -22,9 +22,9 @@ from typer.core import TyperGroup
 from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.runtime.script import INPUT_AT_FAULT as INPUT_AT_FAULT
 
 REGRESSION: Final = 1
-INPUT_AT_FAULT: Final = 2
 PROGRAM_AT_FAULT: Final = 3
 # Shells report a process that a signal ended as 128 plus the number of the signal.
 _SIGNALLED: Final = 128

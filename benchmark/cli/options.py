@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -132,10 +131,9 @@ def options_of(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command one option for each of these fields of a configuration class.
 
-    The option has the name and the type of the field, and its help is the field's description in
-    the section "Attributes:" of the class's docstring. The command takes one parameter called
-    ``settings`` in place of the options: a dictionary of the fields' values, where the value of an
-    option that was left out is its default.
+    The option has the name and the type of the field, and its help is the field's description. The
+    command takes one parameter called ``settings`` in place of the options: a dictionary of the
+    fields' values, where the value of an option that was left out is its default.
 
     Args:
         config: pydantic model.
@@ -144,15 +142,16 @@ def options_of(
             of a configuration file, or of the class, stands.
         metavars: placeholders of single options, such as the names that it takes.
     """
-    help_texts = field_descriptions(config)
     options = []
     for name in fields:
         default = (defaults or {}).get(name)
-        kind: Any = config.model_fields[name].annotation
+        field = config.model_fields[name]
+        kind: Any = field.annotation
         if default is None:
             kind = kind | None
         metavar = (metavars or {}).get(name)
-        annotation: Any = Annotated[kind, typer.Option(metavar=metavar, help=help_texts[name])]
+        help_text = (field.description or "").replace("``", "")
+        annotation: Any = Annotated[kind, typer.Option(metavar=metavar, help=help_text)]
         keyword = inspect.Parameter.POSITIONAL_OR_KEYWORD
         options.append(inspect.Parameter(name, keyword, default=default, annotation=annotation))
 
@@ -171,12 +170,3 @@ def options_of(
         return run
 
     return with_options
-
-
-def field_descriptions(config: type[Any]) -> dict[str, str]:
-    """Return the sentences that describe the fields of a class in its docstring, by field name."""
-    _, _, section = (inspect.getdoc(config) or "").partition("\nAttributes:\n")
-    section = re.split(r"\n(?=\S)", section)[0]
-    entries = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-    sentences = {name: " ".join(text.replace("``", "").split()) for name, text in entries}
-    return {name: text[0].upper() + text[1:] for name, text in sentences.items()}

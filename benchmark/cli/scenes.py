@@ -137,7 +137,7 @@ def ingest(
     or from EXIF. An interrupted run goes on where it stopped.
     """
     from objconnect.ingestion.command import ingest as run
-    from objconnect.ingestion.options import ControlOptions, IngestOptions
+    from objconnect.ingestion.options import IngestOptions
 
     report = run(
         photographs,
@@ -153,7 +153,7 @@ def ingest(
         mapper=mapper.value,
         split=split.value,
         every=every,
-        options=IngestOptions(control=ControlOptions(sigma_m=gcp_sigma)),
+        options=IngestOptions(control_sigma_m=gcp_sigma),
     )
     emit(Summary(report.text(), report.model_dump()), as_json)
 

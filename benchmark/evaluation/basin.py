@@ -26,7 +26,7 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.evaluation.evaluate import require_folder
 from benchmark.evaluation.scored_query import score_query
 from benchmark.evaluation.starts import moved_prior
-from benchmark.results.query_result import QueryResult
+from benchmark.results.query_result import MOST, QueryResult
 from benchmark.results.results import DatasetId
 from benchmark.results.results_files import BASIN, method_in
 from benchmark.scoring.score import THRESHOLDS, is_correct, wilson
@@ -45,9 +45,7 @@ from objconnect.scene.storage.scratch import cache_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
-# A larger count in a file is damage.
-_MOST = 10**12
-Count = Annotated[int, Field(ge=0, le=_MOST)]
+Count = Annotated[int, Field(ge=0, le=MOST)]
 
 
 class Size(NamedTuple):
@@ -79,7 +77,7 @@ class Level(Record):
 
     prior_t_m: float = Field(ge=0)
     prior_r_deg: float = Field(ge=0)
-    queries: int = Field(ge=1, le=_MOST)
+    queries: int = Field(ge=1, le=MOST)
     failed: Count
     fallback: Count
     correct: dict[str, Count]

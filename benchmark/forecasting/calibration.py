@@ -30,6 +30,8 @@ _STEPS: Final = 50
 _ADDED: Final = 0.5  # found and not found are each seen half a time more than they were
 # The false-fix risk is the pooled share, drawn to the usual one as by so many views.
 _USUAL_VIEWS: Final = 6.0
+# Views of a neighbour at this distance (m) count 61 % of a waypoint's own: one sigma.
+_POOL_M: Final = 20.0
 
 
 class Calibration(Record):
@@ -90,20 +92,19 @@ class Seen(NamedTuple):
     sigma_up_m: float
 
 
-def pool(seen: Sequence[Seen], centres: Array, pool_m: float) -> Evidence:
+def pool(seen: Sequence[Seen], centres: Array) -> Evidence:
     """Pool the views of one season over neighbouring waypoints.
 
     A view counts by a normal curve of the distance between its waypoint and the one that is asked
-    for, with the standard deviation ``pool_m``.
+    for, whose standard deviation is 20 m.
 
     Args:
         seen: the views.
         centres: positions of all waypoints, (N, 3) metres.
-        pool_m: metres.
     """
     at = np.array([view.waypoint for view in seen])
     apart = np.linalg.norm(centres[:, None] - centres[at][None], axis=-1)
-    weight = np.exp(-0.5 * np.square(apart / pool_m))  # (N, views)
+    weight = np.exp(-0.5 * np.square(apart / _POOL_M))  # (N, views)
     fix = np.array([view.fix for view in seen], float)
 
     def mean(values: Array, counts: Array) -> Array:

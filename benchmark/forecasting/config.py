@@ -3,61 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from pydantic import Field, field_validator
 
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.errors import InputError
+from objconnect.scene.storage.records import Record
 from simulate.look.conditions import condition
-
-Positive = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(gt=0, lt=1)]
 
 SEASONS = ("summer-noon", "winter-noon", "snow-dusk")
 """The conditions that are forecast when none are named."""
 
 
 class ForecastConfig(Config):
-    """A forecast: what is rendered, and how probabilities follow from it.
+    """A forecast: what is rendered, and how probabilities follow from it."""
 
-    Attributes:
-        seasons: conditions, SEASON-LIGHT[-WEATHER].
-        views: views that are rendered of each waypoint in each season.
-        size: longer side of the views, pixels; the map's photographs where they are smaller.
-        seed: random seed of the views' deviations, of their priors, and of the snow.
-        deviation_m: standard deviation of the views from the waypoint, per axis, metres.
-        deviation_deg: standard deviation of their attitude, per axis, degrees.
-        start: what the method is told about a view, as for ``evaluate``.
-        fix_m: a fix is wrong by less than this, metres.
-        fix_deg: and by less than this, degrees.
-        pool_m: views of a neighbour at this distance count 61 % of a waypoint's own (a normal
-            curve's one sigma), metres.
-        calibrated: whether the probabilities are calibrated for the method, where the project has
-            a calibration of it; otherwise they are the smoothed share of views that were found.
-        few_points: with fewer points of the map in view, more photographs of the map would help.
-        weak: below this probability a waypoint belongs to a weak stretch.
-        waypoints: number of waypoints of a flight that is no mission plan.
-        gap_m: the longest way without a fix that the aircraft can fly, metres.
-        most_waypoints: a flight with more is refused, because it would take hours.
-    """
-
-    seasons: tuple[str, ...] = Field(SEASONS, min_length=1)
-    views: int = Field(2, ge=1, le=50)
-    size: int = Field(512, ge=64, le=4096)
-    seed: int = Field(0, ge=0)
-    deviation_m: float = Field(0.7, ge=0)
-    deviation_deg: float = Field(1.5, ge=0, le=30)
-    start: str = "prior"
-    fix_m: Positive = 0.5
-    fix_deg: Positive = 5.0
-    pool_m: Positive = 20.0
-    calibrated: bool = True
-    few_points: int = Field(40, ge=1)
-    weak: Share = 0.5
-    waypoints: int = Field(30, ge=1)
-    gap_m: Positive = 100.0
-    most_waypoints: int = Field(300, ge=1)
+    seasons: tuple[str, ...] = Field(
+        SEASONS,
+        min_length=1,
+        description="Conditions that are forecast, SEASON-LIGHT[-WEATHER].",
+    )
+    views: int = Field(
+        2, ge=1, le=50, description="Views that are rendered of each waypoint in each season."
+    )
+    size: int = Field(
+        512,
+        ge=64,
+        le=4096,
+        description="Longer side of the views, pixels; that of the map's photographs where they "
+        "are smaller.",
+    )
+    seed: int = Field(
+        0,
+        ge=0,
+        description="Random seed of the views' deviations, of their priors, and of the snow.",
+    )
+    start: str = Field(
+        "prior", description="What the method is told about a view, as for ``evaluate``."
+    )
+    fix_m: float = Field(0.5, gt=0, description="A fix is wrong by less than this, metres.")
+    fix_deg: float = Field(5.0, gt=0, description="And by less than this, degrees.")
+    calibrated: bool = Field(
+        True,
+        description="Whether the probabilities are calibrated for the method, where the project "
+        "has a calibration of it; otherwise they are the smoothed share of views that were found.",
+    )
+    weak: float = Field(
+        0.5,
+        gt=0,
+        lt=1,
+        description="Below this probability a waypoint belongs to a weak stretch.",
+    )
+    waypoints: int = Field(
+        30, ge=1, description="Number of waypoints of a flight that is no mission plan."
+    )
+    gap_m: float = Field(
+        100.0,
+        gt=0,
+        description="The longest way without a fix that the aircraft can fly, metres.",
+    )
 
     @field_validator("seasons")
     @classmethod
@@ -72,7 +77,7 @@ _DEFAULTS: Final = ForecastConfig()
 _PREFIX: Final = "forecast."
 
 
-class _Settings(Config):
+class _Settings(Record):
     """What of the settings is of a forecast and not of its method."""
 
     forecast: ForecastConfig = _DEFAULTS

@@ -20,6 +20,7 @@ from benchmark.forecasting.calibration import (
 from benchmark.forecasting.config import ForecastConfig
 from benchmark.forecasting.observe import Observation
 from benchmark.forecasting.report import (
+    FEW_POINTS,
     Outlook,
     Season,
     Waypoint,
@@ -36,9 +37,7 @@ def evidence_by_season(
 ) -> dict[str, Evidence]:
     """Return the pooled evidence at all waypoints, by season."""
     return {
-        season: pool(
-            [_seen(o, config) for o in observations if o.season == season], centres, config.pool_m
-        )
+        season: pool([_seen(o, config) for o in observations if o.season == season], centres)
         for season in config.seasons
     }
 
@@ -133,7 +132,7 @@ def _outlooks(
     for k, chance in enumerate(chances.tolist()):
         cause = None
         if chance < config.weak:
-            cause = "few points" if points[k] < config.few_points else "look"
+            cause = "few points" if points[k] < FEW_POINTS else "look"
         made.append(
             Outlook.model_validate(
                 {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from benchmark.forecasting.calibration import Calibration
 from benchmark.forecasting.config import ForecastConfig
@@ -15,6 +15,9 @@ Cause = Literal["few points", "look"]
 Verdict = Literal["holds", "gaps", "fails"]
 
 SCHEMA = "objconnect forecast 2"
+FEW_POINTS: Final = 40
+"""With fewer points of the map in view, more photographs of the map would help."""
+
 CAUSES: Mapping[Cause, str] = {
     "few points": "few points of the map are in view: photograph the ground there for the map",
     "look": "the map has points there, but the season hides them: fly the map again in a season or "
@@ -228,7 +231,7 @@ def photographs_wanted(
 
     def wanted(waypoint: Waypoint) -> bool:
         weakest = min(outlook.probability for outlook in waypoint.seasons.values())
-        return waypoint.points < config.few_points and weakest < config.weak
+        return waypoint.points < FEW_POINTS and weakest < config.weak
 
     found = []
     for first, last in runs([wanted(w) for w in waypoints]):

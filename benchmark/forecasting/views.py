@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,12 @@ Array = NDArray[np.float64]
 
 # A map's origin and its twin's are one when their heights differ by no more, metres.
 _SAME_UP_M = 0.1
+# Standard deviation of the views from the waypoint, per axis, and of their attitude: wind, as
+# ``simulate`` has it.
+_DEVIATION_M: Final = 0.7
+_DEVIATION_DEG: Final = 1.5
+# A flight with more waypoints is refused, because it would take hours.
+_MOST_WAYPOINTS: Final = 300
 
 
 def views_config(
@@ -73,8 +79,8 @@ def views_config(
         "site": site,
         "sessions": sessions,
         "map_plan": QUERY_PLAN,
-        "position_jitter_m": config.deviation_m,
-        "attitude_jitter_deg": config.deviation_deg,
+        "position_jitter_m": _DEVIATION_M,
+        "attitude_jitter_deg": _DEVIATION_DEG,
     }
     try:
         made = SimulateConfig.model_validate(values)
@@ -162,9 +168,9 @@ def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
             )
     elif flight.counts_photographs:
         return
-    if count > config.most_waypoints:
+    if count > _MOST_WAYPOINTS:
         hours = math.ceil(count * config.views * len(config.seasons) * 3 / 3600)
         raise InputError(
             f"the flight has {count} waypoints, about {hours} h of rendering: trigger less often, "
-            f"or allow more than {config.most_waypoints} by --set forecast.most_waypoints=N"
+            f"at most {_MOST_WAYPOINTS} times, or fly the plan in parts"
         )

@@ -11,14 +11,15 @@ from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.localizer import By, Status
 from objconnect.scene.storage.answers import Named, PoseNumbers
 
-# Larger numbers in a file are damage; sums of them could overflow.
-_MOST: Final = 10**12
+MOST: Final = 10**12
+"""Larger numbers in a file are damage; sums of them could overflow."""
+
 LARGEST_NEES: Final = 1e100
 # 180 degrees, with room for the rounding errors of a quaternion.
 _MOST_DEG: Final = 180.001
 _Length = Annotated[float, Field(ge=-10 * FARTHEST_M, le=10 * FARTHEST_M)]
-_Count = Annotated[int, Field(ge=0, le=_MOST)]
-_Time = Annotated[float, Field(ge=0, le=_MOST)]
+_Count = Annotated[int, Field(ge=0, le=MOST)]
+_Time = Annotated[float, Field(ge=0, le=MOST)]
 
 # The stage with the whole time of a query, measured outside the method.
 TOTAL = "total"

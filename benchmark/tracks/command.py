@@ -13,8 +13,8 @@ from benchmark.datasets.simulated import open_scene
 from benchmark.tracks.description import (
     BOARD,
     DESCRIPTION,
-    Place,
     Track,
+    TrackPlace,
     load_track,
     write_track,
 )
@@ -206,21 +206,21 @@ def _record(name: str, board: Path, made: Sequence[PlaceReport]) -> tuple[Path, 
     return (*written, board / name / DESCRIPTION)
 
 
-def _queries(board: Path, name: str, place: Place | PlaceReport) -> Path:
+def _queries(board: Path, name: str, place: TrackPlace | PlaceReport) -> Path:
     return board / name / "queries" / f"{place.dataset}.csv"
 
 
-def _render(board: Path, name: str, place: Place | PlaceReport) -> Path:
+def _render(board: Path, name: str, place: TrackPlace | PlaceReport) -> Path:
     return board / name / "renders" / f"{place.dataset}.json{SUFFIX}"
 
 
-def _configuration(track: Track, place: Place) -> SimulateConfig:
+def _configuration(track: Track, place: TrackPlace) -> SimulateConfig:
     given = {"preset": place.preset, "seed": place.seed}
     return SimulateConfig.load(Path(track.config), given)
 
 
 def _make(
-    place: Place,
+    place: TrackPlace,
     config: SimulateConfig,
     out: Path,
     record: Path,
@@ -247,7 +247,7 @@ def _make(
     )
 
 
-def _unlike(place: Place, sha256: str, record: Path, scene: Scene) -> str:
+def _unlike(place: TrackPlace, sha256: str, record: Path, scene: Scene) -> str:
     """Return how a render differs from the recorded one by more than rounding; empty for not."""
     if not place.renders or sha256 in place.renders:
         return ""

@@ -13,10 +13,11 @@ from typing import Annotated, Final
 import yaml
 from pydantic import Field, field_validator
 
-from objconnect.scene.config import Config, load_config
+from objconnect.scene.config import LARGEST, load_config
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import write_text
 from objconnect.scene.storage.listing import list_files
+from objconnect.scene.storage.records import Record
 
 BOARD: Final = Path(__file__).parent
 """The folder of the tracks that come with the project."""
@@ -28,7 +29,7 @@ _Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _Words = Annotated[str, Field(min_length=1, max_length=300)]
 
 
-class Place(Config):
+class TrackPlace(Record):
     """A place of a track, which is one scene and one data set.
 
     Attributes:
@@ -41,11 +42,11 @@ class Place(Config):
 
     dataset: _Name
     preset: _Name
-    seed: int = Field(ge=0)
+    seed: int = Field(ge=0, le=LARGEST)
     renders: tuple[_Digest, ...] = ()
 
 
-class Track(Config):
+class Track(Record):
     """A list of places that are rendered alike, and what is run on them.
 
     Attributes:
@@ -60,19 +61,19 @@ class Track(Config):
     name: _Name
     title: _Words
     config: _Words
-    places: tuple[Place, ...] = Field(min_length=1)
+    places: tuple[TrackPlace, ...] = Field(min_length=1)
     starts: tuple[_Words, ...] = Field(min_length=1)
     methods: tuple[_Words, ...] = Field(min_length=1)
 
     @field_validator("places")
     @classmethod
-    def _are_distinct(cls, places: tuple[Place, ...]) -> tuple[Place, ...]:
+    def _are_distinct(cls, places: tuple[TrackPlace, ...]) -> tuple[TrackPlace, ...]:
         names = [place.dataset for place in places]
         if len(set(names)) < len(names):
             raise ValueError(f"two places have one name: {', '.join(names)}")
         return places
 
-    def chosen(self, names: tuple[str, ...] = ()) -> tuple[Place, ...]:
+    def chosen(self, names: tuple[str, ...] = ()) -> tuple[TrackPlace, ...]:
         """Return the places of these names in the track's order; all of them for no name.
 
         Raises:

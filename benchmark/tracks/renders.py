@@ -17,21 +17,29 @@ from pydantic import Field
 
 from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.packed import pack
+from objconnect.scene.storage.records import Record
 
 # Blocks per side of a photograph, and decimals of their brightness.
 _BLOCKS: Final = 8
 _DECIMALS: Final = 1
 # Decimals of poses: micrometres.
 _POSE_DECIMALS: Final = 6
+# Limits within which two renders are alike. With kernels of another instruction set, renders of a
+# park differ by up to 0.02 grey levels in blocks of the same size; a car of another place changes a
+# block by several. Largest difference of a block (grey levels), of a number of a pose (metres or
+# none), of a parameter of a camera (share) and of the number of points of the map (share):
+_BRIGHTNESS: Final = 0.5
+_POSITION_M: Final = 1e-5
+_CAMERA_SHARE: Final = 1e-9
+_MAP_SHARE: Final = 0.02
 
 
-class RenderedFrame(Config):
+class RenderedFrame(Record):
     """A frame of a render.
 
     Attributes:
@@ -47,7 +55,7 @@ class RenderedFrame(Config):
     blocks: tuple[float, ...] = Field(min_length=_BLOCKS**2, max_length=_BLOCKS**2)
 
 
-class Render(Config):
+class Render(Record):
     """What a rendered and mapped place looks like.
 
     Attributes:
@@ -57,29 +65,6 @@ class Render(Config):
 
     frames: tuple[RenderedFrame, ...] = Field(min_length=1)
     map_points: int = Field(ge=0)
-
-
-class Likeness(Config):
-    """Limits within which two renders are alike.
-
-    With kernels of another instruction set, renders of a park differ by up to 0.02 grey levels in
-    blocks of the same size; a car of another place changes a block by several.
-
-    Attributes:
-        brightness: largest difference of a block, grey levels.
-        position_m: largest difference of a number of a pose, metres or none.
-        camera_share: largest difference of a parameter of a camera, as a share.
-        map_share: largest difference of the number of points of the map, as a share.
-    """
-
-    brightness: float = Field(0.5, gt=0)
-    position_m: float = Field(1e-5, gt=0)
-    camera_share: float = Field(1e-9, gt=0)
-    map_share: float = Field(0.02, gt=0)
-
-
-LIKENESS: Final = Likeness()
-"""The default limits."""
 
 
 def render_of(scene: Scene) -> Render:
@@ -123,24 +108,24 @@ def read_render(path: Path) -> Render:
     return read_json(path, Render, "record of a render")
 
 
-def difference(recorded: Render, render: Render, limits: Likeness = LIKENESS) -> str:
+def difference(recorded: Render, render: Render) -> str:
     """Describe in words why two renders are not alike; the text is empty when they are."""
     names, others = ([frame.name for frame in each.frames] for each in (recorded, render))
     if names != others:
         return "other frames"
     for before, now in zip(recorded.frames, render.frames, strict=True):
-        if not _is_same_camera(before.camera, now.camera, limits.camera_share):
+        if not _is_same_camera(before.camera, now.camera):
             return f"another camera of {now.name}"
     poses, moved = (_numbers(each, "cam_from_world") for each in (recorded, render))
     apart = np.abs(moved - poses).max(1)
-    if apart.max() > limits.position_m:
+    if apart.max() > _POSITION_M:
         return f"another pose of {names[int(apart.argmax())]}"
     blocks, seen = (_numbers(each, "blocks") for each in (recorded, render))
     brighter = np.abs(seen - blocks).max(1)
-    if brighter.max() > limits.brightness:
+    if brighter.max() > _BRIGHTNESS:
         worst = int(brighter.argmax())
         return f"{names[worst]} differs by {brighter[worst]:.1f} grey levels"
-    if abs(render.map_points - recorded.map_points) > limits.map_share * recorded.map_points:
+    if abs(render.map_points - recorded.map_points) > _MAP_SHARE * recorded.map_points:
         return f"a map of {render.map_points} points, not {recorded.map_points}"
     return ""
 
@@ -152,14 +137,14 @@ def _blocks(rgb: NDArray[np.uint8]) -> tuple[float, ...]:
     return tuple(np.round(means.astype(np.float64).ravel(), _DECIMALS).tolist())
 
 
-def _is_same_camera(words: str, others: str, share: float) -> bool:
+def _is_same_camera(words: str, others: str) -> bool:
     """Say whether cameras are one but for rounding: tangents of two processors differ by a bit."""
     if words == others:
         return True
     before, now = Camera.parse(words.split()), Camera.parse(others.split())
     if (before.model, before.width, before.height) != (now.model, now.width, now.height):
         return False
-    return bool(np.allclose(now.params, before.params, rtol=share, atol=share))
+    return bool(np.allclose(now.params, before.params, rtol=_CAMERA_SHARE, atol=_CAMERA_SHARE))
 
 
 def _numbers(render: Render, field: str) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from objconnect.ingestion.given import as_given
 from objconnect.ingestion.lenses import with_known_lenses
 from objconnect.ingestion.neighbours import alike, choose_pairs
 from objconnect.ingestion.outputs import (
+    COVISIBILITY_POINTS,
     FRAMES,
     owned_files,
     sample,
@@ -148,10 +149,10 @@ def add_photographs(
             "photographs": {image.file: image.sha256 for image in flight.images},
         }
     )
-    names, options = [image.name for image in flight.images], plan.options
+    names = [image.name for image in flight.images]
     _, fixes = local(flight.images, base.manifest.origin)
-    queries = queries_of(names, fixes, plan.split, plan.every, options.line_turn_deg)
-    taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
+    queries = queries_of(names, fixes, plan.split, plan.every)
+    taken = photographs_of(flight.images, plan.size, camera)
     if camera is None:
         taken = with_known_lenses(base, flight.images, taken)
     source = _Source(base, session, photographs, flight, taken, fixes, queries, plan)
@@ -201,15 +202,15 @@ def _without_earlier(flight: Flight, earlier: Mapping[str, str], scene: Path) ->
 
 def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
-    base, queries, options = source.base, source.queries, source.plan.options
+    base, queries = source.base, source.queries
     _copy(base, out)
     known = _known(base)
     flight, model, turned = _registered(out, source, known)
     images, fixes = flight.images, source.fixes
-    placed = replace(as_given(_only(model, images), fixes, options), level="map")
+    placed = replace(as_given(_only(model, images), fixes), level="map")
     adjusted = Adjusted(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
-    wrong = write_measurements(frames, adjusted, images, fixes, queries, options)
+    wrong = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
     splits = _write_lists(out, source, model, [image.name for image in images])
     over = [image.file for image in images if image.name in turned]
@@ -271,7 +272,7 @@ def _known(base: Scene) -> KnownMap:
 
 def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, SparseMap, set[str]]:
     """Return the registered photographs, the map with them, and the rotated photographs."""
-    root, models, options = out / "sessions", out / WORK / "models", source.plan.options
+    root, models = out / "sessions", out / WORK / "models"
     base = source.base
     turned = read_turned(out)
     copied = copy_photographs(source.flight, source.folder, root, source.plan.size, turned)
@@ -291,12 +292,11 @@ def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Sp
         )
     if not turned:
         only = _only(model, flight.images)
-        where = as_given(only, source.fixes, options)
+        where = as_given(only, source.fixes)
         turned = turned_over(
             only,
             where,
             flight.images,
-            options.max_attitude_error_deg,
             agreeing=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
         )
         if turned:
@@ -315,17 +315,17 @@ def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photogra
     options, root, database = source.plan.options, out / "sessions", out / WORK / DATABASE
     new, old = [p.name for p in taken], [image.name for image in known.images]
     centres = {n: known.sparse_map.images[n].centre for n in old}
-    job = MatchingJob(root, (), SiftOptions(), matching=options.matching)
+    job = MatchingJob(root, (), SiftOptions())
     with progress_bar("extract", len(old) + len(new)) as advance:
         match_new(known, taken, job, database, advance)
     fixed = [name for name in new if name in source.fixes]
-    near = choose_pairs([*old, *fixed], {**centres, **source.fixes}, options.pairs)
+    near = choose_pairs([*old, *fixed], {**centres, **source.fixes}, options)
     pairs = {pair for pair in near if pair[1] in source.fixes}
-    pairs |= set(choose_pairs(new, source.fixes, options.pairs))
+    pairs |= set(choose_pairs(new, source.fixes, options))
     if len(fixed) < len(new):
         blind = [name for name in new if name not in source.fixes]
         features = read_features(database, root)
-        pairs |= set(alike(blind, old, features, options.pairs, options.matching))
+        pairs |= set(alike(blind, old, features, options))
     job = replace(job, pairs=sorted(pairs))
     with progress_bar("match", len(old) + len(new) + len(pairs)) as advance:
         match_new(known, taken, job, database, advance)
@@ -344,7 +344,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
         queries={**base.splits.queries, **({source.session: asked} if asked else {})},
     )
     write_json(out / "splits.json", splits)
-    before, sampled = base.covisibility, source.plan.options.covisibility_points
+    before = base.covisibility
     cameras: dict[str, Camera] = {}
     poses: dict[str, Array] = {}
     for session in base.sessions:
@@ -355,9 +355,9 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
     poses |= {name: model.images[name].cam_from_world for name in names}
     every = (*before.names, *names)
     points = [
-        seen_points(model, name, sampled)
+        seen_points(model, name, COVISIBILITY_POINTS)
         if name in model.images
-        else sample(_in_view(model.xyz, cameras[name], poses[name]), sampled)
+        else sample(_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS)
         for name in every
     ]
     overlap = visible_share(

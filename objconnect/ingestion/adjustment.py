@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from objconnect.ingestion.georegister import Georegistration, georegister
 from objconnect.ingestion.gps_delay import find_delay, motions, undo_delay
-from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.colmap.structure_from_motion import (
     MeasuredPositions,
     RefinedLenses,
@@ -27,6 +26,20 @@ Array = NDArray[np.float64]
 
 NO_ALTITUDE: Final = 1e4
 """Standard deviation of an altitude that is unknown or ignored (m)."""
+
+# Focal lengths of EXIF are adjusted where depths within a picture differ by more than this share.
+# Over flatter ground, EXIF is better than an estimate.
+_MIN_RELIEF: Final = 0.25
+# Principal points are adjusted where the mean of the unit vectors to the right of a lens's cameras
+# is shorter than this. If all cameras face one way, a principal point cannot be distinguished from
+# a shift.
+_MAX_COMMON_DIRECTION: Final = 0.8
+# They are refined only where this reduces the reprojection error by more than this share. Otherwise
+# errors of GPS would move them.
+_MIN_GAIN: Final = 0.002
+# Most iterations of the delay. Each changes the centres, and so the velocities from which the next
+# one is computed.
+_ROUNDS: Final = 3
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,6 @@ def adjust(
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
     work: Path,
-    options: IngestOptions,
 ) -> Adjusted:
     """Place a model by GPS and adjust it to pixels and GPS.
 
@@ -66,14 +78,13 @@ def adjust(
         fixes: Measured positions (3,) by name, world metres.
         times: Seconds since any one moment, by name.
         work: Folder for the adjusted model.
-        options: When GPS is believed, and which lenses are adjusted.
 
     Raises:
         InputError: As ``georegister``.
     """
     raw = read_model(model_path)
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
-    placed, delay, used = _place(raw, order, fixes, times, options)
+    placed, delay, used = _place(raw, order, fixes, times)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = np.minimum(placed.sigma, NO_ALTITUDE)
     blind = blind_of(positions)
@@ -83,8 +94,7 @@ def adjust(
         if name in blind:
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
-    limits = options.adjustment
-    tell = _relief(raw) > limits.min_relief
+    tell = _relief(raw) > _MIN_RELIEF
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
     def adjusted(principal_point: bool) -> Adjusted:
@@ -102,9 +112,9 @@ def adjust(
         return Adjusted(model, placed, refined, delay, {} if used is fixes else used, out)
 
     best = adjusted(principal_point=False)
-    if _common_direction(raw, taken) < limits.max_common_direction:
+    if _common_direction(raw, taken) < _MAX_COMMON_DIRECTION:
         off_middle = adjusted(principal_point=True)
-        least = (1 - limits.min_gain) * best.model.reprojection_error()
+        least = (1 - _MIN_GAIN) * best.model.reprojection_error()
         if off_middle.model.reprojection_error() < least:
             best = off_middle
     return _at_height(best, used) if placed.level == "ground" and blind_of(used) else best
@@ -131,7 +141,6 @@ def _place(
     order: Sequence[str],
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
-    options: IngestOptions,
 ) -> tuple[Georegistration, float, Mapping[str, Array]]:
     """Place a model by its fixes, without their delay if they have one.
 
@@ -140,24 +149,23 @@ def _place(
         order: Names of its photographs in the order they were taken.
         fixes: Measured positions (3,) by name, world metres.
         times: Seconds since any one moment, by name.
-        options: When positions are wrong, and when they are late.
 
     Returns:
         Where the model is, the delay in seconds (0 if unknown), and the fixes without the delay;
         without a delay these are ``fixes`` itself.
     """
-    placed, used, delay = georegister(raw, fixes, options.placement), fixes, 0.0
-    for _ in range(options.delay.rounds):
+    placed, used, delay = georegister(raw, fixes), fixes, 0.0
+    for _ in range(_ROUNDS):
         centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
-        moving = motions(order, centres, times, options.line_turn_deg)
+        moving = motions(order, centres, times)
         trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
-        delay = find_delay(moving, centres, trusted, options.delay)
+        delay = find_delay(moving, centres, trusted)
         if delay == 0:
             break
         used = undo_delay(fixes, moving, delay)
-        placed = georegister(raw, used, options.placement)
+        placed = georegister(raw, used)
     if delay == 0 and used is not fixes:
-        placed, used = georegister(raw, fixes, options.placement), fixes
+        placed, used = georegister(raw, fixes), fixes
     return placed, delay, used
 
 

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from objconnect.ingestion.georegister import Georegistration
-from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.photographs import FlightImage
 from objconnect.scene.geometry.gimbal import gimbal_angles as gimbal_angles
 from objconnect.scene.geometry.gimbal import gimbal_pose as gimbal_pose
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.sparse_map import SparseMap
 
+# A photograph contradicts its gimbal if their attitudes differ by more than this. Usual errors of
+# gimbals are a few degrees, and those of compasses are larger.
+_MAX_ERROR_DEG: Final = 30.0
+# Standard deviations of attitudes are at least this: gimbals write tenths of a degree.
+_MIN_SIGMA_DEG: Final = 0.1
 _OVER = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -23,7 +28,6 @@ def turned_over(
     model: SparseMap,
     placed: Georegistration,
     images: Sequence[FlightImage],
-    max_error_deg: float,
     agreeing: int = 0,
 ) -> set[str]:
     """Return the names of photographs that someone has rotated by 180 degrees.
@@ -36,7 +40,6 @@ def turned_over(
         model: The model, in a frame of its own.
         placed: Where the model is in the world.
         images: Photographs of the model; there may be others.
-        max_error_deg: A photograph that is further off contradicts its gimbal.
         agreeing: Number of other photographs whose gimbals are known to agree.
     """
     linear = placed.world_from_model[:, :3]
@@ -46,8 +49,8 @@ def turned_over(
         if image.exif.gimbal is None or image.name not in model.images:
             continue
         seen = model.images[image.name].cam_from_world[:3, :3] @ turn.T
-        upright += _degrees(image, seen) < max_error_deg
-        if _degrees(image, _OVER @ seen) < max_error_deg:
+        upright += _degrees(image, seen) < _MAX_ERROR_DEG
+        if _degrees(image, _OVER @ seen) < _MAX_ERROR_DEG:
             over.add(image.name)
     return over if len(over) < upright else set()
 
@@ -63,7 +66,6 @@ def attitudes(
     images: Sequence[FlightImage],
     poses: NDArray[np.float64],
     queries: set[str],
-    options: IngestOptions,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
     """Return the attitudes of the gimbal, how exact they are, and those that are wrong.
 
@@ -71,7 +73,6 @@ def attitudes(
         images: The photographs.
         poses: Poses ``cam_from_world`` (N, 4, 4) of the photographs.
         queries: Names of the queries. The sigma is measured on the other photographs.
-        options: Which attitudes are wrong, and the least sigma.
 
     Returns:
         Quaternions (N, 4), w x y z, and their sigma (N,) in degrees per axis, both NaN for a
@@ -84,7 +85,7 @@ def attitudes(
         if image.exif.gimbal is not None:
             quaternions[k] = gimbal_pose(*image.exif.gimbal).quaternion().numpy()
             errors[k] = _degrees(image, poses[k, :3, :3])
-    wrong = errors > options.max_attitude_error_deg
+    wrong = errors > _MAX_ERROR_DEG
     blunders = {images[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
     quaternions[wrong] = errors[wrong] = np.nan
     known = np.isfinite(errors)
@@ -92,5 +93,5 @@ def attitudes(
     if not mapped.any():
         mapped = known
     sigma = np.sqrt((errors[mapped] ** 2).mean() / 3) if known.any() else np.nan
-    sigma = np.maximum(sigma, options.min_attitude_sigma_deg)
+    sigma = np.maximum(sigma, _MIN_SIGMA_DEG)
     return quaternions, np.where(known, sigma, np.nan), blunders

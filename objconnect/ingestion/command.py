@@ -128,7 +128,7 @@ def ingest(
         mapper: "incremental" or "global" structure from motion.
         split: queries are every ``every``-th "photo" or flight "line", or "none".
         every: see ``split``.
-        options: which photographs are matched, and when GPS and gimbals are believed.
+        options: which photographs are matched, and how exact receiver and ground control are.
 
     Raises:
         InputError: fewer than three photographs can be read, have positions or overlap; ``out``
@@ -187,11 +187,11 @@ def _source(
 ) -> _Source:
     """Return what a scene is made of; only the photographs themselves are still unread."""
     origin, fixes = local(flight.images, None if given is None else given.origin)
-    names, options = [image.name for image in flight.images], plan.options
+    names = [image.name for image in flight.images]
     course = fixes if given is None or given.origin is None else given.centres
-    queries = queries_of(names, course, plan.split, plan.every, options.line_turn_deg)
+    queries = queries_of(names, course, plan.split, plan.every)
     if given is None:
-        taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
+        taken = photographs_of(flight.images, plan.size, camera)
     else:
         taken = given.photographs()
         control = [replace(point, check=True) for point in control]
@@ -217,16 +217,16 @@ def _build(out: Path, source: _Source) -> IngestReport:
     else:
         flight, model_path, turned = _structure(out, source)
         times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
-        adjusted = adjust(model_path, taken, fixes, times, out / WORK, options)
+        adjusted = adjust(model_path, taken, fixes, times, out / WORK)
     points = [_as_placed(point, turned, taken) for point in source.control]
     adjusted, residuals = fit_to_control(
         adjusted, points, source.origin, taken, out / WORK, options
     )
     model, images = adjusted.model, flight.images
     frames = out / "sessions" / SESSION / FRAMES
-    wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries, options)
+    wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
-    write_lists(out, model, images, queries, options.covisibility_points)
+    write_lists(out, model, images, queries)
     over = [image.file for image in images if image.name in turned]
     receiver = Receiver(fixes, {} if source.plan.gps is not None else stated_sigmas(images))
     placed = georeference_of(model, adjusted.placed, receiver, residuals, options)
@@ -263,7 +263,7 @@ def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjuste
     taken = [photograph for photograph in source.taken if photograph.name in set(there)]
     options, database = source.plan.options, out / WORK / DATABASE
     _match(taken, given.centres, options, out)
-    adjusted = triangulated(given, there, source.fixes, out / "sessions", database, options)
+    adjusted = triangulated(given, there, source.fixes, out / "sessions", database)
     return placed, adjusted, set()
 
 
@@ -281,8 +281,8 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     model_path, elsewhere = _map(there, out, source.plan.mapper)
     if not turned:
         raw = read_model(model_path)
-        where = georegister(raw, fixes, options.placement)
-        turned = turned_over(raw, where, placed.images, options.max_attitude_error_deg)
+        where = georegister(raw, fixes)
+        turned = turned_over(raw, where, placed.images)
         if turned:
             begin_again(out, turned, model_path.parent)
             return _structure(out, source)
@@ -309,9 +309,9 @@ def _match(
     options: IngestOptions,
     out: Path,
 ) -> None:
-    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options.pairs)
+    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options)
     with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
-        job = MatchingJob(out / "sessions", pairs, SiftOptions(), matching=options.matching)
+        job = MatchingJob(out / "sessions", pairs, SiftOptions())
         match_photographs(job, taken, out / WORK / DATABASE, advance)
 
 

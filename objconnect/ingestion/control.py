@@ -28,6 +28,9 @@ Role = Literal["used", "check", "wrong", "unseen"]
 # Points that a similarity needs, and that tell which of them is wrong.
 _FEWEST: Final = 3
 _TELLING: Final = 5
+# A point is wrong if it is further than this (m), and than sigmas of the others, from where they
+# put it: wrong marks move it by less, a name that is mixed up by more.
+_WRONG_M: Final = 1.0
 
 
 class ControlResidual(BaseModel):
@@ -130,7 +133,7 @@ def fit_to_control(
         origin: place of the world's origin.
         taken: photographs of the model; further ones are ignored.
         work: folder for the adjusted model.
-        options: sigma of the points, and when one is wrong.
+        options: sigma of the points.
     """
     surveyed = {point.name: point.position(origin) for point in points}
     found = {p.name: seen[0] for p in points if (seen := seen_by(adjusted.model, p.marks))}
@@ -138,7 +141,6 @@ def fit_to_control(
     wrong = _wrong(
         np.array([found[p.name] for p in free]).reshape(-1, 3),
         np.array([surveyed[p.name] for p in free]).reshape(-1, 3),
-        options,
     )
     used = [point for point, bad in zip(free, wrong, strict=True) if not bad]
     roles: dict[str, Role] = {p.name: "check" if p.check else "wrong" for p in points}
@@ -147,24 +149,23 @@ def fit_to_control(
     if used:
         fixed = [
             SurveyedPoint(
-                surveyed[p.name], options.control.sigma_m, _inside(p.marks, adjusted.model)
+                surveyed[p.name], options.control_sigma_m, _inside(p.marks, adjusted.model)
             )
             for p in used
         ]
         there = np.array([found[p.name] for p in used])
-        adjusted = _fitted(adjusted, fixed, there, taken, work, options)
+        adjusted = _fitted(adjusted, fixed, there, taken, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
     )
 
 
-def _wrong(found: Array, surveyed: Array, options: IngestOptions) -> NDArray[np.bool_]:
+def _wrong(found: Array, surveyed: Array) -> NDArray[np.bool_]:
     """Return which points contradict the others, (N,); too few points tell of none."""
-    if len(found) < _TELLING or is_on_a_line(found, options.placement):
+    if len(found) < _TELLING or is_on_a_line(found):
         return np.zeros(len(found), bool)
-    limits = options.placement.model_copy(update={"usual_error_m": options.control.wrong_m})
-    return ~robust_similarity(found, surveyed, limits)[1]
+    return ~robust_similarity(found, surveyed, _WRONG_M)[1]
 
 
 def _fitted(
@@ -173,11 +174,10 @@ def _fitted(
     found: Array,
     taken: Sequence[Photograph],
     work: Path,
-    options: IngestOptions,
 ) -> Adjusted:
     """Return the model after the fit to points that it has found elsewhere, (N, 3)."""
     surveyed = np.array([point.xyz for point in points])
-    if len(points) < _FEWEST or is_on_a_line(found, options.placement):
+    if len(points) < _FEWEST or is_on_a_line(found):
         shift = np.column_stack([np.eye(3), (surveyed - found).mean(0)])
         return replace(adjusted, model=adjusted.model.moved(shift))
     with atomic_folder(work / "control") as folder:

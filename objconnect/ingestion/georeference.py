@@ -63,14 +63,13 @@ def georeference_of(
     used = [n for n in model.names if n in receiver.fixes and n not in placed.blunders]
     if known is not None or len(used) < _FEWEST:
         return known
-    limits = options.georeference
     stated = [receiver.stated.get(name) for name in used]
     measured = [sigma for sigma in stated if sigma is not None]
     if len(measured) == len(used):  # corrected positions, with heights above the ellipsoid
         shared = (np.array(measured) ** 2).mean(0)
     else:
-        across = limits.receiver_sigma_m**2
-        up = limits.receiver_height_sigma_m**2 + limits.height_datum_sigma_m**2
+        across = options.receiver_sigma_m**2
+        up = options.receiver_height_sigma_m**2 + options.height_datum_sigma_m**2
         shared = np.array([across, across, up])
     east, north, up = (shared + placed.sigma**2).tolist()
     return _georeference(east + north, math.sqrt(up), "gps")
@@ -84,7 +83,7 @@ def _by_control(control: Sequence[ControlResidual], options: IngestOptions) -> G
         if len(used) < _FEWEST:  # their residuals are what the shift has left
             return None
         off = np.array(used)
-    east, north, up = (off**2).mean(0) + options.control.sigma_m**2
+    east, north, up = (off**2).mean(0) + options.control_sigma_m**2
     return _georeference(east + north, math.sqrt(up), "control")
 
 

@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.options import PlacementOptions
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -20,7 +19,27 @@ from objconnect.scene.maps.sparse_map import SparseMap
 Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
-_DEFAULTS: Final = PlacementOptions()
+BLUNDER_SIGMAS: Final = 5.0
+"""A position is wrong if it is further from its camera than this many standard deviations of the
+others, and further than the usual error: drift makes the tails of a receiver's errors long."""
+
+USUAL_ERROR_M: Final = 5.0
+"""Usual error (m) of receivers without corrections. Positions within it are not wrong."""
+
+MIN_SIGMA_M: Final = 0.02
+"""Standard deviations of positions are at least this (m), that of a receiver with corrections."""
+
+# Random samples of positions from which a placement is chosen: with half of them wrong, none of so
+# many samples of three is right by a chance of 1e-29.
+_SAMPLES: Final = 500
+# Least width of a flight, as a share of its length, at which its positions determine the rotation
+# about its course.
+_MIN_WIDTH: Final = 0.05
+# Ground and cameras that agree with each other and differ by more than this from the vertical of
+# GPS contradict its altitudes.
+_MAX_TILT_DEG: Final = 8.0
+# Points further from the plane of the ground than this many standard deviations are not ground.
+_GROUND_SIGMAS: Final = 2.5
 # Altitudes that tell a rotation.
 _WHOLE: Final = 3
 # Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
@@ -49,9 +68,7 @@ class Georegistration:
         return _apply(self.world_from_model, points)
 
 
-def georegister(
-    model: SparseMap, fixes: Mapping[str, Array], options: PlacementOptions = _DEFAULTS
-) -> Georegistration:
+def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
     """Find the similarity from camera centres to GPS by least median of squares.
 
     The estimate holds with up to half of the fixes wrong, and needs no threshold that depends on
@@ -63,7 +80,6 @@ def georegister(
     Args:
         model: The model, in a frame of its own.
         fixes: Measured camera centres (3,) by name, east, north, up in metres.
-        options: Which fixes are wrong, and when their altitudes are.
 
     Raises:
         InputError: Fewer than three photographs of the model have a fix, or all fixes are one.
@@ -79,23 +95,23 @@ def georegister(
     high = np.isfinite(measured[:, 2])
     away = measured - np.median(measured, 0)
     away[:, 2] = measured[:, 2] - np.median(measured[high, 2]) if high.any() else 0.0
-    if np.linalg.norm(np.nan_to_num(away), axis=1).max() < options.min_sigma_m:
+    if np.linalg.norm(np.nan_to_num(away), axis=1).max() < MIN_SIGMA_M:
         raise InputError("all GPS positions are one: they do not tell scale and direction")
 
-    upright = _upright(model, options.ground_sigmas)
+    upright = _upright(model)
     level = "ground"
-    if high.sum() >= _WHOLE and not is_on_a_line(centres[high], options):
-        placed, good = _fit_whole(centres, measured, options)
-        if _tilt_deg(placed, model, upright[2]) <= options.max_tilt_deg:
+    if high.sum() >= _WHOLE and not is_on_a_line(centres[high]):
+        placed, good = _fit_whole(centres, measured)
+        if _tilt_deg(placed, model, upright[2]) <= _MAX_TILT_DEG:
             level = "gps"
     if level == "ground":
-        placed, good = _fit_level(upright, centres, measured, options)
+        placed, good = _fit_level(upright, centres, measured)
     off = (_apply(placed, centres) - measured)[good]
     return Georegistration(
         world_from_model=placed,
         level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
-        sigma=np.maximum(rms_of(off), options.min_sigma_m),
+        sigma=np.maximum(rms_of(off), MIN_SIGMA_M),
     )
 
 
@@ -111,15 +127,13 @@ def rms_of(off: Array) -> Array:
     return np.array([*np.sqrt((off[:, :2] ** 2).mean(0)), up])
 
 
-def _fit_whole(
-    centres: Array, measured: Array, options: PlacementOptions
-) -> tuple[Array, NDArray[np.bool_]]:
+def _fit_whole(centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Fit to the fixes that have an altitude, and judge the others by the horizontal axes."""
     high = np.isfinite(measured[:, 2])
-    placed, right = robust_similarity(centres[high], measured[high], options)
+    placed, right = robust_similarity(centres[high], measured[high])
     off = np.linalg.norm((_apply(placed, centres) - measured)[:, :2], axis=1)
     usual = SIGMA_OF_MEDIAN * float(np.median(off[high][right]))
-    good = off <= max(options.blunder_sigmas * usual, options.usual_error_m)
+    good = off <= max(BLUNDER_SIGMAS * usual, USUAL_ERROR_M)
     good[high] = right
     return placed, good
 
@@ -150,29 +164,32 @@ def _degrees(a: Array, b: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-def is_on_a_line(points: Array, options: PlacementOptions = _DEFAULTS) -> bool:
+def is_on_a_line(points: Array) -> bool:
     """Return whether points (N, 3) are too near one line to tell the rotation about it."""
     singular = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    return bool(singular[1] < options.min_width * max(singular[0], 1e-12))
+    return bool(singular[1] < _MIN_WIDTH * max(singular[0], 1e-12))
 
 
 def robust_similarity(
-    source: Array, target: Array, options: PlacementOptions = _DEFAULTS
+    source: Array, target: Array, usual_error_m: float = USUAL_ERROR_M
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Fit a similarity to points (N, 3) of which up to half are wrong.
+
+    Args:
+        source: Points (N, 3).
+        target: Where they are found, (N, 3) metres.
+        usual_error_m: Points within it are not wrong.
 
     Returns:
         The similarity (3, 4), and which points fit it, (N,).
     """
-    return _robust(similarity, source, target, 3, options)
+    return _robust(similarity, source, target, 3, usual_error_m)
 
 
-def _fit_level(
-    upright: Array, centres: Array, measured: Array, options: PlacementOptions
-) -> tuple[Array, NDArray[np.bool_]]:
+def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Fit with the ground level, and with heights at the scale of the model."""
     turned = centres @ upright.T
-    horizontal, good = _robust(_level_similarity, turned, np.nan_to_num(measured), 2, options)
+    horizontal, good = _robust(_level_similarity, turned, np.nan_to_num(measured), 2, USUAL_ERROR_M)
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
     up = (measured - _apply(similarity, centres))[:, 2]
     # Only a few may have an altitude, and these be wrong in the horizontal axes.
@@ -183,12 +200,12 @@ def _fit_level(
 
 
 def _robust(
-    fit: _Fit, source: Array, target: Array, axes: int, options: PlacementOptions
+    fit: _Fit, source: Array, target: Array, axes: int, usual_error_m: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Fit by least median of squares over random samples, then by least squares over inliers."""
     rng = np.random.default_rng(0)
     best, least = fit(source, target), np.inf
-    for _ in range(options.samples):
+    for _ in range(_SAMPLES):
         rows = rng.choice(len(source), axes, replace=False)
         candidate = fit(source[rows], target[rows])
         median = _median_square(candidate, source, target, axes)
@@ -197,7 +214,7 @@ def _robust(
     for _ in range(5):
         sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
         off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
-        good = off <= max(options.blunder_sigmas * float(sigma), options.usual_error_m)
+        good = off <= max(BLUNDER_SIGMAS * float(sigma), usual_error_m)
         best = fit(source[good], target[good])
     return best, good
 
@@ -225,7 +242,7 @@ def _level_similarity(source: Array, target: Array) -> Array:
     return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
 
 
-def _upright(model: SparseMap, ground_sigmas: float) -> Array:
+def _upright(model: SparseMap) -> Array:
     """Return the rotation (3, 3) that makes the ground level and puts the cameras above it."""
     points = model.xyz
     near = np.ones(len(points), bool)
@@ -233,7 +250,7 @@ def _upright(model: SparseMap, ground_sigmas: float) -> Array:
         middle = points[near].mean(0)
         normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
         off = np.abs((points - middle) @ normal)
-        near = off <= ground_sigmas * SIGMA_OF_MEDIAN * np.median(off)
+        near = off <= _GROUND_SIGMAS * SIGMA_OF_MEDIAN * np.median(off)
     if ((model.centres - middle) @ normal).mean() < 0:
         normal = -normal
     east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)

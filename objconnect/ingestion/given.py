@@ -11,8 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.ingestion.adjustment import Adjusted
-from objconnect.ingestion.georegister import Georegistration, georegister, rms_of
-from objconnect.ingestion.options import IngestOptions
+from objconnect.ingestion.georegister import (
+    BLUNDER_SIGMAS,
+    MIN_SIGMA_M,
+    USUAL_ERROR_M,
+    Georegistration,
+    georegister,
+    rms_of,
+)
 from objconnect.ingestion.photographs import Flight, fitted
 from objconnect.scene.colmap.structure_from_motion import RefinedLenses
 from objconnect.scene.colmap.triangulation import triangulate_matched
@@ -120,7 +126,6 @@ def triangulated(
     fixes: Mapping[str, Array],
     root: Path,
     database: Path,
-    options: IngestOptions,
 ) -> Adjusted:
     """Triangulate the matches of posed photographs, and place them by GPS if they need it.
 
@@ -130,7 +135,6 @@ def triangulated(
         fixes: measured positions (3,) by name, world metres.
         root: folder that the names are relative to.
         database: file filled by ``match_photographs``; the model is written beside it.
-        options: when GPS is believed.
 
     Raises:
         InputError: no point could be triangulated, or as ``georegister``.
@@ -140,20 +144,18 @@ def triangulated(
     with atomic_folder(folder) as partial:
         raw, _ = triangulate_matched(root, images, database, partial)
     if given.origin is not None:
-        return Adjusted(raw, as_given(raw, fixes, options), lenses, 0.0, {}, folder)
-    placed = georegister(raw, fixes, options.placement)
+        return Adjusted(raw, as_given(raw, fixes), lenses, 0.0, {}, folder)
+    placed = georegister(raw, fixes)
     return Adjusted(raw.moved(placed.world_from_model), placed, lenses, 0.0, {}, folder)
 
 
-def as_given(
-    model: SparseMap, fixes: Mapping[str, Array], options: IngestOptions
-) -> Georegistration:
+def as_given(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
     """Return the placement of a model that is in the world, and the fixes that contradict it."""
     names = [name for name in model.names if name in fixes]
     off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
-    limits, distance = options.placement, np.linalg.norm(np.nan_to_num(off), axis=1)
+    distance = np.linalg.norm(np.nan_to_num(off), axis=1)
     usual = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
-    good = distance <= max(limits.blunder_sigmas * usual, limits.usual_error_m)
-    sigma = rms_of(off[good]) if good.any() else np.full(3, limits.min_sigma_m)
+    good = distance <= max(BLUNDER_SIGMAS * usual, USUAL_ERROR_M)
+    sigma = rms_of(off[good]) if good.any() else np.full(3, MIN_SIGMA_M)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)
-    return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, limits.min_sigma_m))
+    return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, MIN_SIGMA_M))

@@ -15,12 +15,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.options import DelayOptions, IngestOptions
 from objconnect.ingestion.split import flight_lines
 
 Array = NDArray[np.float64]
 
-_DEFAULTS: Final = IngestOptions()
+# Largest share of the ways to reverse single flight lines that may explain the positions as well as
+# the true courses do.
+_MAX_CHANCE: Final = 0.05
+# Up to this many lines, all ways are tried. For more, the same number of ways is drawn at random.
+_ENUMERATED_LINES: Final = 10
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,6 @@ def motions(
     names: Sequence[str],
     centres: Mapping[str, Array],
     times: Mapping[str, float],
-    turn_deg: float = _DEFAULTS.line_turn_deg,
 ) -> dict[str, Motion]:
     """Return the motion at photographs whose time is known and that have neighbours on their line.
 
@@ -48,10 +50,9 @@ def motions(
         names: Photographs in the order they were taken.
         centres: Camera centres (3,) by name, world metres.
         times: Seconds since any one moment, by name.
-        turn_deg: A flight line ends where the course turns by more.
     """
     known = [name for name in names if name in centres and name in times]
-    lines = flight_lines(known, centres, turn_deg)
+    lines = flight_lines(known, centres)
     moving = {}
     for k, name in enumerate(known):
         near = [j for j in (k - 1, k, k + 1) if 0 <= j < len(known) and lines[j] == lines[k]]
@@ -66,7 +67,6 @@ def find_delay(
     moving: Mapping[str, Motion],
     centres: Mapping[str, Array],
     fixes: Mapping[str, Array],
-    options: DelayOptions = _DEFAULTS.delay,
 ) -> float:
     """Return the seconds that fixes are behind the photographs, or 0 where they are uncertain.
 
@@ -80,14 +80,13 @@ def find_delay(
         moving: The motions that ``motions`` returned.
         centres: Camera centres (3,) by name, world metres, placed by the fixes.
         fixes: Measured positions (3,) by name; those without a motion do not count.
-        options: When a delay is believed.
     """
     names = [name for name in moving if name in fixes]
     if not names:
         return 0.0
     numbers = np.unique([moving[name].line for name in names], return_inverse=True)[1]
-    ways = _ways(int(numbers.max()) + 1, options.enumerated_lines)
-    if 1 / len(ways) > options.max_chance:
+    ways = _ways(int(numbers.max()) + 1)
+    if 1 / len(ways) > _MAX_CHANCE:
         return 0.0
     velocity = np.array([moving[name].velocity[:2] for name in names])
     x, y = np.array([centres[name][:2] for name in names]).T
@@ -104,19 +103,19 @@ def find_delay(
     along = moved @ off
     squares = np.square(moved).sum(1)
     explained = np.square(along) / np.maximum(squares, 1e-12)
-    if (explained >= explained[0] * (1 - 1e-9)).mean() > options.max_chance:
+    if (explained >= explained[0] * (1 - 1e-9)).mean() > _MAX_CHANCE:
         return 0.0
     return float(-along[0] / squares[0])
 
 
-def _ways(lines: int, enumerated: int) -> Array:
+def _ways(lines: int) -> Array:
     """Return signs (K, lines) that reverse lines, the true ones first.
 
     Reversing all lines at once is the same as reversing none.
     """
-    if lines <= enumerated:
+    if lines <= _ENUMERATED_LINES:
         return np.array([(1, *signs) for signs in product((1, -1), repeat=lines - 1)], float)
-    signs = np.random.default_rng(0).choice([1.0, -1.0], (2**enumerated, lines))
+    signs = np.random.default_rng(0).choice([1.0, -1.0], (2**_ENUMERATED_LINES, lines))
     signs[0] = 1
     return signs
 

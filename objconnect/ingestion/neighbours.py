@@ -12,13 +12,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.options import PairOptions
-from objconnect.scene.colmap.options import MatchOptions
+from objconnect.ingestion.options import IngestOptions
+from objconnect.scene.colmap.options import MAX_RATIO
 from objconnect.scene.maps.features import Features, unit_descriptors
 from objconnect.scene.maps.matching import match
 from objconnect.scene.runtime.progress import progress_bar
 
-_DEFAULTS: Final = PairOptions()
+_DEFAULTS: Final = IngestOptions()
+# Number of photographs before and after with which one without a position is matched.
+_BLIND: Final = 10
 # Number of the largest features of a photograph by which photographs are compared.
 _LARGEST: Final = 500
 
@@ -26,7 +28,7 @@ _LARGEST: Final = 500
 def choose_pairs(
     names: Sequence[str],
     fixes: Mapping[str, NDArray[np.float64]],
-    options: PairOptions = _DEFAULTS,
+    options: IngestOptions = _DEFAULTS,
 ) -> list[tuple[str, str]]:
     """Return the pairs of photographs worth matching, each once.
 
@@ -46,7 +48,7 @@ def choose_pairs(
             known = int(np.isfinite(distance).sum())
             pairs |= {(i, int(j)) for j in nearest[: min(options.nearest, known)]}
         else:
-            after = options.blind
+            after = _BLIND
             pairs |= {(j, i) for j in range(max(i - after, 0), i)}
         pairs |= {(i, j) for j in range(i + 1, min(i + after + 1, len(names)))}
     return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
@@ -56,8 +58,7 @@ def alike(
     names: Sequence[str],
     known: Sequence[str],
     features: Mapping[str, Features],
-    options: PairOptions,
-    matching: MatchOptions,
+    options: IngestOptions,
 ) -> list[tuple[str, str]]:
     """Return the pairs of photographs without a position and those of a map that look alike.
 
@@ -70,7 +71,6 @@ def alike(
         known: Photographs of a map.
         features: Features of all of them.
         options: How many photographs of the map each one is matched with.
-        matching: Which features match.
     """
     largest = {}
     for name in (*known, *names):
@@ -80,9 +80,7 @@ def alike(
     pairs = []
     with progress_bar("compare photographs", len(names)) as advance:
         for done, name in enumerate(names, 1):
-            votes = [
-                len(match(largest[other], largest[name], matching.max_ratio)) for other in known
-            ]
+            votes = [len(match(largest[other], largest[name], MAX_RATIO)) for other in known]
             best = np.argsort(-np.array(votes), kind="stable")[: options.nearest]
             pairs += [(known[k], name) for k in sorted(best.tolist()) if votes[k]]
             advance(done)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.ingestion.adjustment import NO_ALTITUDE, Adjusted, blind_of
 from objconnect.ingestion.attitude import attitudes
-from objconnect.ingestion.georegister import rms_of
-from objconnect.ingestion.options import IngestOptions
+from objconnect.ingestion.georegister import MIN_SIGMA_M, rms_of
 from objconnect.ingestion.photographs import SESSION, FlightImage
 from objconnect.ingestion.picture import PICTURE
 from objconnect.ingestion.report import REPORT, residuals
@@ -31,6 +31,9 @@ from objconnect.scene.storage.digests import digests
 FRAMES = "frames.h5"
 """The file of poses, cameras and priors in the folder of a session."""
 
+COVISIBILITY_POINTS: Final = 200
+"""Points of each photograph by which covisibility is measured: to a few percent."""
+
 
 def write_measurements(
     path: Path,
@@ -38,7 +41,6 @@ def write_measurements(
     images: Sequence[FlightImage],
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
-    options: IngestOptions,
 ) -> dict[str, float]:
     """Write the poses of the model and the measurements of its photographs.
 
@@ -50,7 +52,6 @@ def write_measurements(
         images: photographs of the session, all of them in the model.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
-        options: when attitudes are wrong, and the least sigmas.
 
     Returns:
         By file, the error in degrees of each attitude that was not used.
@@ -62,7 +63,7 @@ def write_measurements(
     mapped = [name for name in measured if name not in queries] or measured
     off = residuals(model, fixes, mapped)
     spread = rms_of(off) if mapped else np.zeros(3)
-    sigma = np.clip(spread, options.placement.min_sigma_m, NO_ALTITUDE)
+    sigma = np.clip(spread, MIN_SIGMA_M, NO_ALTITUDE)
     nothing = np.full(3, np.nan)
     # An unknown altitude is that of the cameras, give or take kilometres.
     blind = blind_of({name: fixes[name] for name in measured})
@@ -70,7 +71,7 @@ def write_measurements(
     level = np.array([*sigma[:2], NO_ALTITUDE])
     priors = {name: fixes[name] for name in measured}
     priors |= {name: np.array([*fixes[name][:2], height]) for name in blind}
-    attitude, attitude_sigma, wrong = attitudes(images, poses, queries, options)
+    attitude, attitude_sigma, wrong = attitudes(images, poses, queries)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
     frames = Frames(
         names=names,
@@ -145,11 +146,10 @@ def write_lists(
     model: SparseMap,
     images: Sequence[FlightImage],
     queries: set[str],
-    covisibility_points: int,
 ) -> None:
     """Write the split, an empty list of objects and the covisibility of the photographs.
 
-    Covisibility is measured on at most ``covisibility_points`` points of each photograph.
+    Covisibility is measured on at most ``COVISIBILITY_POINTS`` points of each photograph.
     """
     names = tuple(image.name for image in images)
     asked = tuple(name for name in names if name in queries)
@@ -159,12 +159,12 @@ def write_lists(
     )
     write_json(out / "splits.json", splits)
     write_json(out / "objects.json", Objects(classes={}, objects=()))
-    write_covisibility(out / COVISIBILITY, _covisibility(model, names, covisibility_points))
+    write_covisibility(out / COVISIBILITY, _covisibility(model, names))
 
 
-def _covisibility(model: SparseMap, names: tuple[str, ...], sampled: int) -> Covisibility:
+def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
     """Measure covisibility on points in view; without depth, hidden points count as seen."""
-    points = np.stack([seen_points(model, name, sampled) for name in names])
+    points = np.stack([seen_points(model, name, COVISIBILITY_POINTS) for name in names])
     images = [model.images[name] for name in names]
     poses = np.stack([image.cam_from_world for image in images])
     return Covisibility(names, visible_share([image.camera for image in images], poses, points))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
@@ -25,7 +24,8 @@ log = logging.getLogger(__name__)
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
-_DEFAULTS: Final = IngestOptions()
+# First guess of a focal length that EXIF lacks, in longest sides of the image; COLMAP's own.
+_GUESSED_FOCAL: Final = 1.2
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,6 @@ def photographs_of(
     images: Sequence[FlightImage],
     longest: int,
     calibration: Camera | None,
-    guessed_focal: float = _DEFAULTS.guessed_focal,
 ) -> list[Photograph]:
     """Return photographs as structure from motion takes them, with a camera for each lens.
 
@@ -209,7 +208,6 @@ def photographs_of(
         images: The photographs of a flight.
         longest: Longest side of the photographs in the scene, pixels.
         calibration: Camera of all photographs; None takes focal lengths from EXIF, or guesses.
-        guessed_focal: First guess of a focal length that EXIF lacks, in longest sides of the image.
 
     Raises:
         InputError: ``calibration`` is for images of another shape.
@@ -219,7 +217,7 @@ def photographs_of(
         focal = image.exif.focal_in_longest_sides
         if calibration is None:
             width, height = reduced(image, longest)
-            likely = image.exif.focals[0] if image.exif.focals else guessed_focal
+            likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL
             pixels = (focal or likely) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))

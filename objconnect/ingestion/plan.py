@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from importlib.metadata import version
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.report import REPORT, IngestReport
@@ -14,6 +14,7 @@ from objconnect.ingestion.split import Split
 from objconnect.scene.bundle.manifest import Manifest, Session, read_json
 from objconnect.scene.bundle.scene import MANIFEST, Scene, finish_scene
 from objconnect.scene.colmap.structure_from_motion import Mapper
+from objconnect.scene.config import as_recorded
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, remove_owned
@@ -50,6 +51,11 @@ class Plan(BaseModel):
     known: dict[str, str] = {}
     photographs: dict[str, str] = {}
     options: IngestOptions = IngestOptions()
+
+    @field_validator("options", mode="before")
+    @classmethod
+    def _of_any_version(cls, options: object) -> object:
+        return as_recorded(IngestOptions, options) if isinstance(options, dict) else options
 
 
 def resumable(out: Path, plan: Plan) -> ResumableFolder:

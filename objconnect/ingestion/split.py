@@ -9,11 +9,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.errors import InputError
 
 Split = Literal["photo", "line", "none"]
-_DEFAULTS: Final = IngestOptions()
+# A flight line ends where the course turns by more: wind turns it by less, the next line by more.
+_LINE_TURN_DEG: Final = 40.0
 
 
 def queries_of(
@@ -21,7 +21,6 @@ def queries_of(
     fixes: Mapping[str, NDArray[np.float64]],
     split: Split,
     every: int,
-    turn_deg: float = _DEFAULTS.line_turn_deg,
 ) -> set[str]:
     """Return the photographs that are queries.
 
@@ -31,7 +30,6 @@ def queries_of(
         split: "photo" takes every ``every``-th photograph, "line" all photographs of every
             ``every``-th flight line, "none" no photographs.
         every: See ``split``; 2 or more.
-        turn_deg: A flight line ends where the course turns by more.
 
     Raises:
         InputError: The flight has fewer lines than ``every``.
@@ -41,7 +39,7 @@ def queries_of(
     first = every // 2
     if split == "photo":
         return set(names[first::every])
-    lines = flight_lines(names, fixes, turn_deg)
+    lines = flight_lines(names, fixes)
     if max(lines) < first:
         raise InputError(
             f"the flight has {max(lines) + 1} lines, too few for a query line among every {every}: "
@@ -53,12 +51,11 @@ def queries_of(
 def flight_lines(
     names: Sequence[str],
     fixes: Mapping[str, NDArray[np.float64]],
-    turn_deg: float = _DEFAULTS.line_turn_deg,
 ) -> list[int]:
     """Return the number of the flight line of each photograph.
 
-    A line ends where the course turns by more than ``turn_deg``. A photograph without a fix belongs
-    to the line of the one before it.
+    A line ends where the course turns. A photograph without a fix belongs to the line of the one
+    before it.
     """
     known = [name for name in names if name in fixes]
     course: NDArray[np.float64] | None = None
@@ -68,7 +65,7 @@ def flight_lines(
         length = float(np.linalg.norm(step))
         if length > 0:
             direction = step / length
-            if course is not None and course @ direction < np.cos(np.radians(turn_deg)):
+            if course is not None and course @ direction < np.cos(np.radians(_LINE_TURN_DEG)):
                 line += 1
                 course = None  # the step from line to line is the course of neither
             else:

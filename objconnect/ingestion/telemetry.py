@@ -39,6 +39,7 @@ from objconnect.scene.quantities.coordinate_order import Pair
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.storage.subtitles import read_subtitles
+from objconnect.scene.storage.xmp import TURNS
 
 log = logging.getLogger(__name__)
 
@@ -54,8 +55,6 @@ _TIME: Final = re.compile(
     r"(?:[.,]\d{1,3})?\s?([AaPp][Mm]\b|Z\b|[-+]\d{2}:?\d{2}\b)?"
 )
 _HIGHEST_M: Final = 1e5
-# Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged.
-_TURNS: Final = (360.0, 180.0, 360.0)
 
 
 @dataclass(frozen=True)
@@ -264,7 +263,7 @@ def _attitudes(
 
 
 def _fits(angles: tuple[float, float, float]) -> bool:
-    return all(abs(angle) <= most for angle, most in zip(angles, _TURNS, strict=True))
+    return all(abs(angle) <= most for angle, most in zip(angles, TURNS, strict=True))
 
 
 def _gimbal(caption: Caption, marks: DecimalMarks) -> tuple[float, float, float] | None:

@@ -28,22 +28,30 @@ from objconnect.scene.errors import InputError
 
 
 class PixlocNetConfig(Config):
-    """The configuration of the network. Levels run from coarse to fine.
+    """The configuration of the network. Levels run from coarse to fine."""
 
-    Attributes:
-        width: number of channels of the encoder as a share of VGG16's.
-        decoder: numbers of channels of the decoder's steps, from stride 8 to stride 1.
-        extra_convolutions: number of additional convolutions in each of the last three blocks of
-            the encoder; 0 is VGG16 and 1 is VGG19.
-        strides: strides of the levels, pixels of the image per cell.
-        dims: numbers of channels of the features of each level.
-    """
-
-    width: float = Field(1.0, gt=0, le=2)
-    decoder: tuple[Channels, Channels, Channels, Channels] = (64, 64, 64, 32)
-    extra_convolutions: int = Field(0, ge=0, le=1)
-    strides: tuple[int, ...] = Field((16, 4, 1), min_length=1)
-    dims: tuple[Channels, ...] = Field((128, 128, 32), min_length=1)
+    width: float = Field(
+        1.0, gt=0, le=2, description="Number of channels of the encoder as a share of VGG16's."
+    )
+    decoder: tuple[Channels, Channels, Channels, Channels] = Field(
+        (64, 64, 64, 32),
+        description="Numbers of channels of the decoder's steps, from stride 8 to stride 1.",
+    )
+    extra_convolutions: int = Field(
+        0,
+        ge=0,
+        le=1,
+        description="Number of additional convolutions in each of the last three blocks of the "
+        "encoder; 0 is VGG16 and 1 is VGG19.",
+    )
+    strides: tuple[int, ...] = Field(
+        (16, 4, 1), min_length=1, description="Strides of the levels, pixels of the image per cell."
+    )
+    dims: tuple[Channels, ...] = Field(
+        (128, 128, 32),
+        min_length=1,
+        description="Numbers of channels of the features of each level.",
+    )
 
     @model_validator(mode="after")
     def _levels(self) -> Self:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.mapping.class_coverage import class_coverage
-from objconnect.mapping.options import MapOptions, PairOptions
+from objconnect.mapping.options import MapOptions
 from objconnect.mapping.report import MapReport, ObjectTruth, report
 from objconnect.scene.bundle.object_points import objects_of_points
 from objconnect.scene.bundle.pictures import draw_pictures
@@ -20,7 +20,7 @@ from objconnect.scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_sce
 from objconnect.scene.bundle.supplement import SUPPLEMENT
 from objconnect.scene.colmap.database import MappingJob
 from objconnect.scene.colmap.native import VERSION
-from objconnect.scene.colmap.options import MatchOptions, SiftOptions
+from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from objconnect.scene.colmap.triangulation import triangulate
 from objconnect.scene.errors import InputError
@@ -59,7 +59,7 @@ def build_map(
             then aligned to them.
         cluster: cluster that extracts the features, see ``worker_pool``. Its nodes must see the
             scene at the same path.
-        options: options of pairs, of matches and of outliers.
+        options: which photographs are matched.
 
     Returns:
         The map's figures against the truth.
@@ -78,7 +78,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
     flights = [name.partition("/")[0] for name in names]
-    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights, options.pairs)
+    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights, options)
     pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")
@@ -88,7 +88,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
     }[method]
     remove_partial(path)
     supplemented = (scene.map_path / SUPPLEMENT).exists()
-    digest = _digest(scene.images_root, images, pairs, options.matching)
+    digest = _digest(scene.images_root, images, pairs)
     with resumable_file(path / _KEPT, f"{digest}.db") as database:
         with (
             atomic_folder(scene.map_path, MAP_FILES) as folder,
@@ -99,10 +99,8 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
                 pairs,
                 _SIFT,
                 cluster,
-                options.matching,
                 images=images,
                 database=database,
-                adjustment=options.adjustment,
             )
             sparse_map, features = build(job, folder, advance)
             photographs = digests(scene.images_root / name for name in sparse_map.names)
@@ -128,10 +126,9 @@ def _digest(
     root: Path,
     images: Sequence[PosedImage],
     pairs: Sequence[tuple[str, str]],
-    matching: MatchOptions,
 ) -> str:
     """Return a digest of all that features and matches depend on."""
-    digest = hashlib.sha256(f"{VERSION} {_SIFT} {matching!r} {pairs}".encode())
+    digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
     for image in images:
         photograph = root / image.name
         content = sha256_of(photograph) if photograph.is_file() else "missing"
@@ -140,7 +137,7 @@ def _digest(
 
 
 def choose_pairs(
-    overlap: NDArray[np.float64], flights: Sequence[str], options: PairOptions = _DEFAULTS.pairs
+    overlap: NDArray[np.float64], flights: Sequence[str], options: MapOptions = _DEFAULTS
 ) -> list[tuple[int, int]]:
     """Choose the pairs of frames to match, each once: neighbours in space and in time.
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from objconnect.scene.colmap.options import AdjustmentOptions, MatchOptions
 from objconnect.scene.config import Config
 
 
-class PairOptions(Config):
+class MapOptions(Config):
     """The choice of photographs of a map that are matched with each other."""
 
     min_overlap: float = Field(
@@ -28,14 +27,4 @@ class PairOptions(Config):
         ge=0,
         description="Number of following photographs with which each one is matched if they "
         "overlap at all. This connects flights whose photographs hardly overlap.",
-    )
-
-
-class MapOptions(Config):
-    """The options of building a map."""
-
-    pairs: PairOptions = Field(PairOptions(), description="Which photographs are matched.")
-    matching: MatchOptions = Field(MatchOptions(), description="Which of their features match.")
-    adjustment: AdjustmentOptions = Field(
-        AdjustmentOptions(), description="Adjustment and alignment of structure from motion."
     )

@@ -9,6 +9,7 @@ places.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -20,6 +21,9 @@ from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.training.pose_loss import Seen, pose_loss
 from objconnect.localization.align.residuals import Level
 from objconnect.scene.geometry.pose import Pose
+
+# Objects with fewer points in image a are left out of the loss of the confidence.
+_MIN_POINTS: Final = 4
 
 
 def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
@@ -48,11 +52,10 @@ def pose_distance(
     by_level: Sequence[Pose],
     strides: Sequence[int],
     batch: PairBatch,
-    options: LossOptions = LOSSES,
 ) -> tuple[Tensor, list[Tensor]]:
     """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
-    It is the smooth Huber function up to ``pose_clamp_px``, and a finer level counts only where the
+    It is the smooth Huber function up to 50 pixels, and a finer level counts only where the
     coarser one ended near the truth. PixLoc is trained in the same way, so that the two methods
     differ in their features alone.
 
@@ -60,13 +63,12 @@ def pose_distance(
         by_level: predicted poses after each level, coarse to fine.
         strides: strides of the levels.
         batch: pairs with the true poses.
-        options: the limits, see ``pose_loss``.
 
     Returns:
         The loss, and the distance (B,) in pixels after each level.
     """
     seen = Seen(batch.points, batch.intrinsics_b, batch.valid)
-    return pose_loss(by_level, strides, batch.b_from_a, seen, options)
+    return pose_loss(by_level, strides, batch.b_from_a, seen)
 
 
 def total(
@@ -91,7 +93,6 @@ def kept_together(
     labels_b: Tensor,
     valid: Tensor,
     count: int,
-    min_points: int = LOSSES.min_object_points,
 ) -> tuple[Tensor, Tensor]:
     """Measure how well each object of image a corresponds to an object of image b.
 
@@ -103,7 +104,6 @@ def kept_together(
         labels_b: object (B, P) of each point in image b, negative for none.
         valid: (B, P) bool, which points are valid.
         count: number N of objects.
-        min_points: objects with fewer points do not have enough.
 
     Returns:
         The measure (B, N) in 0..1, and whether each object has enough points for it, (B, N) bool.
@@ -115,7 +115,7 @@ def kept_together(
     shared = shared.scatter_add(1, pair, used.float()).view(batch, count, count)
     in_a, in_b = shared.sum(2), shared.sum(1)
     either = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
-    return (shared / either).amax(2), in_a >= min_points
+    return (shared / either).amax(2), in_a >= _MIN_POINTS
 
 
 def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:

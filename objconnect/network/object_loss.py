@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,9 +11,21 @@ from torch.nn import functional
 
 from objconnect.learning.training.contrastive import sample
 from objconnect.learning.training.objects import GROUND, UNKNOWN, ImageObjects
-from objconnect.learning.training.options import ObjectLossOptions
 from objconnect.network.detector import DetectorMaps, middles
 
+# Weights of the losses, with which they are about equal when a detector begins to find objects.
+_SHARES: Final = {"centres": 1.0, "inside": 1.0, "offsets": 0.5, "sides": 0.3, "rises": 0.3}
+IDENTITY_SHARE: Final = 0.5
+"""Weight of the contrastive loss of vectors."""
+
+# Temperature by which the cosines of vectors are divided.
+_TEMPERATURE: Final = 0.1
+# Objects of which an image shows fewer pixels need not be found.
+_MIN_PIXELS: Final = 12
+# Spread of a centre in the heat map as a share of the object's side.
+_SPREAD: Final = 0.17
+# Share of an offset's length that counts as its uncertainty.
+_FAR_SHARE: Final = 0.15
 # Numerical guards of logarithms.
 _LEAST, _LEAST_SIDE = 1e-4, 0.5
 
@@ -55,19 +67,19 @@ def cell_labels(labels: Tensor, stride: int) -> Tensor:
     return torch.where(unknown, UNKNOWN, found).long()
 
 
-def findable(objects: ImageObjects, side: int, options: ObjectLossOptions) -> Tensor:
+def findable(objects: ImageObjects, side: int) -> Tensor:
     """Return which objects (n,) an image of ``side`` pixels shows well enough to be found."""
     inside = ((objects.centres > 0) & (objects.centres < side)).all(1)
-    return inside & (objects.pixels >= options.min_pixels)
+    return inside & (objects.pixels >= _MIN_PIXELS)
 
 
-def _targets(objects: ImageObjects, stride: int, options: ObjectLossOptions) -> _Targets:
+def _targets(objects: ImageObjects, stride: int) -> _Targets:
     labels = cell_labels(objects.labels, stride)
     middle = middles(labels)
     heat = torch.zeros(*labels.shape, device=labels.device)
     centres, cells = objects.centres / stride, objects.sides / stride
-    found = findable(objects, len(objects.labels), options)
-    spread = (cells * options.spread).clamp(0.6, 4.0)
+    found = findable(objects, len(objects.labels))
+    spread = (cells * _SPREAD).clamp(0.6, 4.0)
     for centre, sigma in zip(centres[found], spread[found], strict=True):
         holds = centre.floor() + 0.5
         away = (middle - holds[:, None, None]).square().sum(0)
@@ -92,14 +104,14 @@ def _targets(objects: ImageObjects, stride: int, options: ObjectLossOptions) -> 
 
 
 def place_loss(
-    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int, options: ObjectLossOptions
+    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int
 ) -> tuple[Tensor, dict[str, float]]:
     """Return the loss of centres, cells, offsets, sides and rises of B images, and figures.
 
     Centres have the focal loss of CenterNet, cells the cross entropy, and the rest the smooth L1
     distance over the cells of objects.
     """
-    targets = [_targets(each, stride, options) for each in objects]
+    targets = [_targets(each, stride) for each in objects]
     labels, heat, offset, log_side, rise, weight = map(torch.stack, zip(*targets, strict=True))
     known = labels != UNKNOWN
     p = torch.sigmoid(maps.centre.float()).clamp(_LEAST, 1 - _LEAST)
@@ -113,7 +125,7 @@ def place_loss(
         return (away * weight).sum() / total
 
     # Far from the centre of a large object, an offset is known to a share of it.
-    far = 1 + options.far_share * offset.abs().sum(1)
+    far = 1 + _FAR_SHARE * offset.abs().sum(1)
     pointing = distance(maps.offset[:, 0] / far, offset[:, 0] / far)
     pointing = pointing + distance(maps.offset[:, 1] / far, offset[:, 1] / far)
     losses = {
@@ -125,13 +137,12 @@ def place_loss(
         "sides": distance(maps.log_side, log_side),
         "rises": distance(maps.rise, rise),
     }
-    shares = options.shares()
-    loss = torch.stack([shares[name] * each for name, each in losses.items()]).sum()
+    loss = torch.stack([_SHARES[name] * each for name, each in losses.items()]).sum()
     return loss, {name: float(each.detach()) for name, each in losses.items()}
 
 
 def identity_loss(
-    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int, options: ObjectLossOptions
+    maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int
 ) -> tuple[Tensor, float]:
     """Return the contrastive loss of the vectors at true centres, and the share found first.
 
@@ -141,7 +152,7 @@ def identity_loss(
     vectors, ids, images = [], [], []
     side = maps.vector.shape[-1] * stride
     for number, each in enumerate(objects):
-        found = findable(each, side, options)
+        found = findable(each, side)
         cells = each.centres[found] / stride
         vectors.append(sample(maps.vector[number : number + 1], cells[None])[0])
         ids.append(each.ids[found])
@@ -152,7 +163,7 @@ def identity_loss(
     positive = same & (image[:, None] != image[None])
     if not bool(positive.any()):
         return own.sum() * 0, 0.0
-    alike = own @ own.T / options.temperature
+    alike = own @ own.T / _TEMPERATURE
     negative = alike.masked_fill(same, -torch.inf).logsumexp(1)
     lost = torch.logaddexp(alike, negative[:, None]) - alike
     first = alike > alike.masked_fill(same, -torch.inf).max(1).values[:, None]

@@ -15,7 +15,7 @@ from objconnect.network.config import DetectorConfig
 from objconnect.network.detector import DetectorMaps
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import start_from
-from objconnect.network.object_loss import identity_loss, place_loss
+from objconnect.network.object_loss import IDENTITY_SHARE, identity_loss, place_loss
 from objconnect.scene.errors import InputError
 
 
@@ -32,7 +32,6 @@ class ObjectTraining:
         settings |= config.network
         self.network = start_from(config.weights or shipped(SHIPPED), settings)
         self.network_config = self.network.config
-        self._options = config.losses.objects
         if self.network.detector is None:
             raise InputError("the network has no detector: leave network.detector at its default")
         self._detector = self.network.detector
@@ -51,10 +50,10 @@ class ObjectTraining:
             maps = self._detector(levels)
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride
-        loss, figures = place_loss(maps, batch.objects, stride, self._options)
-        identity, first = identity_loss(maps, batch.objects, stride, self._options)
+        loss, figures = place_loss(maps, batch.objects, stride)
+        identity, first = identity_loss(maps, batch.objects, stride)
         figures |= {"identity": float(identity.detach()), "found first": first}
-        return loss + self._options.identity * identity, figures
+        return loss + IDENTITY_SHARE * identity, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""

@@ -65,8 +65,8 @@ class ObjConnectTraining:
         figures["features"] = float(distance.detach())
         poses = None
         if progress >= self._warm_up:
-            by_level = unrolled(levels, batch, self.network.damping, self._losses.iterations)
-            poses, errors = pose_distance(by_level, strides, batch, self._losses)
+            by_level = unrolled(levels, batch, self.network.damping)
+            poses, errors = pose_distance(by_level, strides, batch)
             figures |= pixels_of(errors, strides, batch)
         loss = total(contrast, distance, poses, self._losses)
         if objects is not None and labels is not None:
@@ -79,8 +79,7 @@ class ObjConnectTraining:
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
-        faster = rate * self._losses.damping_rate
-        return filters_and_damping(self.network, self.network.damping, rate, faster)
+        return filters_and_damping(self.network, self.network.damping, rate)
 
     def _segments(self, images: Tensor) -> Tensor | None:
         none = self.network_config.segmentation == "none"
@@ -90,8 +89,8 @@ class ObjConnectTraining:
         a, b = labels.chunk(2)
         points_a = at_pixels(a, batch.image_a, batch.xy_a)
         points_b = at_pixels(b, batch.image_b, batch.xy_b)
-        count, least = self.network_config.segments, self._losses.min_object_points
-        there = kept_together(points_a, points_b, batch.valid, count, least)
-        back = kept_together(points_b, points_a, batch.valid, count, least)
+        count = self.network_config.segments
+        there = kept_together(points_a, points_b, batch.valid, count)
+        back = kept_together(points_b, points_a, batch.valid, count)
         kept, counts = (torch.cat(pair) for pair in zip(there, back, strict=True))
         return trust_loss(objects.confidence, kept, counts & objects.present)

@@ -92,6 +92,33 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         raise InputError(describe(error, model, where)) from None
 
 
+def as_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Take the fields of a configuration from what an earlier version recorded of it.
+
+    What has become a constant since is left out. A field of a group that is no more has its own
+    name, or that of the group before it.
+
+    Example:
+        >>> class Options(Config):
+        ...     steps: int = 1000
+        ...     loss_share: float = 0.5
+        >>> as_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
+        {'steps': 9, 'loss_share': 0.3}
+    """
+    taken: dict[str, Any] = {}
+    for key, value in values.items():
+        field = model.model_fields.get(key)
+        inner = field.annotation if field else None
+        if isinstance(inner, type) and issubclass(inner, BaseModel) and isinstance(value, Mapping):
+            taken[key] = as_recorded(inner, value)
+        elif field is not None:
+            taken[key] = value
+        elif isinstance(value, Mapping):
+            named = {f"{key}_{name}": of_group for name, of_group in value.items()}
+            taken |= as_recorded(model, {**value, **named})
+    return taken
+
+
 def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
     """Set a value by its dotted key, and leave the other values of nested configurations."""
     *outer, last = key.split(".")

@@ -56,23 +56,21 @@ _PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
 
 
 class CameraConfig(Config):
-    """The camera of the photographs: COLMAP's parameters, or the name of a known one.
+    """The camera of the photographs: COLMAP's parameters, or the name of a known one."""
 
-    Attributes:
-        model: COLMAP camera model.
-        width: pixels.
-        height: pixels.
-        params: parameters of the model in COLMAP's order.
-        preset: a key of ``PRESETS``, in place of all of these.
-        size: longer side of the preset's photographs, pixels; None takes the scene's.
-    """
-
-    model: str | None = None
-    width: int | None = Field(None, ge=16, le=8192)
-    height: int | None = Field(None, ge=16, le=8192)
-    params: tuple[float, ...] | None = None
-    preset: str | None = None
-    size: int | None = Field(None, ge=64, le=8192)
+    model: str | None = Field(None, description="COLMAP camera model.")
+    width: int | None = Field(None, ge=16, le=8192, description="Pixels.")
+    height: int | None = Field(None, ge=16, le=8192, description="Pixels.")
+    params: tuple[float, ...] | None = Field(
+        None, description="Parameters of the model in COLMAP's order."
+    )
+    preset: str | None = Field(None, description="A key of ``PRESETS``, in place of all of these.")
+    size: int | None = Field(
+        None,
+        ge=64,
+        le=8192,
+        description="Longer side of the preset's photographs, pixels; None takes the scene's.",
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraConfig:

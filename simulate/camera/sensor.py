@@ -18,27 +18,41 @@ _BLUR_SAMPLES_PER_PX = 4
 
 
 class SensorConfig(Config):
-    """Photographic effects, all off by default.
+    """Photographic effects, all off by default."""
 
-    Attributes:
-        exposure_ev: standard deviation of the exposure, stops.
-        white_balance: relative standard deviation of the gains of red and blue.
-        vignetting: share of the light that is missing in the corners.
-        motion_blur_px: typical length of the streaks, pixels; their direction is random.
-        full_well_e: electrons of a white pixel, whose square root is the shot noise; None is
-            without noise.
-        read_noise_e: standard deviation of the read noise, electrons; needs ``full_well_e``.
-        readout_s: seconds between the readouts of the top and the bottom of the picture; 0 is a
-            global shutter.
-    """
-
-    exposure_ev: float = Field(0.0, ge=0, le=3)
-    white_balance: float = Field(0.0, ge=0, le=0.5)
-    vignetting: float = Field(0.0, ge=0, lt=1)
-    motion_blur_px: float = Field(0.0, ge=0, le=50)
-    full_well_e: float | None = Field(None, ge=100)
-    read_noise_e: float = Field(0.0, ge=0)
-    readout_s: float = Field(0.0, ge=0, le=0.5)
+    exposure_ev: float = Field(
+        0.0, ge=0, le=3, description="Standard deviation of the exposure, stops."
+    )
+    white_balance: float = Field(
+        0.0, ge=0, le=0.5, description="Relative standard deviation of the gains of red and blue."
+    )
+    vignetting: float = Field(
+        0.0, ge=0, lt=1, description="Share of the light that is missing in the corners."
+    )
+    motion_blur_px: float = Field(
+        0.0,
+        ge=0,
+        le=50,
+        description="Typical length of the streaks, pixels; their direction is random.",
+    )
+    full_well_e: float | None = Field(
+        None,
+        ge=100,
+        description="Electrons of a white pixel, whose square root is the shot noise; None is "
+        "without noise.",
+    )
+    read_noise_e: float = Field(
+        0.0,
+        ge=0,
+        description="Standard deviation of the read noise, electrons; needs ``full_well_e``.",
+    )
+    readout_s: float = Field(
+        0.0,
+        ge=0,
+        le=0.5,
+        description="Seconds between the readouts of the top and the bottom of the picture; 0 is "
+        "a global shutter.",
+    )
 
     @model_validator(mode="after")
     def _noise_has_a_scale(self) -> SensorConfig:

@@ -29,22 +29,22 @@ class FlightPlan(Config):
     """The numbers that flights of one role take when their own configuration leaves them out.
 
     Map flights and query flights differ in every number.
-
-    Attributes:
-        nadir_altitude_m: Altitude of surveys above the ground.
-        nadir_heading_deg: Heading of the first line of a survey, clockwise from north.
-        orbit_altitude_m: Altitude of orbits above the ground at the centre.
-        orbit_radius_share: Radius of orbits as a share of the side of the area.
-        orbit_start_deg: Bearing of the first exposure of an orbit.
-        backwards: Whether corridors and streets are followed from their end.
     """
 
-    nadir_altitude_m: float = Field(gt=0)
-    nadir_heading_deg: float
-    orbit_altitude_m: float = Field(gt=0)
-    orbit_radius_share: float = Field(gt=0)
-    orbit_start_deg: float
-    backwards: bool = False
+    nadir_altitude_m: float = Field(gt=0, description="Altitude of surveys above the ground.")
+    nadir_heading_deg: float = Field(
+        description="Heading of the first line of a survey, clockwise from north."
+    )
+    orbit_altitude_m: float = Field(
+        gt=0, description="Altitude of orbits above the ground at the centre."
+    )
+    orbit_radius_share: float = Field(
+        gt=0, description="Radius of orbits as a share of the side of the area."
+    )
+    orbit_start_deg: float = Field(description="Bearing of the first exposure of an orbit.")
+    backwards: bool = Field(
+        False, description="Whether corridors and streets are followed from their end."
+    )
 
 
 MAP_PLAN = FlightPlan(
@@ -74,25 +74,29 @@ class _Flight(Config):
 
 
 class _Survey(_Flight):
-    """The numbers that all surveys by parallel lines have in common.
+    """The numbers that all surveys by parallel lines have in common."""
 
-    Attributes:
-        altitude_m: Altitude above the ground.
-        gsd_cm: The altitude by its ground sampling distance: centimetres per pixel straight below.
-        forward_overlap: Overlap of neighbours on a line, as a fraction of the footprint on flat
-            ground. With either overlap, the flight takes as many photographs as it needs; without,
-            as many as its session asks for, evenly spaced.
-        side_overlap: Overlap of neighbouring lines, as a fraction of the footprint.
-        terrain_following: Whether the altitude is held above the ground below. A flight that does
-            not follow the terrain is level, and its altitude is above the ground at the centre of
-            the area, or at the start of a corridor.
-    """
-
-    altitude_m: Positive | None = None
-    gsd_cm: Positive | None = None
-    forward_overlap: Overlap | None = None
-    side_overlap: Overlap | None = None
-    terrain_following: bool = True
+    altitude_m: Positive | None = Field(None, description="Altitude above the ground.")
+    gsd_cm: Positive | None = Field(
+        None,
+        description="The altitude by its ground sampling distance: centimetres per pixel straight "
+        "below.",
+    )
+    forward_overlap: Overlap | None = Field(
+        None,
+        description="Overlap of neighbours on a line, as a fraction of the footprint on flat "
+        "ground. With either overlap, the flight takes as many photographs as it needs; without, "
+        "as many as its session asks for, evenly spaced.",
+    )
+    side_overlap: Overlap | None = Field(
+        None, description="Overlap of neighbouring lines, as a fraction of the footprint."
+    )
+    terrain_following: bool = Field(
+        True,
+        description="Whether the altitude is held above the ground below. A flight that does not "
+        "follow the terrain is level, and its altitude is above the ground at the centre of the "
+        "area, or at the start of a corridor.",
+    )
 
     @model_validator(mode="after")
     def _one_altitude(self) -> _Survey:
@@ -121,79 +125,73 @@ class _Survey(_Flight):
 
 
 class NadirFlight(_Survey):
-    """A lawn-mower pattern over the area; every second line is flown back.
+    """A lawn-mower pattern over the area; every second line is flown back."""
 
-    Attributes:
-        heading_deg: Heading of the first line, clockwise from north.
-        pitch_deg: Pitch of the gimbal; -90 is straight down.
-    """
-
-    kind: Literal["nadir"] = "nadir"
-    heading_deg: float | None = None
-    pitch_deg: Pitch = -90
+    kind: Literal["nadir"] = Field("nadir", description="Kind of the flight.")
+    heading_deg: float | None = Field(
+        None, description="Heading of the first line, clockwise from north."
+    )
+    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal; -90 is straight down.")
 
 
 class GridFlight(_Survey):
-    """A double grid: two lawn-mower patterns at right angles.
+    """A double grid: two lawn-mower patterns at right angles."""
 
-    Attributes:
-        heading_deg: Heading of the first line of the first pattern.
-        pitch_deg: Pitch of the gimbal. It is tilted, so that facades are seen from four sides.
-    """
-
-    kind: Literal["grid"] = "grid"
-    heading_deg: float | None = None
-    pitch_deg: Pitch = -70
+    kind: Literal["grid"] = Field("grid", description="Kind of the flight.")
+    heading_deg: float | None = Field(
+        None, description="Heading of the first line of the first pattern."
+    )
+    pitch_deg: Pitch = Field(
+        -70,
+        description="Pitch of the gimbal. It is tilted, so that facades are seen from four sides.",
+    )
 
 
 class ObliqueFlight(_Flight):
-    """A level orbit whose cameras look inwards.
+    """A level orbit whose cameras look inwards."""
 
-    Attributes:
-        radius_m: Radius of the orbit.
-        altitude_m: Altitude above the ground at the centre.
-        pitch_deg: Pitch of the gimbal.
-        centre: Centre of the orbit, east and north, metres.
-        start_deg: Bearing of the first exposure from the centre, clockwise from north.
-    """
-
-    kind: Literal["oblique"] = "oblique"
-    radius_m: Positive | None = None
-    altitude_m: Positive | None = None
-    pitch_deg: Pitch = -45
-    centre: Point = (0.0, 0.0)
-    start_deg: float | None = None
+    kind: Literal["oblique"] = Field("oblique", description="Kind of the flight.")
+    radius_m: Positive | None = Field(None, description="Radius of the orbit.")
+    altitude_m: Positive | None = Field(
+        None, description="Altitude above the ground at the centre."
+    )
+    pitch_deg: Pitch = Field(-45, description="Pitch of the gimbal.")
+    centre: Point = Field((0.0, 0.0), description="Centre of the orbit, east and north, metres.")
+    start_deg: float | None = Field(
+        None, description="Bearing of the first exposure from the centre, clockwise from north."
+    )
 
 
 class CorridorFlight(_Survey):
-    """Parallel lines along a line.
+    """Parallel lines along a line."""
 
-    Attributes:
-        line: Points of the line, east and north, metres; None follows the longest road.
-        width_m: Width of the strip to photograph; no camera leaves it.
-        lines: Number of lines side by side; None flies as many as the side overlap needs.
-        pitch_deg: Pitch of the gimbal.
-    """
-
-    kind: Literal["corridor"] = "corridor"
-    line: Annotated[tuple[Point, ...], Field(min_length=2)] | None = None
-    width_m: Positive = 60
-    lines: Annotated[int, Field(ge=1, le=100)] | None = None
-    pitch_deg: Pitch = -90
+    kind: Literal["corridor"] = Field("corridor", description="Kind of the flight.")
+    line: Annotated[tuple[Point, ...], Field(min_length=2)] | None = Field(
+        None,
+        description="Points of the line, east and north, metres; None follows the longest road.",
+    )
+    width_m: Positive = Field(
+        60, description="Width of the strip to photograph; no camera leaves it."
+    )
+    lines: Annotated[int, Field(ge=1, le=100)] | None = Field(
+        None,
+        description="Number of lines side by side; None flies as many as the side overlap needs.",
+    )
+    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal.")
 
 
 class FreeFlight(_Flight):
-    """A smooth random course over the area, a different one for every seed and session.
+    """A smooth random course over the area, a different one for every seed and session."""
 
-    Attributes:
-        altitude_m: Lowest and highest altitude above the ground; None takes 0.7 and 1.1 times the
-            altitude of a survey.
-        pitch_deg: Lowest and highest pitch of the gimbal.
-    """
-
-    kind: Literal["free"] = "free"
-    altitude_m: tuple[Positive, Positive] | None = None
-    pitch_deg: tuple[Pitch, Pitch] = (-90, -45)
+    kind: Literal["free"] = Field("free", description="Kind of the flight.")
+    altitude_m: tuple[Positive, Positive] | None = Field(
+        None,
+        description="Lowest and highest altitude above the ground; None takes 0.7 and 1.1 times "
+        "the altitude of a survey.",
+    )
+    pitch_deg: tuple[Pitch, Pitch] = Field(
+        (-90, -45), description="Lowest and highest pitch of the gimbal."
+    )
 
     @model_validator(mode="after")
     def _ranges(self) -> FreeFlight:
@@ -204,48 +202,54 @@ class FreeFlight(_Flight):
 
 
 class StreetFlight(_Flight):
-    """A drive on the right-hand lanes of the roads, without wind, with cameras to both sides.
+    """A drive on the right-hand lanes of the roads, without wind, with cameras to both sides."""
 
-    Attributes:
-        roads: Number of roads that are driven, the longest first; None drives all of them.
-        way: "there" drives the roads from their start, "back" from their end, "both" both ways.
-            None drives "there" in map sessions and "back" in query sessions (``backwards`` of
-            ``FlightPlan``).
-        offset_m: Distance of the cameras to the right of the middle of the lane.
-        edge_m: Distance kept to the edge of the place, beyond which lies open country.
-        height_m: Height of the cameras above the road.
-        yaws_deg: Yaw of each camera, clockwise from the direction of travel.
-        pitch_deg: Pitch of the cameras.
-    """
-
-    kind: Literal["street"] = "street"
-    roads: Annotated[int, Field(ge=1)] | None = None
-    way: Literal["there", "back", "both"] | None = None
-    offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    edge_m: Annotated[float, Field(ge=0)] = 0.0
-    height_m: Positive = 1.7
-    yaws_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (-45, 45)
-    pitch_deg: Pitch = 0
+    kind: Literal["street"] = Field("street", description="Kind of the flight.")
+    roads: Annotated[int, Field(ge=1)] | None = Field(
+        None,
+        description="Number of roads that are driven, the longest first; None drives all of them.",
+    )
+    way: Literal["there", "back", "both"] | None = Field(
+        None,
+        description='"there" drives the roads from their start, "back" from their end, "both" '
+        'both ways. None drives "there" in map sessions and "back" in query sessions '
+        "(``backwards`` of ``FlightPlan``).",
+    )
+    offset_m: Annotated[float, Field(ge=-1, le=1)] = Field(
+        0.0, description="Distance of the cameras to the right of the middle of the lane."
+    )
+    edge_m: Annotated[float, Field(ge=0)] = Field(
+        0.0, description="Distance kept to the edge of the place, beyond which lies open country."
+    )
+    height_m: Positive = Field(1.7, description="Height of the cameras above the road.")
+    yaws_deg: Annotated[tuple[float, ...], Field(min_length=1)] = Field(
+        (-45, 45), description="Yaw of each camera, clockwise from the direction of travel."
+    )
+    pitch_deg: Pitch = Field(0, description="Pitch of the cameras.")
 
 
 class PlanFlight(_Flight):
-    """The photographs of a mission plan of QGroundControl.
+    """The photographs of a mission plan of QGroundControl."""
 
-    Attributes:
-        file: The ``.plan`` file, relative to the working directory.
-        sha256: Digest of the file. It is computed when left out, so that a scene records the very
-            flight it was made with.
-        pitch_deg: Pitch of the gimbal until the plan changes it, and after a region of interest.
-        undulation_m: Height of the geoid above the ellipsoid at the place, for heights above the
-            sea. None takes it from the grid of PROJ; without the grid, such heights are taken for
-            heights above the ellipsoid, with a warning.
-    """
-
-    kind: Literal["plan"] = "plan"
-    file: Path
-    sha256: str
-    pitch_deg: Pitch = -90
-    undulation_m: float | None = Field(None, ge=-150, le=150)
+    kind: Literal["plan"] = Field("plan", description="Kind of the flight.")
+    file: Path = Field(description="The ``.plan`` file, relative to the working directory.")
+    sha256: str = Field(
+        description="Digest of the file. It is computed when left out, so that a scene records "
+        "the very flight it was made with."
+    )
+    pitch_deg: Pitch = Field(
+        -90,
+        description="Pitch of the gimbal until the plan changes it, and after a region of "
+        "interest.",
+    )
+    undulation_m: float | None = Field(
+        None,
+        ge=-150,
+        le=150,
+        description="Height of the geoid above the ellipsoid at the place, for heights above the "
+        "sea. None takes it from the grid of PROJ; without the grid, such heights are taken for "
+        "heights above the ellipsoid, with a warning.",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -258,18 +262,14 @@ class PlanFlight(_Flight):
 
 
 class FlownFlight(_Flight):
-    """The photographs of a finished scene in the same world, from where they were taken.
+    """The photographs of a finished scene in the same world, from where they were taken."""
 
-    Attributes:
-        scene: The folder of the scene, relative to the working directory.
-        photographs: Those of its map, its queries, or both.
-        sha256: Digest of the scene's manifest. It is computed when left out.
-    """
-
-    kind: Literal["flown"] = "flown"
-    scene: Path
-    photographs: Literal["map", "queries", "all"] = "all"
-    sha256: str
+    kind: Literal["flown"] = Field("flown", description="Kind of the flight.")
+    scene: Path = Field(description="The folder of the scene, relative to the working directory.")
+    photographs: Literal["map", "queries", "all"] = Field(
+        "all", description="Those of its map, its queries, or both."
+    )
+    sha256: str = Field(description="Digest of the scene's manifest. It is computed when left out.")
 
     @model_validator(mode="before")
     @classmethod

@@ -13,9 +13,6 @@ from simulate.flight.site import FlightSite
 
 Array = NDArray[np.float64]
 
-# Two origins are one when their heights differ by no more, metres.
-_SAME_UP_M = 0.01
-
 
 def flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
@@ -27,7 +24,7 @@ def flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     scene = Scene.open(flight.scene)
     if scene_digest(flight.scene) != flight.sha256:
         raise InputError(f"scene {flight.scene} has changed since it was flown: restore it")
-    if not is_same_place(site.origin, scene.manifest.origin, _SAME_UP_M):
+    if not is_same_place(site.origin, scene.manifest.origin):
         raise InputError(
             f"scene {flight.scene} has its origin elsewhere than this place, so its photographs "
             "cannot be repeated here"

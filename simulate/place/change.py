@@ -39,22 +39,32 @@ class Change(Config):
     """The difference between the world of a session and the place that the scene's seed makes.
 
     Sessions with the same change see the same world.
-
-    Attributes:
-        cars_moved: share of the remaining cars, vans and trucks that stand in another place, where
-            there is room.
-        objects_removed: share of the objects of the classes ``LOOSE`` that are removed.
-        objects_added: number of new objects of these classes, as a share of those that the place
-            was built with, where there is room.
-        bare_trees: whether broadleaved trees are without leaves, as in leaf-off seasons.
-        seed: seed by which the objects are drawn.
     """
 
-    cars_moved: float = Field(0.0, ge=0, le=1)
-    objects_removed: float = Field(0.0, ge=0, le=1)
-    objects_added: float = Field(0.0, ge=0, le=1)
-    bare_trees: bool = False
-    seed: int = Field(0, ge=0)
+    cars_moved: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Share of the remaining cars, vans and trucks that stand in another place, "
+        "where there is room.",
+    )
+    objects_removed: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Share of the objects of the classes ``LOOSE`` that are removed.",
+    )
+    objects_added: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="Number of new objects of these classes, as a share of those that the place "
+        "was built with, where there is room.",
+    )
+    bare_trees: bool = Field(
+        False, description="Whether broadleaved trees are without leaves, as in leaf-off seasons."
+    )
+    seed: int = Field(0, ge=0, description="Seed by which the objects are drawn.")
 
 
 @dataclass(frozen=True)

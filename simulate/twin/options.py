@@ -19,38 +19,58 @@ LEAST_SITE_M: Final = 40.0
 
 
 class SiteConfig(Config):
-    """A real place, given by an orthophoto and a surface model, or by a scene with depth.
+    """A real place, given by an orthophoto and a surface model, or by a scene with depth."""
 
-    Attributes:
-        ortho: orthophoto of the site, a GeoTIFF of 8 bits.
-        dsm: surface model of the site, a GeoTIFF of heights in metres.
-        scene: scene with depth, exact or from dense, which gives both; its world becomes the
-            twin's.
-        classes: GeoTIFF of one band of 8 bits with the classes of the surface: 1 low vegetation,
-            4 bare or paved ground, 8 water, 16 building, 17 tree; 0 where they are to be found.
-        undulation: height of the geoid above the ellipsoid, metres, for heights above sea level.
-        taken: time of the photographs, such as 2026-07-01T10:30:00Z; it tells where the sun stood,
-            so that shadows in the orthophoto are softened. None takes the time of the scene.
-        season: season that the orthophoto shows.
-        albedo: mean share of the light that the site reflects. None makes the twin as bright at
-            noon in summer as the orthophoto is.
-        most_holes: largest share of the place that may be without colours; holes are closed.
-        most_closed: largest share of the place that may be without heights; they are closed, too.
-        sha256: digests of the files. They are computed when left out, so that a scene records the
-            very site it was made of.
-    """
-
-    ortho: Path | None = None
-    dsm: Path | None = None
-    scene: Path | None = None
-    classes: Path | None = None
-    undulation: float = 0.0
-    taken: datetime | None = None
-    season: str = "summer"
-    albedo: float | None = Field(None, gt=0, le=0.6)
-    most_holes: float = Field(0.3, ge=0, lt=1)
-    most_closed: float = Field(0.5, ge=0, lt=1)
-    sha256: dict[str, str] = Field(default_factory=dict)
+    ortho: Path | None = Field(None, description="Orthophoto of the site, a GeoTIFF of 8 bits.")
+    dsm: Path | None = Field(
+        None, description="Surface model of the site, a GeoTIFF of heights in metres."
+    )
+    scene: Path | None = Field(
+        None,
+        description="Scene with depth, exact or from dense, which gives both; its world becomes "
+        "the twin's.",
+    )
+    classes: Path | None = Field(
+        None,
+        description="GeoTIFF of one band of 8 bits with the classes of the surface: 1 low "
+        "vegetation, 4 bare or paved ground, 8 water, 16 building, 17 tree; 0 where they are to "
+        "be found.",
+    )
+    undulation: float = Field(
+        0.0,
+        description="Height of the geoid above the ellipsoid, metres, for heights above sea level.",
+    )
+    taken: datetime | None = Field(
+        None,
+        description="Time of the photographs, such as 2026-07-01T10:30:00Z; it tells where the "
+        "sun stood, so that shadows in the orthophoto are softened. None takes the time of the "
+        "scene.",
+    )
+    season: str = Field("summer", description="Season that the orthophoto shows.")
+    albedo: float | None = Field(
+        None,
+        gt=0,
+        le=0.6,
+        description="Mean share of the light that the site reflects. None makes the twin as "
+        "bright at noon in summer as the orthophoto is.",
+    )
+    most_holes: float = Field(
+        0.3,
+        ge=0,
+        lt=1,
+        description="Largest share of the place that may be without colours; holes are closed.",
+    )
+    most_closed: float = Field(
+        0.5,
+        ge=0,
+        lt=1,
+        description="Largest share of the place that may be without heights; they are closed, too.",
+    )
+    sha256: dict[str, str] = Field(
+        default_factory=dict,
+        description="Digests of the files. They are computed when left out, so that a scene "
+        "records the very site it was made of.",
+    )
 
     @model_validator(mode="before")
     @classmethod

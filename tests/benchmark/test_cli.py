@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import typer
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 from typer.testing import CliRunner, Result
 
 import objconnect.methods
@@ -466,19 +466,10 @@ def test_the_list_of_commands_quotes_their_help() -> None:
 
 
 class Weather(BaseModel):
-    """What a flight meets.
+    """What a flight meets."""
 
-    Attributes:
-        wind: speed of the ``wind``,
-            metres per second.
-        rain: millimetres per hour.
-
-    Raises:
-        ValueError: no text of a field.
-    """
-
-    wind: float = 1.0
-    rain: int = 2
+    wind: float = Field(1.0, description="Speed of the ``wind``, metres per second.")
+    rain: int = Field(2, description="Millimetres per hour.")
 
 
 def test_options_of_a_configuration() -> None:

@@ -18,7 +18,7 @@ from benchmark.results.results import Results
 from benchmark.results.results_files import load
 from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import RESULTS
-from benchmark.tracks.description import DESCRIPTION, Place, Track, load_track
+from benchmark.tracks.description import DESCRIPTION, Track, TrackPlace, load_track
 from benchmark.tracks.difficulty import QueryRow
 from benchmark.tracks.queries import read_queries
 from objconnect.scene.errors import InputError
@@ -189,7 +189,7 @@ def _results_path(folder: Path, method: str) -> Path | None:
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
-def _read(path: Path, start: str, place: Place) -> Results:
+def _read(path: Path, start: str, place: TrackPlace) -> Results:
     results = load(path)
     if place.renders and results.dataset.sha256 not in place.renders:
         raise InputError(

@@ -40,6 +40,10 @@ Array = NDArray[np.float64]
 
 SESSION: Final = "virtual"
 _DEFAULTS: Final = ViewOptions()
+# Surfaces further than this many altitudes are left out of a view: texels are blurred there.
+_FARTHEST: Final = 4.0
+# Views that show less surface than this share are left out.
+_LEAST_SEEN: Final = 0.3
 # Rows of a raster that are read at a time.
 _ROWS = 256
 # Views are planned by renders of this many pixels on a side.
@@ -132,7 +136,7 @@ def photograph_orthophoto(
         "views": options.model_dump(mode="json"),
     }
     with atomic_folder(out) as folder:
-        _write(folder, survey, camera, planned.poses, options.farthest * survey.altitude)
+        _write(folder, survey, camera, planned.poses, _FARTHEST * survey.altitude)
         finish_scene(folder, _manifest(survey.surface.origin, config, georeference))
     return VirtualReport(
         len(planned.poses),
@@ -248,7 +252,7 @@ class _Planned(NamedTuple):
 def _planned(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
     """Choose the poses (N, 4, 4) of views that show enough surface, by small renders."""
     small = camera.resized(_SMALL, _SMALL)
-    farthest = options.farthest * survey.altitude
+    farthest = _FARTHEST * survey.altitude
     aims = directions(options)
     spots = places(survey.low, survey.high, survey.altitude, options)
     poses = []
@@ -257,7 +261,7 @@ def _planned(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
             centre = survey.above_ground(place)
             for heading, tilt in aims:
                 pose = looking(centre, heading, tilt)
-                if survey.surface.render(small, pose, farthest).seen >= options.least_seen:
+                if survey.surface.render(small, pose, farthest).seen >= _LEAST_SEEN:
                     poses.append(pose)
             advance((k + 1) * len(aims))
     return _Planned(np.array(poses).reshape(-1, 4, 4), len(spots) * len(aims) - len(poses))

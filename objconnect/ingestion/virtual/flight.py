@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,15 @@ Array = NDArray[np.float64]
 
 # More views than this are a request for another altitude.
 _MOST_VIEWS = 20_000
+# Field of view: that of a wide lens of a drone, as photographs to localize have it.
+_FOV_DEG: Final = 60.0
 # Headings of the oblique views from one place, degrees clockwise from north.
 _SIDES = (0.0, 90.0, 180.0, 270.0)
 
 
 def camera_of(options: ViewOptions) -> Camera:
     """Return the pinhole camera of all views."""
-    focal = options.size / 2 / math.tan(math.radians(options.fov_deg) / 2)
+    focal = options.size / 2 / math.tan(math.radians(_FOV_DEG) / 2)
     half = options.size / 2
     return Camera("PINHOLE", options.size, options.size, (focal, focal, half, half))
 
@@ -33,12 +36,12 @@ def places(low: Array, high: Array, altitude: float, options: ViewOptions) -> Ar
         low: (2,) west and south ends of the ground, world metres.
         high: (2,) its other ends.
         altitude: height above the ground, metres.
-        options: overlap and field of view.
+        options: the overlap.
 
     Raises:
         InputError: there would be more than 20,000 views.
     """
-    side = 2 * altitude * math.tan(math.radians(options.fov_deg) / 2)
+    side = 2 * altitude * math.tan(math.radians(_FOV_DEG) / 2)
     # The outermost views reach the edge of the ground with their outer quarter.
     low, high = low + side / 4, high - side / 4
     counts = np.ceil(np.maximum(high - low, 0) / (side * (1 - options.overlap))).astype(int) + 1

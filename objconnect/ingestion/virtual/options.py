@@ -31,10 +31,3 @@ class ViewOptions(Config):
         "west, degrees. 0 takes none.",
     )
     size: int = Field(512, ge=64, le=4096, description="Side of a view, pixels.")
-    fov_deg: float = Field(60.0, gt=5, lt=120, description="Field of view, degrees.")
-    farthest: float = Field(
-        4.0, ge=2, description="Surfaces further than this many altitudes are left out of a view."
-    )
-    least_seen: float = Field(
-        0.3, ge=0.01, le=1, description="Views that show less surface than this share are left out."
-    )

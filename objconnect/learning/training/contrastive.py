@@ -7,11 +7,21 @@ other image and at places a few cells beside the point.
 
 from __future__ import annotations
 
+from typing import Final
+
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from objconnect.learning.training.options import LOSSES, ContrastOptions
+# Temperature by which the cosines are divided.
+_TEMPERATURE: Final = 0.07
+# Random negatives in the image.
+_ELSEWHERE: Final = 512
+# Distances (cells) of further negatives from the true place. They make the peak of the similarity
+# sharp, and wide enough for alignment to converge.
+_BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+# Negatives closer than this (cells) to the true place are left out.
+_SAME_PLACE: Final = 1.0
 
 
 def sample(maps: Tensor, cells: Tensor) -> Tensor:
@@ -32,7 +42,6 @@ def contrastive(
     cells_a: Tensor,
     cells_b: Tensor,
     valid: Tensor,
-    options: ContrastOptions = LOSSES.contrast,
 ) -> Tensor:
     """Return the negative log-likelihood that each point is matched at its true place, (B, N).
 
@@ -42,15 +51,14 @@ def contrastive(
         cells_a: positions (B, N, 2) of the points in image a, cells.
         cells_b: positions of the points in image b.
         valid: (B, N) bool; the results for other points have no meaning.
-        options: options of the negatives.
     """
     # Positions of invalid points may be NaN, at which sampling would crash.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
-    count = min(options.elsewhere, height * width)
+    count = min(_ELSEWHERE, height * width)
     elsewhere = torch.randint(height * width, (batch, count), device=cells_b.device)
-    distance = cells_b.new_tensor(options.beside)
+    distance = cells_b.new_tensor(_BESIDE)
     angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(distance), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
     places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
@@ -59,9 +67,9 @@ def contrastive(
     index = elsewhere[:, None].expand(-1, channels, -1)
     far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
     centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5
-    too_close = torch.cdist(cells_b, centres) < options.same_place
+    too_close = torch.cdist(cells_b, centres) < _SAME_PLACE
     to_far = (points @ far).masked_fill(too_close, -torch.inf)
-    logits = torch.cat([to_near, to_far], -1) / options.temperature
+    logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
     return torch.as_tensor(logits.logsumexp(-1) - logits[..., 0])
 
 

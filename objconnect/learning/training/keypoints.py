@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.learning.training.options import PAIRS, PairOptions
+# Threshold of FAST, grey levels.
+_CORNER_THRESHOLD: Final = 8
+# Share of the points that lie at corners. The others are random, so that features of plain ground
+# are trained too.
+_CORNER_SHARE: Final = 0.75
 
 
 def keypoints(
-    image: NDArray[np.uint8], count: int, rng: np.random.Generator, options: PairOptions = PAIRS
+    image: NDArray[np.uint8], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and random places.
 
@@ -18,11 +24,10 @@ def keypoints(
         image: (H, W, 3) uint8.
         count: number of pixels; corners are drawn with equal probability, whatever their strength.
         rng: generator of the draws.
-        options: threshold of corners, and the share of points at corners.
     """
     height, width = image.shape[:2]
-    corners = cv2.FastFeatureDetector.create(options.corner_threshold).detect(image)
-    chosen = rng.permutation(len(corners))[: round(count * options.corner_share)]
+    corners = cv2.FastFeatureDetector.create(_CORNER_THRESHOLD).detect(image)
+    chosen = rng.permutation(len(corners))[: round(count * _CORNER_SHARE)]
     at_corners = np.array([corners[k].pt for k in chosen], np.float64).reshape(-1, 2) + 0.5
     anywhere = rng.uniform(0, [width, height], (count - len(chosen), 2))
     return rng.permutation(np.concatenate([at_corners, anywhere]))

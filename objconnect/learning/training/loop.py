@@ -23,6 +23,7 @@ from objconnect.learning.checkpoint import fault_of, write_weights
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
+from objconnect.scene.config import as_recorded
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write, write_text
@@ -36,6 +37,11 @@ _RUN = "run.json"
 # Settings that may differ when a run goes on, as they do not change what it learns.
 _FREE: Final = ("workers", "save_every", "validate_every")
 _CURVES = "curves.png"
+# Steps until the highest learning rate, which the first gradients of random weights do not bear.
+_RISE: Final = 50
+# Weight decay, and the largest norm of the gradient.
+_DECAY: Final = 1e-4
+_LARGEST_GRADIENT: Final = 5.0
 # What is looked at while training, which changes no weights.
 _VALIDATION_BATCHES = 8
 # The seed of validation pairs, which are the same in all runs.
@@ -149,7 +155,7 @@ def train_loop(
     method.network.to(device)
     # torch's annotations do not know this argument.
     network = method.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(method.groups(config.rate), weight_decay=config.decay)
+    optimizer = torch.optim.AdamW(method.groups(config.rate), weight_decay=_DECAY)
     peaks = [group["lr"] for group in optimizer.param_groups]
     first = _restore(out / _CHECKPOINT, network, optimizer, device)
     borders = sorted({0, round(config.warm_up * config.steps), config.steps})
@@ -169,7 +175,7 @@ def train_loop(
                 loss, figures = _step(method, batch.to(device), step / config.steps)
                 loss.backward()  # type: ignore[no-untyped-call]
                 _share_gradients(network, world)
-                norm = nn.utils.clip_grad_norm_(network.parameters(), config.clip)
+                norm = nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
                 if torch.isfinite(norm):
                     optimizer.step()
                 optimizer.zero_grad()
@@ -244,8 +250,10 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
         described = read_text(record, "description of the run")
         try:
             before = parse_json(described)
-            # Settings that did not exist when the run began have their defaults.
-            before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+            # Settings that did not exist when the run began have their defaults, and those that are
+            # constants now do not count.
+            recorded = as_recorded(TrainConfig, dict(before["config"]))
+            before["config"] = TrainConfig.model_validate(recorded).model_dump(mode="json")
             before["config"] |= {name: run["config"][name] for name in _FREE}
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
@@ -312,7 +320,7 @@ def _schedule(
     optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
 ) -> None:
     """Set the learning rates: a linear rise, then a cosine that falls to a hundredth."""
-    rise = min(1.0, (step + 1) / config.rise)
+    rise = min(1.0, (step + 1) / _RISE)
     fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
     for group, peak in zip(optimizer.param_groups, peaks, strict=True):
         group["lr"] = peak * rise * fall

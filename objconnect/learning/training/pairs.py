@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -11,9 +11,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.learning.training.objects import ImageObjects, PairObjects
-from objconnect.learning.training.options import PAIRS, PairOptions
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.projection import Intrinsics
+
+MIN_POINTS: Final = 64
+"""A pair with fewer points is drawn again."""
+
+BORDER_PX: Final = 4.0
+"""Points closer to the edge of an image are left out: features there see beyond it."""
+
+# Largest rotation of the start of an alignment from the truth, and largest translation as a share
+# of the depth. Both are as large as the errors of an aircraft's own pose.
+_START_DEG: Final = 10.0
+_START_SHARE: Final = 0.08
 
 
 class Pinhole(NamedTuple):
@@ -162,15 +172,14 @@ def wrong_start(
     b_from_a: NDArray[np.float64],
     depth: float,
     rng: np.random.Generator,
-    options: PairOptions = PAIRS,
 ) -> NDArray[np.float64]:
     """Draw a wrong transform (4, 4) near the truth, for a camera ``depth`` metres from the ground.
 
-    The camera b is turned by up to ``options.start_deg`` and moved by up to ``options.start_share``
-    of the depth. Both lengths are uniform, so that small errors are as frequent as large ones.
+    The camera b is turned by up to 10 degrees and moved by up to 8 % of the depth. Both lengths are
+    uniform, so that small errors are as frequent as large ones.
     """
-    turn = _direction(rng) * np.radians(options.start_deg) * rng.uniform()
-    move = _direction(rng) * options.start_share * depth * rng.uniform()
+    turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
+    move = _direction(rng) * _START_SHARE * depth * rng.uniform()
     start = np.eye(4)
     start[:3, :3] = so3_exp(torch.from_numpy(turn)).numpy()
     start[:3, 3] = move

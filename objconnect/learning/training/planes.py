@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -17,11 +18,23 @@ from numpy.typing import NDArray
 from objconnect.learning.training.augment import photometric
 from objconnect.learning.training.keypoints import keypoints
 from objconnect.learning.training.options import PAIRS, PairOptions
-from objconnect.learning.training.pairs import Pair, Pinhole, fill, wrong_start
+from objconnect.learning.training.pairs import (
+    BORDER_PX,
+    MIN_POINTS,
+    Pair,
+    Pinhole,
+    fill,
+    wrong_start,
+)
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
+
+# Height (m) of the cameras over single photographs, which are treated as flat ground.
+_HEIGHT_M: Final = 80.0
+# Largest tilt of these cameras about each axis.
+_TILT_DEG: Final = 15.0
 
 
 class PlanePairs:
@@ -56,15 +69,15 @@ class PlanePairs:
         options = self._options
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
         # Metres of ground per pixel of the photograph; crops show it at 0.5 to 1.2 times its scale.
-        ground = options.plane_height_m / camera.focal[0] * rng.uniform(0.5, 1.2)
+        ground = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
         middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
         a_from_ground = _looking_down(middle, rng, options)
-        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * options.plane_height_m
+        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
         b_from_ground = _looking_down(middle + away, rng, options)
         b_from_a = b_from_ground @ np.linalg.inv(a_from_ground)
         image_a = _seen(photograph, ground, camera, a_from_ground, size)
         image_b = _seen(photograph, ground, camera, b_from_ground, size)
-        xy_a = keypoints(image_a, 4 * self._points, rng, options)
+        xy_a = keypoints(image_a, 4 * self._points, rng)
         # The points are where rays meet the ground, z = 0.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
         ground_from_a = np.linalg.inv(a_from_ground)
@@ -74,10 +87,10 @@ class PlanePairs:
         xy_b = camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
         on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2] / ground
         both = np.concatenate([xy_a, xy_b], 1)
-        border = options.border_px
+        border = BORDER_PX
         good = ((both > border) & (both < size - border)).all(1)
         good &= ((on_ground > 1) & (on_ground < [width - 1, height - 1])).all(1)
-        if good.sum() < options.min_points:
+        if good.sum() < MIN_POINTS:
             return None
         valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
         return Pair(
@@ -86,7 +99,7 @@ class PlanePairs:
             camera,
             camera,
             b_from_a,
-            wrong_start(b_from_a, float(np.median(depth)), rng, options),
+            wrong_start(b_from_a, float(np.median(depth)), rng),
             points,
             xy_a,
             xy_b,
@@ -98,8 +111,8 @@ def _looking_down(
     over: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
 ) -> NDArray[np.float64]:
     """Draw ``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down."""
-    height = options.plane_height_m * rng.uniform(0.85, 1.2)
-    tilt = np.radians(rng.uniform(-options.plane_tilt_deg, options.plane_tilt_deg, 2))
+    height = _HEIGHT_M * rng.uniform(0.85, 1.2)
+    tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
     # Networks take pictures turned north up; this is the error of the heading by which they are.
     heading = np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
     turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))

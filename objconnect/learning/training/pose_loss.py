@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
 
-from objconnect.learning.training.options import LOSSES, LossOptions
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import Intrinsics
+
+# The largest error (px) that counts in the pose loss of a level.
+_CLAMP_PX: Final = 50.0
+# A level counts only where the error after the coarser level is below this many of its cells.
+_NEAR_CELLS: Final = 3.0
+# Pairs with fewer points are left out.
+_MIN_POINTS: Final = 10
 
 
 class Seen(NamedTuple):
@@ -59,26 +65,24 @@ def pose_loss(
     strides: Sequence[int],
     truth: Pose,
     seen: Seen,
-    options: LossOptions = LOSSES,
 ) -> tuple[Tensor, list[Tensor]]:
     """Return the loss of a batch, and the error (B,) after each level.
 
-    Each level has the same weight, and errors count up to ``pose_clamp_px``. A level counts only
-    where the coarser one ended within ``near_cells`` of its cells, because finer features cannot
-    correct larger errors. Pairs with fewer than ``min_points`` points are left out.
+    Each level has the same weight, and errors count up to 50 pixels. A level counts only
+    where the coarser one ended within three of its cells, because finer features cannot
+    correct larger errors. Pairs with fewer than ten points are left out.
 
     Args:
         by_level: poses after each level, coarse to fine, without gradients between levels.
         strides: strides of the levels.
         truth: true poses, as for ``reprojection_error``.
         seen: the points.
-        options: the limits named above.
     """
     errors = [reprojection_error(pose, truth, *seen) for pose in by_level]
-    enough = seen.valid.sum(-1) >= options.min_points
+    enough = seen.valid.sum(-1) >= _MIN_POINTS
     counts = enough
     total = torch.zeros_like(errors[0])
     for error, stride in zip(errors, strides, strict=True):
-        total = total + torch.where(counts, error.clamp(max=options.pose_clamp_px), 0) / len(errors)
-        counts = enough & (error < options.near_cells * stride)
+        total = total + torch.where(counts, error.clamp(max=_CLAMP_PX), 0) / len(errors)
+        counts = enough & (error < _NEAR_CELLS * stride)
     return total.mean(), [error.detach() for error in errors]

@@ -17,7 +17,14 @@ from objconnect.learning.training.instances import objects_of
 from objconnect.learning.training.keypoints import keypoints
 from objconnect.learning.training.objects import PairObjects
 from objconnect.learning.training.options import PAIRS, PairOptions
-from objconnect.learning.training.pairs import Pair, Pinhole, fill, wrong_start
+from objconnect.learning.training.pairs import (
+    BORDER_PX,
+    MIN_POINTS,
+    Pair,
+    Pinhole,
+    fill,
+    wrong_start,
+)
 from objconnect.scene.bundle.frames import DenseLayers
 from objconnect.scene.bundle.manifest import SceneObject
 from objconnect.scene.bundle.scene import Scene
@@ -28,6 +35,8 @@ from objconnect.scene.storage.images import read_rgb
 
 # More than a scene has objects, so that ids of several scenes differ.
 _IDS: Final = 1 << 17
+# Largest relative difference of two depths of the same point.
+_SAME_DEPTH: Final = 0.01
 
 
 _Pairs = list[tuple[int, int]]
@@ -118,7 +127,7 @@ class RenderedPairs:
         photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
         depth_a, depth_b = self._depth(a), self._depth(b)
         b_from_a = b.cam_from_world @ np.linalg.inv(a.cam_from_world)
-        xy_a = keypoints(photo_a, 24 * self._points, rng, options)
+        xy_a = keypoints(photo_a, 24 * self._points, rng)
         points = a.camera.lift(xy_a, _at(depth_a, xy_a))
         in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
         good = (points[:, 2] > 0) & (in_b[:, 2] > 1)
@@ -127,9 +136,9 @@ class RenderedPairs:
         height, width = photo_b.shape[:2]
         good = ((xy_b > 0) & (xy_b < [width, height])).all(1)
         seen = _at(depth_b, np.where(good[:, None], xy_b, 0.5))
-        good &= np.abs(seen - in_b[:, 2]) < options.same_depth * in_b[:, 2]
+        good &= np.abs(seen - in_b[:, 2]) < _SAME_DEPTH * in_b[:, 2]
         xy_a, xy_b, points = xy_a[good], xy_b[good], points[good]
-        if len(points) < options.min_points:
+        if len(points) < MIN_POINTS:
             return None
         zoom = np.exp(rng.uniform(*np.log(options.zoom)))
         anchor = rng.integers(len(points))
@@ -152,9 +161,9 @@ class RenderedPairs:
         points = points @ cut_a.crop_from_camera[:3, :3].T
         xy_a = cut_a.camera.project(points)
         xy_b = cut_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
-        border = options.border_px
+        border = BORDER_PX
         good = cut_a.contains(xy_a, border) & cut_b.contains(xy_b, border)
-        if good.sum() < options.min_points:
+        if good.sum() < MIN_POINTS:
             return None
         depth = float(np.median(points[good, 2]))
         valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
@@ -164,7 +173,7 @@ class RenderedPairs:
             cut_a.camera,
             cut_b.camera,
             b_from_a,
-            wrong_start(b_from_a, depth, rng, options),
+            wrong_start(b_from_a, depth, rng),
             points,
             xy_a,
             xy_b,

@@ -21,6 +21,11 @@ from objconnect.scene.geometry.pose import Pose
 
 # Numerical guard of the logarithm.
 _LEAST_TRUST: Final = 1e-3
+# Iterations of the alignment whose poses the pose loss measures.
+_ITERATIONS: Final = 8
+# Learning rate of the damping relative to the filters'. It is large because a factor is shared by
+# all pixels.
+_DAMPING_RATE: Final = 30.0
 
 
 def half_precision(batch: PairBatch) -> torch.autocast:
@@ -61,7 +66,7 @@ def contrast_of(
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
         cells = batch.xy_a / stride, batch.xy_b / stride
-        lost = contrastive(a, b, *cells, batch.valid, options.contrast)
+        lost = contrastive(a, b, *cells, batch.valid)
         losses.append(mean_over(batch.valid, lost))
         likely = torch.exp(-lost.detach())
         for half, places in zip(confidence.chunk(2), cells, strict=True):
@@ -102,12 +107,11 @@ def unrolled(
     levels: Sequence[Level],
     batch: PairBatch,
     damping: Iterable[nn.Module],
-    iterations: int = LOSSES.iterations,
 ) -> tuple[Pose, ...]:
     """Return the poses after each level, with gradients for features and damping."""
     factors = [each() for each in damping]
     place = batch.points, batch.intrinsics_b, batch.start
-    options = Options(iterations=iterations, careful=False)
+    options = Options(iterations=_ITERATIONS, careful=False)
     return align(Problem(levels, *place, factors, options, batch.valid)).by_level
 
 
@@ -121,11 +125,11 @@ def pixels_of(
 
 
 def filters_and_damping(
-    network: nn.Module, damping: nn.Module, rate: float, damping_rate: float
+    network: nn.Module, damping: nn.Module, rate: float
 ) -> list[dict[str, Any]]:
     """Return the groups of parameters of a network and its damping, which has a larger rate."""
     fast = list(damping.parameters())
     known = set(fast)
     filters = [p for p in network.parameters() if p not in known]
     slow = {"params": filters, "lr": rate}
-    return [slow, {"params": fast, "lr": damping_rate, "weight_decay": 0}]
+    return [slow, {"params": fast, "lr": _DAMPING_RATE * rate, "weight_decay": 0}]

@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 
 from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.localizer import Estimate, Query, Status
+from objconnect.scene.quantities.film_lens import SAME_LENS
+from objconnect.scene.quantities.focal import SAME_ASPECT
 from objconnect.scene.storage.images import Exif
 
-# Aspect ratios of one picture in two sizes, which are whole pixels, differ by less than this share.
-_SAME_ASPECT: Final = 0.01
-# Focal lengths of one lens differ by less than this share: equivalent focal lengths are whole
-# millimetres, and some makers refer them to the width instead of the diagonal.
-_SAME_LENS: Final = 0.15
 # Focal lengths that are tried where nothing is known, in longest sides of the picture: from 90 to
 # 37 degrees of view.
 _TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
@@ -79,14 +76,14 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
     same = [camera for camera in alike if (camera.width, camera.height) == size]
     if same and (
-        _unlike(same[0], exif) < _SAME_LENS
+        _unlike(same[0], exif) < SAME_LENS
         or (exif.focal_in_longest_sides is None and len(same) == 1)
     ):
         return Calibration(same[0], CameraSource.MAP)
     made = exif.xmp.camera
     if made is not None and _same_aspect((made.width, made.height), size):
         return Calibration(_fitted(made, size), CameraSource.CALIBRATED)
-    if alike and _unlike(alike[0], exif) < _SAME_LENS:
+    if alike and _unlike(alike[0], exif) < SAME_LENS:
         return Calibration(_fitted(alike[0], size), CameraSource.SCALED)
     focal = exif.focal_in_longest_sides
     if focal is not None:
@@ -119,7 +116,7 @@ def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
     """Return the camera whose focal length is nearest; None where none is of such a lens."""
     off = {camera: _off(camera, focal) for camera in cameras}
     best = min(off, key=lambda camera: off[camera], default=None)
-    return best if best is not None and off[best] < _SAME_LENS else None
+    return best if best is not None and off[best] < SAME_LENS else None
 
 
 def _off(camera: Camera, focal: float) -> float:
@@ -215,7 +212,7 @@ def _unlike(camera: Camera, exif: Exif) -> float:
 
 
 def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
-    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) < _SAME_ASPECT
+    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) < SAME_ASPECT
 
 
 def _fitted(camera: Camera, size: tuple[int, int]) -> Camera:

@@ -32,7 +32,9 @@ from objconnect.mapping.dense.workspace import KINDS, Stage, Workspace
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.colmap.models import write_posed
 from objconnect.scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
+from objconnect.scene.config import as_recorded
 from objconnect.scene.errors import InputError
+from objconnect.scene.exports.depth_views import DENSE as DENSE
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES
 from objconnect.scene.maps.photographs import PosedImage
@@ -52,7 +54,6 @@ from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.lru_cache import LruCache
 from objconnect.scene.storage.resumable import ResumableFolder
 
-DENSE = "dense"
 UNFINISHED = f"{TEMPORARY_PREFIX}dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]
@@ -98,7 +99,7 @@ def dense(
         seed: seed of every random choice; the same seed makes the same files.
         cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
             must see the scene at the same path and write to it.
-        options: options of the depth maps, and of their agreement.
+        options: when depth maps agree, and which depths are kept.
 
     Returns:
         Its figures, against the truth where the scene has depth.
@@ -131,9 +132,9 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, asked.size) for i in sparse_map.images.values()}
     pinhole_map = undistorted_map(sparse_map, cameras)
-    agreement = asked.options.agreement
-    enough = agreement.confirmed
-    pairs = choose_all(pinhole_map, asked.sources, enough, asked.options.sources)
+    options = asked.options
+    enough = options.confirmed
+    pairs = choose_all(pinhole_map, asked.sources, enough)
     if not pairs:
         raise InputError(
             f"no photograph of the map of {path} has {enough} others that see enough of the same: "
@@ -149,7 +150,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     photographs = digests(files)
     key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": asked.size,
            "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
-           "options": asked.options.model_dump(mode="json")}  # fmt: skip
+           "options": options.model_dump(mode="json")}  # fmt: skip
     workspace = _open_workspace(scene, key)
     _write_photographs(scene, sparse_map, cameras, workspace)
     try:
@@ -170,9 +171,9 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
         known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
     # Nor does it say that the disk is full. A point is of so many pixels or more, each listed once.
-    fused_bytes = known // agreement.fused * _POINT_BYTES + known * _LISTED_BYTES
+    fused_bytes = known // options.fused * _POINT_BYTES + known * _LISTED_BYTES
     require_disk_space(workspace.cloud, fused_bytes)
-    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, agreement.fused)
+    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, options.fused)
     truth = read_truth(scene, pinhole_map)
     shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
     confirmations = {name: maps.confirmations(name) for name in shown}
@@ -212,13 +213,13 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
 
     def difference(record: Path) -> str | None:
         try:
-            recorded = json.loads(read_text(record, "dense key"))
-        except ValueError:
+            recorded = dict(json.loads(read_text(record, "dense key")))
+            options = as_recorded(DenseOptions, dict(recorded.get("options", {})))
+        except (ValueError, TypeError):
             return "key"
         # Options that came later than the folder had the effect of their defaults.
-        before = {"options": DEFAULTS.model_dump(mode="json")}
-        same = isinstance(recorded, dict) and before | recorded == json.loads(request)
-        return None if same else "key"
+        recorded["options"] = DEFAULTS.model_dump(mode="json") | options
+        return None if recorded == json.loads(request) else "key"
 
     return ResumableFolder(folder, folder / KEY, request, difference)
 
@@ -352,15 +353,13 @@ class _Maps:
             [self.view(other) for other in others],
             inverse,
             [self.first(other)[0] for other in others],
-            self._options.agreement,
+            self._options,
         )
 
     def _first(self, name: str) -> tuple[Tensor, Tensor]:
         sources = [self.view(other) for other in self._pairs[name]]
         seeds = seeds_in(self._map, name)
-        planes, _ = first_estimate(
-            self.view(name), sources, seeds, self._generator(name), self._options.search
-        )
+        planes, _ = first_estimate(self.view(name), sources, seeds, self._generator(name))
         return planes, 1 / planes[0]
 
     def _last(self, name: str) -> tuple[Tensor, Tensor]:
@@ -371,9 +370,8 @@ class _Maps:
             self.first(name),
             [self.first(other)[0] for other in others],
             self._generator(name),
-            self._options.search,
         )
-        confirmed = self._confirmations(name, planes[0]) >= self._options.agreement.confirmed
+        confirmed = self._confirmations(name, planes[0]) >= self._options.confirmed
         return planes, torch.where(confirmed, 1 / planes[0], 0)
 
     def _generator(self, name: str) -> torch.Generator:

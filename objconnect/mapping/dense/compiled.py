@@ -17,8 +17,16 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.mapping.dense.options import DEFAULTS, CostOptions
-from objconnect.mapping.dense.photometry import NOISE, STEPS, WORST, Visibility
+from objconnect.mapping.dense.photometry import (
+    GEOMETRIC_LIMIT_PX,
+    GEOMETRIC_WEIGHT,
+    NOISE,
+    SIGMA_GREY,
+    SIGMA_PX,
+    STEPS,
+    WORST,
+    Visibility,
+)
 from objconnect.mapping.dense.warp import MIN_DEPTH, StereoView, Warp
 from objconnect.scene.runtime.loops import OPTIONS
 
@@ -95,15 +103,14 @@ class CompiledPhotometry:
         sources: Sequence[StereoView],
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None = None,
-        options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
         # What is left for torch is so little that its threads would wait more than compute.
         self.torch_threads = 1
         self._threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(self._threads)
         self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")
-        self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * options.sigma_px**2))
-        self._sigma_grey = _F(options.sigma_grey)
+        self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * SIGMA_PX**2))
+        self._sigma_grey = _F(SIGMA_GREY)
         there = [Warp.between(reference, source) for source in sources]
         visible = Visibility.of(reference, there, expected)
         shapes = np.array([source.grey.shape for source in sources])
@@ -117,8 +124,8 @@ class CompiledPhotometry:
             shapes,
             _matrices(there),
             _matrices([Warp.between(source, reference) for source in sources]),
-            _F(options.geometric_weight),
-            _F(options.geometric_limit_px),
+            _F(GEOMETRIC_WEIGHT),
+            _F(GEOMETRIC_LIMIT_PX),
         )
 
     def window(self, rows: Tensor, columns: Tensor) -> CompiledWindow:

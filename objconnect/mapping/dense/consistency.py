@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from objconnect.mapping.dense.options import DEFAULTS, AgreementOptions
+from objconnect.mapping.dense.options import DEFAULTS, DenseOptions
 from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
 
 
@@ -16,7 +16,7 @@ def agreeing(
     sources: Sequence[StereoView],
     inverse: Tensor,
     inverse_of_sources: Sequence[Tensor],
-    options: AgreementOptions = DEFAULTS.agreement,
+    options: DenseOptions = DEFAULTS,
 ) -> Tensor:
     """Count the sources whose depth maps confirm each pixel of the reference, (H, W) int64.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
-from objconnect.mapping.dense.options import DEFAULTS, SearchOptions
 from objconnect.mapping.dense.photometry import Photometry, PlaneCosts
 from objconnect.mapping.dense.planes import moved, planes_at_nearest, planes_through, resized
 from objconnect.mapping.dense.warp import StereoView
@@ -28,6 +27,19 @@ from objconnect.scene.runtime.threads import torch_threads
 
 # Number of pixels processed at once, whose windows fit into the processor's cache.
 _CHUNK = 16384
+# The search begins in a picture whose long side (px) is at most this: random planes find the
+# surface there within the first rounds. Later pictures begin near it and need one.
+_COARSEST_PX: Final = 160
+_FIRST_ROUNDS: Final = 4
+_ROUNDS: Final = 1
+# Largest slope of a random first guess, pixels of disparity per pixel. Steeper planes grow from it.
+_STEEPEST: Final = 0.5
+# Sizes of random steps: disparity in pixels, and its slope in pixels per pixel; halved each round.
+_STEP_PX: Final = 1.0
+_STEP_SLOPE: Final = 0.2
+# Random inverse depths exceed the range of those of the map's points by this share, because the map
+# has no point at the highest and the lowest place.
+_MARGIN: Final = 0.2
 
 
 def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
@@ -56,7 +68,6 @@ def first_estimate(
     sources: Sequence[StereoView],
     seeds: NDArray[np.float64],
     generator: torch.Generator,
-    options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
     """Estimate planes from photographs alone.
 
@@ -65,10 +76,9 @@ def first_estimate(
         sources: other views of the same surface.
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
         generator: generator of every random choice.
-        options: options of the search.
     """
     shrink = [1]
-    while max(reference.grey.shape) / shrink[-1] > options.coarsest_px:
+    while max(reference.grey.shape) / shrink[-1] > _COARSEST_PX:
         shrink.append(2 * shrink[-1])
     planes = None
     for factor in reversed(shrink):
@@ -79,14 +89,14 @@ def first_estimate(
         nearest = planes_at_nearest(points, height, width).to(here.grey.device)
         if planes is None:
             fitted = planes_through(points, height, width).to(here.grey.device)
-            search = _Search(here, others, fitted[0], None, generator, options)
+            search = _Search(here, others, fitted[0], None, generator)
             estimate = search.begin(fitted, nearest)
-            rounds, step = options.first_rounds, 4.0
+            rounds, step = _FIRST_ROUNDS, 4.0
         else:
             planes = resized(planes, height, width)
-            search = _Search(here, others, planes[0], None, generator, options)
+            search = _Search(here, others, planes[0], None, generator)
             estimate = search.best_of([planes, nearest])
-            rounds, step = options.rounds, 1.0
+            rounds, step = _ROUNDS, 1.0
         estimate = search.run(estimate, rounds, step)
         planes = estimate.planes
     return estimate
@@ -98,7 +108,6 @@ def consistent_estimate(
     planes: Tensor,
     inverse_depths: Sequence[Tensor],
     generator: torch.Generator,
-    options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
     """Refine planes for consistency with the first estimates of the sources.
 
@@ -108,10 +117,9 @@ def consistent_estimate(
         planes: (3, H, W) first estimate of the reference.
         inverse_depths: (H, W) first estimates of the sources.
         generator: generator of every random choice.
-        options: options of the search.
     """
-    search = _Search(reference, sources, planes[0], inverse_depths, generator, options)
-    return search.run(search.best_of([planes]), options.rounds, 0.5)
+    search = _Search(reference, sources, planes[0], inverse_depths, generator)
+    return search.run(search.best_of([planes]), _ROUNDS, 0.5)
 
 
 def _shrunk(view: StereoView, factor: int) -> StereoView:
@@ -132,11 +140,9 @@ class _Search:
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None,
         generator: torch.Generator,
-        options: SearchOptions,
     ) -> None:
         kind = _photometry(reference.grey.device)
-        self._photometry = kind(reference, sources, expected, inverse_depths, options.cost)
-        self._options = options
+        self._photometry = kind(reference, sources, expected, inverse_depths)
         self._generator = generator
         self._device = reference.grey.device
         self._shape = reference.grey.shape
@@ -158,12 +164,11 @@ class _Search:
     def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
         """Return the best of four guesses at each pixel, from seeds and at random, (3, H, W)."""
         inverse = nearest[0]
-        margin = self._options.margin
-        low, high = float(inverse.min()) * (1 - margin), float(inverse.max()) * (1 + margin)
+        low, high = float(inverse.min()) * (1 - _MARGIN), float(inverse.max()) * (1 + _MARGIN)
         guesses = [fitted, nearest]
         for _ in range(2):
             w = low + (high - low) * self._uniform(1)
-            slope = (2 * self._uniform(2) - 1) * (self._options.steepest * self._pixel)
+            slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._pixel)
             guesses.append(torch.cat([w, slope]))
         fitted[0].clamp_(low, high)
         return self.best_of(guesses)
@@ -192,7 +197,6 @@ class _Search:
 
     def _improve(self, estimate: Estimate, colour: Tensor, step: float) -> None:
         """Propagate and refine the planes of one colour, in place."""
-        step_px, step_slope = self._options.step_px, self._options.step_slope
         noise = [self._normal() for _ in range(2)]
         # Neighbours are of the other colour, so the order of the chunks does not matter.
         cost = pad(estimate.cost, (_REACH,) * 4, value=torch.inf)
@@ -205,9 +209,9 @@ class _Search:
             for drawn in noise:
                 random = drawn[:, rows, columns] * (step * self._pixel)
                 w, gx, gy = best.planes
-                best.offer(torch.stack([w + step_px * random[0], gx, gy]))
+                best.offer(torch.stack([w + _STEP_PX * random[0], gx, gy]))
                 w, gx, gy = best.planes
-                sx, sy = step_slope * random[1:]
+                sx, sy = _STEP_SLOPE * random[1:]
                 best.offer(torch.stack([w, gx + sx, gy + sy]))
             estimate.planes[:, rows, columns] = best.planes
             estimate.cost[rows, columns] = best.cost

@@ -8,13 +8,12 @@ warp is approximated as affine, which needs one division for all samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
-from objconnect.mapping.dense.options import DEFAULTS, CostOptions
 from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
 
 WORST = 2.0
@@ -25,6 +24,20 @@ STEPS = (-4, -2, 0, 2, 4)
 
 NOISE = 1e-5
 """Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing."""
+
+
+SIGMA_PX: Final = 4.0
+"""Width (px) of the Gaussian weight of samples: the window's edge counts 61 %."""
+
+SIGMA_GREY: Final = 0.1
+"""Difference in grey (0..1) at which the weight of a sample falls by e: beyond lies another
+surface."""
+
+GEOMETRIC_WEIGHT: Final = 0.2
+"""Additional cost per pixel of distance after a round trip through the map of another view."""
+
+GEOMETRIC_LIMIT_PX: Final = 3.0
+"""Largest distance of this round trip (px) that counts, so that one wrong map decides nothing."""
 
 
 class Visibility(NamedTuple):
@@ -116,7 +129,6 @@ class Photometry:
             shows the pixel is ignored.
         inverse_depths: inverse depth maps (H, W) of the sources, 0 where unknown. With them, a
             plane costs more where a source's map contradicts it.
-        options: weights of the costs.
     """
 
     def __init__(
@@ -125,10 +137,8 @@ class Photometry:
         sources: Sequence[StereoView],
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None = None,
-        options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
         self.torch_threads = torch.get_num_threads()
-        self._options = options
         self._grey = reference.grey
         self._sources = [source.grey[None, None] for source in sources]
         self._there = [Warp.between(reference, source) for source in sources]
@@ -141,7 +151,7 @@ class Photometry:
         dy, dx = torch.meshgrid(self._steps, self._steps, indexing="ij")
         offsets = (dy + reach) * self._padded.shape[1] + dx + reach
         self._offsets = offsets.reshape(-1, 1).long()
-        self._near = torch.exp(-(dx**2 + dy**2) / (2 * options.sigma_px**2)).reshape(-1, 1)
+        self._near = torch.exp(-(dx**2 + dy**2) / (2 * SIGMA_PX**2)).reshape(-1, 1)
 
     def window(self, rows: Tensor, columns: Tensor) -> Window:
         """Return the windows around pixels (n,) of the reference."""
@@ -149,7 +159,7 @@ class Photometry:
         # index_select is several times as fast as indexing.
         grey = self._padded.view(-1).index_select(0, around.view(-1)).view(around.shape)
         difference = (grey - self._grey[rows, columns]).abs()
-        weights = self._near * torch.exp(difference / -self._options.sigma_grey)
+        weights = self._near * torch.exp(difference / -SIGMA_GREY)
         weights = weights / weights.sum(0)
         central = grey - (weights * grey).sum(0)
         deviation = ((weights * central**2).sum(0) + NOISE).sqrt()
@@ -207,8 +217,8 @@ class Photometry:
         cost = 1 - correlation.clamp(-1, 1)
         if self._inverse_depths is not None:
             pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
-            limited = pixels.clamp_max(self._options.geometric_limit_px)
-            cost = cost + self._options.geometric_weight * limited
+            limited = pixels.clamp_max(GEOMETRIC_LIMIT_PX)
+            cost = cost + GEOMETRIC_WEIGHT * limited
         return torch.where(at.seen, cost, WORST)
 
 

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.mapping.dense.options import DEFAULTS, SourceOptions
 from objconnect.mapping.dense.planes import planes_at_nearest
 from objconnect.scene.maps.sparse_map import SparseMap
+
+# Photographs with as many common points of the map see the same surfaces; fewer may be wrong.
+_MIN_COMMON: Final = 5
+# Sources must cover the points of a grid of this many points a side.
+_GRID: Final = 12
+# The best angle between the rays of two photographs, and the widths of the Gaussian weights on
+# both sides: small angles make the depth inexact, large ones change the appearance.
+_BEST_ANGLE_DEG: Final = 12.0
+_NARROWER_DEG: Final = 5.0
+_WIDER_DEG: Final = 15.0
 
 
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
@@ -32,7 +43,6 @@ def choose_sources(
     name: str,
     seeds: NDArray[np.float64],
     count: int,
-    options: SourceOptions = DEFAULTS.sources,
 ) -> list[str]:
     """Choose photographs that together see all of a photograph at good angles, best first.
 
@@ -41,27 +51,25 @@ def choose_sources(
         name: the photograph to be matched.
         seeds: its map points, as those of ``seeds_in``.
         count: largest number of sources.
-        options: options of the choice: common points, coverage and angles.
     """
     image = sparse_map.images[name]
     observed = image.point_rows[image.point_rows >= 0]
     width, height = image.camera.width, image.camera.height
     # Planes at the centres of a coarse grid approximate the surface in the picture.
-    grid = options.grid
-    scale = np.array([grid / width, grid / height, 1.0])
-    inverse = planes_at_nearest(seeds * scale, grid, grid)[0].double().reshape(-1, 1)
-    steps = (torch.arange(grid, dtype=torch.float64) + 0.5) / grid
+    scale = np.array([_GRID / width, _GRID / height, 1.0])
+    inverse = planes_at_nearest(seeds * scale, _GRID, _GRID)[0].double().reshape(-1, 1)
+    steps = (torch.arange(_GRID, dtype=torch.float64) + 0.5) / _GRID
     xy = torch.cartesian_prod(steps * height, steps * width).flip(-1)
     rays, _ = image.camera.unproject(xy)
     surface = image.pose.inverse().transform(rays / inverse)
     weights = {}
     for other in sparse_map.images.values():
-        if other.name == name or np.isin(other.point_rows, observed).sum() < options.min_common:
+        if other.name == name or np.isin(other.point_rows, observed).sum() < _MIN_COMMON:
             continue
         seen = other.camera.project(other.pose.transform(surface))
         inside = (seen.valid & other.camera.contains(seen.xy)).numpy()
         angle = _angle_deg(surface.numpy(), image.centre, other.centre)
-        weights[other.name] = inside * _angle_weight(angle, options)
+        weights[other.name] = inside * _angle_weight(angle)
     chosen: list[str] = []
     covered = np.zeros(len(xy))
     while weights and len(chosen) < count:
@@ -71,21 +79,18 @@ def choose_sources(
     return chosen
 
 
-def choose_all(
-    sparse_map: SparseMap, count: int, enough: int, options: SourceOptions = DEFAULTS.sources
-) -> dict[str, list[str]]:
+def choose_all(sparse_map: SparseMap, count: int, enough: int) -> dict[str, list[str]]:
     """Choose the sources of every photograph that has enough of them.
 
     Args:
         sparse_map: map with undistorted cameras.
         count: largest number of sources of a photograph.
         enough: least number of sources; photographs with fewer are left out.
-        options: options of ``choose_sources``.
     """
     pairs = {}
     for name in sparse_map.names:
         seeds = seeds_in(sparse_map, name)
-        chosen = choose_sources(sparse_map, name, seeds, count, options) if len(seeds) else []
+        chosen = choose_sources(sparse_map, name, seeds, count) if len(seeds) else []
         if len(chosen) >= enough:
             pairs[name] = chosen
     # A source must have a map, and so sources, of its own.
@@ -106,7 +111,7 @@ def _angle_deg(
     return np.asarray(np.degrees(np.arccos(cosine.clip(-1, 1))))
 
 
-def _angle_weight(angle_deg: NDArray[np.float64], options: SourceOptions) -> NDArray[np.float64]:
-    off = angle_deg - options.best_angle_deg
-    width = np.where(off < 0, options.narrower_deg, options.wider_deg)
+def _angle_weight(angle_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    off = angle_deg - _BEST_ANGLE_DEG
+    width = np.where(off < 0, _NARROWER_DEG, _WIDER_DEG)
     return np.asarray(np.exp(-0.5 * (off / width) ** 2))

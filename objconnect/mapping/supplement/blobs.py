@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.mapping.supplement.association import Detections
-from objconnect.mapping.supplement.config import BlobOptions
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.objects import Objects
 from objconnect.network.segmentation import NOTHING, Labels, at_pixels
@@ -20,7 +19,16 @@ from objconnect.network.segmentation import NOTHING, Labels, at_pixels
 SIGMAS: Final = (0.8, 1.3, 2.1)
 """Radii of blobs (px). The classifier was trained with the appearance at each of them."""
 
-_DEFAULTS: Final = BlobOptions()
+# Radius of the surroundings a blob is compared with, in its own, as the classifier was trained.
+_SURROUND_RATIO: Final = 2.5
+# Least difference from the surroundings (CIE L*a*b*): less is noise of the photograph.
+_MIN_CONTRAST: Final = 5.0
+# Most blobs of a photograph, the strongest: what takes time grows with them.
+_MAX_COUNT: Final = 12000
+# Pixels at the edge in which no blob counts, because its surroundings are cut.
+_BORDER_PX: Final = 8
+# Blur (px) before the colour of a blob is read.
+_COLOUR_SIGMA_PX: Final = 0.7
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,6 @@ def find(
     rgb: NDArray[np.uint8],
     network: ObjConnectNet | None = None,
     masks: Labels | None = None,
-    options: BlobOptions = _DEFAULTS,
 ) -> Blobs:
     """Detect the blobs of a photograph: local maxima of the difference of Gaussians of its colours.
 
@@ -70,12 +77,11 @@ def find(
             each blob a confidence and a descriptor; of one with a detector the centres are those of
             the learned objects. Without either, all blobs are equally confident.
         masks: label map (H, W) of objects; blobs outside them are left out.
-        options: thresholds of the detection.
     """
     lab = in_lab(rgb)
-    contrast = np.stack([_contrast(lab, sigma, options.surround_ratio) for sigma in SIGMAS])
+    contrast = np.stack([_contrast(lab, sigma) for sigma in SIGMAS])
     strength = np.linalg.norm(contrast, axis=-1)
-    peaks = [_peaks(each, options.min_contrast) for each in strength]
+    peaks = [_peaks(each) for each in strength]
     xy = np.concatenate(peaks)
     radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in peaks])
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
@@ -93,14 +99,14 @@ def find(
         xy = np.concatenate([xy, centres])
         radius = np.concatenate([radius, strength[:, row, column].argmax(0)])
     row, column = _pixel(xy, rgb.shape)
-    far = np.array([rgb.shape[1], rgb.shape[0]]) - options.border_px
-    inside = ((xy >= options.border_px) & (xy <= far)).all(1)
+    far = np.array([rgb.shape[1], rgb.shape[0]]) - _BORDER_PX
+    inside = ((xy >= _BORDER_PX) & (xy <= far)).all(1)
     if labels is not None:
         labelled = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
         inside &= labelled.numpy()
     kept = np.flatnonzero(inside)
     order = np.argsort(-strength[radius, row, column][kept], kind="stable")
-    kept = np.sort(kept[order[: options.max_count]])
+    kept = np.sort(kept[order[:_MAX_COUNT]])
     xy, radius, row, column = xy[kept], radius[kept], row[kept], column[kept]
     look = contrast[:, row, column].transpose(1, 0, 2).reshape(len(xy), -1).astype(np.float64)
     if objects is None or segments is None:
@@ -109,7 +115,7 @@ def find(
     else:
         index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
         descriptors, confidence = _described(objects, index)
-    smooth = cv2.GaussianBlur(lab, (0, 0), options.colour_sigma_px)
+    smooth = cv2.GaussianBlur(lab, (0, 0), _COLOUR_SIGMA_PX)
     return Blobs(
         Detections(xy, descriptors.astype(np.float32), confidence),
         look,
@@ -119,9 +125,9 @@ def find(
     )
 
 
-def _contrast(lab: NDArray[np.float32], sigma: float, surround_ratio: float) -> NDArray[np.float32]:
+def _contrast(lab: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """Return the difference of Gaussians (H, W, 3) of a picture at a radius."""
-    wide = cv2.GaussianBlur(lab, (0, 0), sigma * surround_ratio)
+    wide = cv2.GaussianBlur(lab, (0, 0), sigma * _SURROUND_RATIO)
     return np.asarray(cv2.GaussianBlur(lab, (0, 0), sigma) - wide, np.float32)
 
 
@@ -149,9 +155,9 @@ def _pixel(
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
-def _peaks(strength: NDArray[np.float32], min_contrast: float) -> NDArray[np.float64]:
+def _peaks(strength: NDArray[np.float32]) -> NDArray[np.float64]:
     """Find local maxima (N, 2) of a picture (H, W), each at the top of the parabola around it."""
-    top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > min_contrast)
+    top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > _MIN_CONTRAST)
     top[[0, -1]] = top[:, [0, -1]] = False
     row, column = np.nonzero(top)
     at = strength[row, column]

@@ -11,10 +11,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.mapping.supplement.config import GroundOptions
 from objconnect.scene.maps.sparse_map import MapImage
 
-_DEFAULTS: Final = GroundOptions()
+# The ground under a point is a plane through this many points around it, seen from above.
+_NEIGHBOURS: Final = 24
+# Scales of Cauchy's weights (m) in the rounds in which the plane is fitted. It begins level at the
+# median of the points; the first scales let it fall from roofs and tilt with slopes.
+_CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
+# Side of the cells of the ground, and its margin around the middle 99 % of the points (m).
+_CELL_M: Final = 2.0
+_MARGIN_M: Final = 15.0
+# Iterations of the intersection of rays with the ground.
+_RAY_STEPS: Final = 6
 # FLANN's single tree (4) with an exhaustive search.
 _EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
 _UNLIMITED: Final = {"checks": -1}
@@ -30,31 +38,29 @@ class Ground:
     Attributes:
         corner: east and north (2,) of the first corner, world metres.
         z: heights (R, C), world metres; rows run to the north.
-        options: options of the estimate.
     """
 
     corner: NDArray[np.float64]
     z: NDArray[np.float64]
-    options: GroundOptions = _DEFAULTS
 
     @staticmethod
-    def of(cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS) -> Ground:
+    def of(cloud: NDArray[np.float64]) -> Ground:
         """Estimate the ground under points (M, 3); see ``heights``."""
         low, high = np.percentile(cloud[:, :2], [0.5, 99.5], axis=0)
-        corner = low - options.margin_m
-        side = (high + options.margin_m - corner) / options.cell_m
+        corner = low - _MARGIN_M
+        side = (high + _MARGIN_M - corner) / _CELL_M
         columns, rows = (np.ceil(side) + 1).astype(int)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * options.cell_m
+        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * _CELL_M
         places[:, :2] += corner
         parts = np.array_split(places, 1 + len(places) // _AT_ONCE)
-        below = np.concatenate([heights(part, cloud, options) for part in parts])
-        return Ground(corner, -below.reshape(x.shape), options)
+        below = np.concatenate([heights(part, cloud) for part in parts])
+        return Ground(corner, -below.reshape(x.shape))
 
     def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return heights (N,) of the ground at places (N, 2), interpolated between corners."""
         size = np.array(self.z.shape[::-1])
-        cells = ((xy - self.corner) / self.options.cell_m).clip(0, size - 1.001)
+        cells = ((xy - self.corner) / _CELL_M).clip(0, size - 1.001)
         column, row = cells.astype(int).T
         right, up = (cells % 1).T
         south = self.z[row, column] * (1 - right) + self.z[row, column + 1] * right
@@ -67,27 +73,25 @@ class Ground:
         rays = rays @ image.cam_from_world[:3, :3]
         z = np.full(len(xy), np.median(self.z))
         places = np.tile(image.centre, (len(xy), 1))
-        for _ in range(self.options.ray_steps):
+        for _ in range(_RAY_STEPS):
             along = (z + above - image.centre[2]) / np.minimum(rays[:, 2], -1e-6)
             places = image.centre + rays * along[:, None]
             z = self.at(places[:, :2])
         return places
 
 
-def heights(
-    xyz: NDArray[np.float64], cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS
-) -> NDArray[np.float64]:
+def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
 
     They are world metres, with z up, and infinite where the cloud (M, 3) has too few points.
     """
-    if len(cloud) < options.neighbours or not len(xyz):
+    if len(cloud) < _NEIGHBOURS or not len(xyz):
         return np.full(len(xyz), math.inf)
-    neighbours, _ = nearest(xyz[:, :2], cloud[:, :2], options.neighbours)
+    neighbours, _ = nearest(xyz[:, :2], cloud[:, :2], _NEIGHBOURS)
     around = cloud[neighbours] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
     design = np.concatenate([around[..., :2], np.ones((*neighbours.shape, 1))], 2)
     off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
-    for close in options.close_m:
+    for close in _CLOSE_M:
         weight = 1 / (1 + np.square(off / close))
         weighted = design * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)

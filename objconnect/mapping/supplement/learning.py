@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from objconnect.learning.checkpoint import write_weights
@@ -25,7 +24,6 @@ from objconnect.mapping.supplement.classifier import FIGURES, PlaceClassifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.small import Places, find_places
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_bar
@@ -33,24 +31,16 @@ from objconnect.scene.runtime.progress import progress_bar
 # Precisions at which the report counts the objects that are covered. They change no weights.
 _SHARES: Final = (0.95, 0.93, 0.9)
 
-
-class LearningOptions(Config):
-    """The training of the classifier. The file of its weights records these options."""
-
-    steps: int = Field(3000, ge=1, description="Number of steps of the optimizer.")
-    batch: int = Field(1024, ge=1, description="Number of places in a step.")
-    rate: float = Field(4e-3, gt=0, description="Highest learning rate.")
-    decay: float = Field(1e-2, ge=0, description="Weight decay.")
-    small_weight: float = Field(
-        10.0, gt=0, description="Weight of places on small objects, which are few."
-    )
-    dropout: float = Field(
-        0.1, ge=0, lt=1, description="Share of the figures that are set to unknown in a step."
-    )
-    seed: int = Field(0, description="Random seed.")
-
-
-_DEFAULTS: Final = LearningOptions()
+# Steps of the optimizer, as the shipped weights were trained.
+_STEPS: Final = 3000
+# Places in a step, highest learning rate and weight decay.
+_BATCH: Final = 1024
+_RATE: Final = 4e-3
+_DECAY: Final = 1e-2
+# Weight of places on small objects, which are few.
+_SMALL_WEIGHT: Final = 10.0
+# Share of the figures that are set to unknown in a step, as those that no photograph shows.
+_DROPOUT: Final = 0.1
 
 
 class Lessons(NamedTuple):
@@ -104,29 +94,33 @@ def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
     return SparseMap(images, tracks.xyz, colours, np.zeros(count), tracks.views)
 
 
-def learn(taught: Sequence[Lessons], options: LearningOptions = _DEFAULTS) -> PlaceClassifier:
+def learn(taught: Sequence[Lessons], steps: int = _STEPS, seed: int = 0) -> PlaceClassifier:
     """Train a classifier on the places of scenes.
+
+    Args:
+        taught: places of each scene.
+        steps: number of steps of the optimizer.
+        seed: random seed.
 
     Raises:
         InputError: the scenes have no places.
     """
-    torch.manual_seed(options.seed)
+    torch.manual_seed(seed)
     classifier = PlaceClassifier()
     figures = torch.from_numpy(np.concatenate([each.figures for each in taught]))
     if not len(figures):
         raise InputError("the scenes have no place to learn from")
     right = torch.from_numpy(np.concatenate([each.on_object for each in taught])).float()
     small = torch.from_numpy(np.concatenate([each.small for each in taught])) > 0
-    weight = torch.where(small, options.small_weight, 1.0)
+    weight = torch.where(small, _SMALL_WEIGHT, 1.0)
     classifier.mean.copy_(figures.mean(0))
     classifier.deviation.copy_(figures.std(0).clamp_min(1e-6))
-    drop = torch.nn.Dropout(options.dropout)
-    rate, steps = options.rate, options.steps
-    optimizer = torch.optim.AdamW(classifier.parameters(), rate, weight_decay=options.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps)
+    drop = torch.nn.Dropout(_DROPOUT)
+    optimizer = torch.optim.AdamW(classifier.parameters(), _RATE, weight_decay=_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, steps)
     with progress_bar("steps", steps) as advance:
         for step in range(1, steps + 1):
-            some = torch.randint(len(figures), (options.batch,))
+            some = torch.randint(len(figures), (_BATCH,))
             noisy = classifier.mean + drop(figures[some] - classifier.mean)
             loss = binary_cross_entropy_with_logits(classifier(noisy), right[some], weight[some])
             optimizer.zero_grad()
@@ -161,17 +155,16 @@ def main() -> None:
     words.add_argument("scenes", nargs="+", type=Path, metavar="SCENE")
     words.add_argument("--validation", nargs="*", default=[], type=Path, metavar="SCENE")
     words.add_argument("--out", type=Path, required=True, metavar="FILE")
-    words.add_argument("--steps", type=int, default=_DEFAULTS.steps)
-    words.add_argument("--seed", type=int, default=_DEFAULTS.seed)
+    words.add_argument("--steps", type=int, default=_STEPS)
+    words.add_argument("--seed", type=int, default=0)
     chosen = words.parse_args()
-    options = LearningOptions(steps=chosen.steps, seed=chosen.seed)
     try:
-        classifier = learn([lessons(path) for path in chosen.scenes], options)
+        taught = [lessons(path) for path in chosen.scenes]
+        classifier = learn(taught, chosen.steps, chosen.seed)
         for path in chosen.validation:
             print(path, *report(classifier, lessons(path)), sep="\n")
-        write_weights(
-            chosen.out, classifier, {"figures": FIGURES, "learning": options.model_dump()}
-        )
+        learning = {"steps": chosen.steps, "seed": chosen.seed}
+        write_weights(chosen.out, classifier, {"figures": FIGURES, "learning": learning})
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

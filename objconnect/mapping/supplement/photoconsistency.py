@@ -19,7 +19,6 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.mapping.supplement.blobs import Blobs, in_lab
-from objconnect.mapping.supplement.config import PhotoconsistencyOptions
 from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.mapping.supplement.tracks import Tracks, project
 from objconnect.scene.maps.sparse_map import MapImage
@@ -34,6 +33,16 @@ _GROUND: Final = np.abs(HEIGHTS) < 0.16
 # The value for an unknown difference. The classifier was trained with it, so that another value
 # needs other weights.
 _UNKNOWN: Final = 15.0
+# Radius (px) of the window that is compared.
+_RADIUS_PX: Final = 2
+# Weights of pixels fall by e over this squared distance (px^2), and over this difference from the
+# middle's colour (CIE L*a*b*).
+_DISTANCE_SCALE: Final = 6.0
+_COLOUR_SCALE: Final = 8.0
+# Colour difference from which on a pixel does not match at all.
+_MAX_DIFFERENCE: Final = 15.0
+# Blur (px) of the photographs beforehand, because windows lie between pixels.
+_BLUR_PX: Final = 0.5
 # Number of photographs of the largest size for which the cache has room.
 _CACHED: Final = 16
 # The most rows per call that OpenCV's remap accepts.
@@ -61,7 +70,6 @@ def costs(
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
-    options: PhotoconsistencyOptions,
 ) -> NDArray[np.float64]:
     """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
 
@@ -74,7 +82,6 @@ def costs(
         blobs: blobs of each photograph.
         ground: the ground below the places.
         tracks: the places.
-        options: options of the comparison.
 
     Raises:
         InputError: a photograph is missing or damaged.
@@ -83,7 +90,7 @@ def costs(
     def read(view: int) -> NDArray[np.float32]:
         image = images[view]
         lab = in_lab(read_rgb(folder / image.name, image.camera))
-        return np.asarray(cv2.GaussianBlur(lab, (0, 0), options.blur_px), np.float32)
+        return np.asarray(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), np.float32)
 
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
     photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
@@ -96,8 +103,8 @@ def costs(
             if len(at):
                 xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
                 z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
-                windows = _windows(images[view], photograph(view), xy, z, options)
-                result[at] = _mean_difference(images, view, photograph, windows, xyz, options)
+                windows = _windows(images[view], photograph(view), xy, z)
+                result[at] = _mean_difference(images, view, photograph, windows, xyz)
             advance(view + 1)
     return result
 
@@ -107,17 +114,16 @@ def _windows(
     picture: NDArray[np.float32],
     xy: NDArray[np.float64],
     z: NDArray[np.float64],
-    options: PhotoconsistencyOptions,
 ) -> _Windows:
     """Cut windows around pixels (N, 2) of a photograph and follow their rays to heights (N, H)."""
-    radius = options.radius_px
+    radius = _RADIUS_PX
     unit = np.arange(-radius, radius + 1)
     window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
     pixels = xy[:, None] + window
     colours = _sampled(picture, pixels)
     middle = colours[:, len(window) // 2, None]
-    weights = np.exp(-np.abs(colours - middle).sum(2) / options.colour_scale)
-    weights *= np.exp(-(window**2).sum(1) / options.distance_scale)
+    weights = np.exp(-np.abs(colours - middle).sum(2) / _COLOUR_SCALE)
+    weights *= np.exp(-(window**2).sum(1) / _DISTANCE_SCALE)
     weights /= weights.sum(1, keepdims=True)
     rays, _ = image.camera.unproject(torch.from_numpy(pixels.reshape(-1, 2)))
     toward = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
@@ -131,7 +137,6 @@ def _mean_difference(
     photograph: LruCache[int, NDArray[np.float32]],
     windows: _Windows,
     xyz: NDArray[np.float64],
-    options: PhotoconsistencyOptions,
 ) -> NDArray[np.float64]:
     """Return the mean difference (N, H) over the other photographs that show each place."""
     total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
@@ -145,7 +150,7 @@ def _mean_difference(
         xy, _ = project(image, places.reshape(-1, 3))
         theirs = _sampled(photograph(other), xy.reshape(*places.shape[:3], 2))
         off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
-        off = off.clip(max=options.max_difference)
+        off = off.clip(max=_MAX_DIFFERENCE)
         total[seen] += (off * windows.weights[seen][:, None]).sum(2)
         views[seen] += 1
     return np.where(views > 0, total / views.clip(1), np.nan)

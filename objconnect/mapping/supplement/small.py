@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,15 @@ from objconnect.scene.geometry.views import looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
+
+# Heights of a place above the ground around it (m): lower ones are not told from the ground, higher
+# ones do not stand on it alone.
+_ABOVE_M: Final = 0.1
+_BELOW_M: Final = 3.2
+# Least probability of being on an object, by the classifier; docs/supplement.md has its precision.
+_LIKELY: Final = 0.8
+# Least distance (m) of a place from the map's own points, which are on an object already.
+_APART_M: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -64,15 +74,15 @@ def find_places(
         for image in images:
             rgb = read_rgb(folder / image.name, image.camera)
             given = None if masks is None else masks[image.name]
-            blobs.append(find(rgb, network, given, config.blobs))
+            blobs.append(find(rgb, network, given))
             advance(len(blobs))
-    ground = Ground.of(sparse_map.xyz, config.ground)
-    tracks = follow(images, blobs, ground, config.views, config.tracks)
-    tracks = solve(images, blobs, tracks, config.views, config.tracks)
-    tracks = distinct(tracks, config.views, config.tracks)
+    ground = Ground.of(sparse_map.xyz)
+    tracks = follow(images, blobs, ground, config.views)
+    tracks = solve(images, blobs, tracks, config.views)
+    tracks = distinct(tracks, config.views)
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    tracks = tracks.only((above > config.above_m) & (above < config.below_m))
-    place_costs = costs(images, folder, blobs, ground, tracks, config.photoconsistency)
+    tracks = tracks.only((above > _ABOVE_M) & (above < _BELOW_M))
+    place_costs = costs(images, folder, blobs, ground, tracks)
     figures = measured(images, blobs, ground, tracks, place_costs)
     return Places(images, blobs, tracks, figures)
 
@@ -105,7 +115,7 @@ def supplement_points(
     names = [image.name for image in places.images]
     detections = {name: each.detections for name, each in zip(names, places.blobs, strict=True)}
     likely = classifier.likely(places.figures)
-    tracks = places.tracks.only(likely > config.likely)
+    tracks = places.tracks.only(likely > _LIKELY)
     points = []
     for track in range(len(tracks.xyz)):
         mine = tracks.track == track
@@ -114,12 +124,12 @@ def supplement_points(
         point = triangulate(sparse_map, detections, members, config)
         if point is not None:
             points.append(point)
-    return _missing(sparse_map, points, config), detections
+    return _missing(sparse_map, points), detections
 
 
-def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:
+def _missing(sparse_map: SparseMap, points: list[Lifted]) -> list[Lifted]:
     """Return the points that are far enough from those of the map."""
     if not points:
         return []
     _, off = nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)
-    return [point for point, far in zip(points, off[:, 0] > config.apart_m, strict=True) if far]
+    return [point for point, far in zip(points, off[:, 0] > _APART_M, strict=True) if far]

@@ -11,11 +11,34 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.mapping.supplement.blobs import SIGMAS, Blobs
-from objconnect.mapping.supplement.config import TrackOptions
 from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.runtime.progress import progress_bar
 
+# Heights above the ground that are tried (m): from below a slope to the roof of a van.
+_LOWEST_M: Final = -0.75
+_HIGHEST_M: Final = 3.3
+_HEIGHT_STEP_M: Final = 0.25
+# Most photographs that each photograph is compared with, and the least share of the same ground
+# that they must show.
+_MAX_PHOTOGRAPHS: Final = 24
+_MIN_OVERLAP: Final = 0.05
+# Blobs match within these limits: distance (px) from the projection of a place, cosine of the
+# appearances, ratio of the weaker to the stronger contrast, difference of colours (CIE L*a*b*).
+# The classifier was trained with places that they let through.
+_MAX_OFFSET_PX: Final = 1.3
+_MIN_COSINE: Final = 0.75
+_MIN_STRENGTH_RATIO: Final = 0.4
+_MAX_COLOUR_DIFFERENCE: Final = 15.0
+# Gauss-Newton steps that refine the places, and those before outliers are dropped.
+_STEPS: Final = 4
+_SETTLING: Final = 2
+# Observations with a larger reprojection error (px) leave a place.
+_MAX_ERROR_PX: Final = 1.5
+# Pixels at the edge in which a place does not count as visible: a blob there has no surroundings.
+_BORDER_PX: Final = 4.0
+# Least share of its blobs that no better place has taken, for a place to stay.
+_MIN_FREE_SHARE: Final = 0.7
 # Cells per pixel of the table in which the nearest blob is looked up.
 _CELLS: Final = 2
 
@@ -79,7 +102,6 @@ def follow(
     blobs: Sequence[Blobs],
     ground: Ground,
     views: int,
-    options: TrackOptions,
 ) -> Tracks:
     """Find the height above the ground of every blob: the one at which most photographs match it.
 
@@ -88,18 +110,14 @@ def follow(
         blobs: blobs of each photograph.
         ground: the ground.
         views: least number of photographs that show a place, including its own.
-        options: heights to try, and thresholds of the match.
     """
     shapes = [(image.camera.height, image.camera.width) for image in images]
-    tables = [
-        _nearest_blobs(each, shape, options.max_offset_px)
-        for each, shape in zip(blobs, shapes, strict=True)
-    ]
+    tables = [_nearest_blobs(each, shape) for each, shape in zip(blobs, shapes, strict=True)]
     compared = _Compared(images, blobs, tables, ground)
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_followed(view, compared, views, options))
+            parts.append(_followed(view, compared, views))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -112,15 +130,14 @@ def follow(
     )
 
 
-def _nearest_blobs(blobs: Blobs, shape: tuple[int, int], max_offset_px: float) -> NDArray[np.int32]:
+def _nearest_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
     """Tabulate the nearest blob within reach of each cell, -1 for none, by radius, row and column.
 
     Args:
         blobs: blobs of one photograph.
         shape: height and width of the photograph.
-        max_offset_px: largest distance of a blob from a cell.
     """
-    reach = int(_CELLS * max_offset_px) + 1
+    reach = int(_CELLS * _MAX_OFFSET_PX) + 1
     steps = [(x, y) for x in range(-reach, reach + 1) for y in range(-reach, reach + 1)]
     table = np.full((len(SIGMAS), *(_CELLS * side + 2 * reach for side in shape)), -1, np.int32)
     column, row = np.floor(blobs.xy * _CELLS).astype(int).T + reach
@@ -132,32 +149,32 @@ def _nearest_blobs(blobs: Blobs, shape: tuple[int, int], max_offset_px: float) -
 
 
 def project(
-    image: MapImage, xyz: NDArray[np.float64], border_px: float = 4.0
+    image: MapImage, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Project places to pixels (N, 2); also return which lie inside the border, (N,)."""
     seen = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
-    return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, border_px)).numpy()
+    return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, _BORDER_PX)).numpy()
 
 
-def _followed(view: int, compared: _Compared, views: int, options: TrackOptions) -> Tracks:
+def _followed(view: int, compared: _Compared, views: int) -> Tracks:
     """Follow the blobs of one photograph, given by its row, into the others; see ``follow``."""
     images, blobs, ground = compared.images, compared.blobs, compared.ground
     own = blobs[view]
-    heights = np.arange(options.lowest_m, options.highest_m, options.height_step_m)
+    heights = np.arange(_LOWEST_M, _HIGHEST_M, _HEIGHT_STEP_M)
     low = ground.under(images[view], own.xy, 0.0)
     up = ground.under(images[view], own.xy, 1.0) - low
     places = (low[:, None] + up[:, None] * heights[:, None]).reshape(-1, 3)
     owner = np.repeat(np.arange(len(low)), len(heights))
-    others = _overlapping(view, images, low, options)
+    others = _overlapping(view, images, low)
     score = np.zeros(len(places))
     visible = np.zeros(len(places), np.int64)
     members = np.full((len(others), len(places)), -1, np.int32)
     for k, other in enumerate(others):
-        xy, inside = project(images[other], places, options.border_px)
+        xy, inside = project(images[other], places)
         visible += inside
         at = np.flatnonzero(inside)
         at, blob, match_score = _matched(
-            own, owner[at], blobs[other], compared.tables[other], (at, xy[at]), options
+            own, owner[at], blobs[other], compared.tables[other], (at, xy[at])
         )
         score[at] += match_score
         members[k, at] = blob
@@ -177,18 +194,14 @@ def _followed(view: int, compared: _Compared, views: int, options: TrackOptions)
     )
 
 
-def _overlapping(
-    view: int, images: Sequence[MapImage], ground: NDArray[np.float64], options: TrackOptions
-) -> list[int]:
+def _overlapping(view: int, images: Sequence[MapImage], ground: NDArray[np.float64]) -> list[int]:
     """Return the photographs that show most of the ground (N, 3) under a photograph's blobs."""
     overlap = [
-        0.0
-        if k == view or not len(ground)
-        else float(project(image, ground[::50], options.border_px)[1].mean())
+        0.0 if k == view or not len(ground) else float(project(image, ground[::50])[1].mean())
         for k, image in enumerate(images)
     ]
-    order = np.argsort(-np.array(overlap), kind="stable")[: options.max_photographs]
-    return [k for k in order.tolist() if overlap[k] > options.min_overlap]
+    order = np.argsort(-np.array(overlap), kind="stable")[:_MAX_PHOTOGRAPHS]
+    return [k for k in order.tolist() if overlap[k] > _MIN_OVERLAP]
 
 
 def _matched(
@@ -197,7 +210,6 @@ def _matched(
     theirs: Blobs,
     table: NDArray[np.int32],
     projected: tuple[NDArray[np.int64], NDArray[np.float64]],
-    options: TrackOptions,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
     """Match places of a photograph's blobs to the nearest blobs of another.
 
@@ -207,7 +219,6 @@ def _matched(
         theirs: blobs of the other photograph.
         table: result of ``_nearest_blobs`` for the other photograph.
         projected: numbers (P,) of the places, and pixels (P, 2) of the other photograph.
-        options: thresholds of the match.
 
     Returns:
         The numbers of the places that match, the rows of their blobs, and the scores.
@@ -217,11 +228,11 @@ def _matched(
     blob = table[own.radius[rows], row, column]
     some = np.flatnonzero(blob >= 0)
     offset = np.linalg.norm(theirs.xy[blob[some]] - xy[some], axis=1)
-    near = offset < options.max_offset_px
+    near = offset < _MAX_OFFSET_PX
     some, offset = some[near], offset[near]
-    cosine, similar = _similar(own, rows[some], theirs, blob[some], options)
+    cosine, similar = _similar(own, rows[some], theirs, blob[some])
     some, cosine, offset = some[similar], cosine[similar], offset[similar]
-    return at[some], blob[some], cosine * (1 - 0.5 * (offset / options.max_offset_px) ** 2)
+    return at[some], blob[some], cosine * (1 - 0.5 * (offset / _MAX_OFFSET_PX) ** 2)
 
 
 def _similar(
@@ -229,17 +240,16 @@ def _similar(
     rows_a: NDArray[np.int64],
     b: Blobs,
     rows_b: NDArray[np.int32],
-    options: TrackOptions,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the cosine of the appearances of pairs of blobs, and which pairs match, (P,)."""
     look_a, look_b = a.look[rows_a], b.look[rows_b]
     lengths = np.linalg.norm(look_a, axis=1) * np.linalg.norm(look_b, axis=1)
     cosine = (look_a * look_b).sum(1) / lengths.clip(1e-6)
     strong, weak = a.strength[rows_a], b.strength[rows_b]
-    same = np.minimum(strong, weak) > options.min_strength_ratio * np.maximum(strong, weak)
+    same = np.minimum(strong, weak) > _MIN_STRENGTH_RATIO * np.maximum(strong, weak)
     difference = np.linalg.norm(a.colour[rows_a] - b.colour[rows_b], axis=1)
-    same &= difference < options.max_colour_difference
-    return cosine, (cosine > options.min_cosine) & same
+    same &= difference < _MAX_COLOUR_DIFFERENCE
+    return cosine, (cosine > _MIN_COSINE) & same
 
 
 def solve(
@@ -247,13 +257,12 @@ def solve(
     blobs: Sequence[Blobs],
     tracks: Tracks,
     views: int,
-    options: TrackOptions,
 ) -> Tracks:
     """Move places to their least reprojection error by Gauss-Newton with Cauchy's weights.
 
     Observations with too large an error are dropped, and places with fewer than ``views`` of them.
     """
-    for round_ in range(options.iterations + 1):
+    for round_ in range(_STEPS + 1):
         count = len(tracks.xyz)
         normal, right = np.tile(1e-9 * np.eye(3), (count, 1, 1)), np.zeros((count, 3))
         error = np.full(len(tracks.track), np.inf)
@@ -272,11 +281,11 @@ def solve(
             weight = 1 / (1 + error[at][known] ** 2)
             normal[of[known]] += np.einsum("nij,nik,n->njk", slope, slope, weight)
             right[of[known]] += np.einsum("nij,ni,n->nj", slope, off[known], weight)
-        if round_ < options.iterations:
+        if round_ < _STEPS:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
-        if round_ >= options.settling:
-            good = error < options.max_error_px
+        if round_ >= _SETTLING:
+            good = error < _MAX_ERROR_PX
             tracks = replace(
                 tracks, track=tracks.track[good], view=tracks.view[good], row=tracks.row[good]
             )
@@ -286,7 +295,7 @@ def solve(
     return tracks.only(tracks.views >= views)
 
 
-def distinct(tracks: Tracks, views: int, options: TrackOptions) -> Tracks:
+def distinct(tracks: Tracks, views: int) -> Tracks:
     """Assign each blob to one place, first to places with most photographs and least error.
 
     Places that lose too large a share of their blobs to others are dropped, and places with fewer
@@ -301,7 +310,7 @@ def distinct(tracks: Tracks, views: int, options: TrackOptions) -> Tracks:
     for track in order.tolist():
         mine = by_track[ends[track] : ends[track + 1]].tolist()
         left = [k for k in mine if keys[k] not in taken]
-        if len(left) >= max(views, options.min_free_share * len(mine)):
+        if len(left) >= max(views, _MIN_FREE_SHARE * len(mine)):
             kept[track] = free[left] = True
             taken.update(keys[k] for k in left)
     tracks = replace(tracks, track=tracks.track[free], view=tracks.view[free], row=tracks.row[free])

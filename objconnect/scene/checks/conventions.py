@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from objconnect.scene.geometry.camera import MODELS, Camera
 
 Array = NDArray[np.float64]
+
+EXPLAINS: Final = 0.5
+"""Another reading explains a scene when its residual is smaller than this share of ours."""
 
 
 def _same(matrices: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.bundle.covisibility import overlap_matrix, surface_points
-from objconnect.scene.checks.conventions import OURS, READINGS, Reading, shifted
+from objconnect.scene.checks.conventions import EXPLAINS, OURS, READINGS, Reading, shifted
 from objconnect.scene.checks.report import Check
 from objconnect.scene.geometry.camera import Camera
 
@@ -27,8 +27,6 @@ _PIXELS_PER_PAIR = 600
 _MIN_OVERLAP = 0.15
 # A pixel that returns to within this distance saw the same surface in both frames.
 _AGREES_PX = 1.0
-# Another reading explains a scene when its residual is smaller than this share of ours.
-_EXPLAINS = 0.5
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
     ours = measure(frames, OURS)
     others = [(measure(frames, reading), reading) for reading in READINGS]
     widest, reading = max(others, key=lambda item: item[0].agreeing)
-    if _EXPLAINS * widest.agreeing > ours.agreeing:
+    if EXPLAINS * widest.agreeing > ours.agreeing:
         return Check(name, False, reading.fault, _figures(ours))
     if not len(ours.residuals):
         return Check(
@@ -98,7 +96,7 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
     # A reading that fits only a few pixels well explains nothing.
     candidates = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
     closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
-    if closest.mean < _EXPLAINS * ours.mean:
+    if closest.mean < EXPLAINS * ours.mean:
         return Check(name, False, reading.fault, _figures(ours))
     close = ours.residuals[ours.residuals < _AGREES_PX]
     if not len(close):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from objconnect.scene.checks.conventions import (
+    EXPLAINS,
     OURS,
     PIXEL_READINGS,
     POSE_READINGS,
@@ -20,8 +21,6 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 # A map with a larger median reprojection error (px) was not bundle adjusted.
 _MAX_RESIDUAL_PX = 2.0
-# Another reading explains a map when its residual is smaller than this share of ours.
-_EXPLAINS = 0.5
 # Principal points that differ by less than this (px) are of the same calibration.
 _SAME_PX = 0.01
 
@@ -36,7 +35,7 @@ def check_map(sparse_map: SparseMap) -> Check:
         for reading in (*POSE_READINGS, *PIXEL_READINGS)
     ]
     best, reading = min(others, key=lambda item: item[0])
-    if best < _EXPLAINS * ours:
+    if best < EXPLAINS * ours:
         return Check(name, False, reading.fault, figures)
     if not ours < _MAX_RESIDUAL_PX:
         detail = f"median {ours:.2f} px, expected under {_MAX_RESIDUAL_PX} px: it is not adjusted"

@@ -13,14 +13,12 @@ from objconnect.scene.colmap.native import LEAST_VARIANCE, native_camera, pose_f
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.correlation import count_neighbours
 from objconnect.scene.geometry.pose import Pose, transform_jacobian
-from objconnect.scene.geometry.robust import CAUCHY
+from objconnect.scene.geometry.robust import CAUCHY, SINGULAR
 from objconnect.scene.localizer import Prior
 
 # Three matches determine a pose exactly, so their residuals say nothing about its accuracy.
 _MINIMAL = 3
 
-# A larger condition number leaves no digit of double precision.
-_SINGULAR = 1e15
 
 # Squared Mahalanobis distance (three degrees of freedom) beyond which a measured position and the
 # matches cannot belong to one camera: the probability is one in ten billion.
@@ -143,7 +141,7 @@ def _pose_covariance(
         # To first order the centre moves by -R^T v.
         rotation = pose.rotation.numpy()
         information[3:, 3:] += rotation @ np.diag(position_sigma**-2) @ rotation.T
-    if np.linalg.cond(information) > _SINGULAR:
+    if np.linalg.cond(information) > SINGULAR:
         return None
     residuals = projected.xy.numpy() - matches.xy
     pairs = count_neighbours(matches.xy, residuals, jacobian, matches.reach)

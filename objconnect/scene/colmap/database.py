@@ -8,7 +8,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pycolmap
@@ -16,7 +15,12 @@ from numpy.typing import NDArray
 
 from objconnect.scene.colmap.models import empty_model, extended_model, lens_ids, posed_model
 from objconnect.scene.colmap.native import ROOM, SEED, Progress, native_camera
-from objconnect.scene.colmap.options import AdjustmentOptions, MatchOptions, SiftOptions
+from objconnect.scene.colmap.options import (
+    EPIPOLAR_PX,
+    GUESSED_EPIPOLAR_PX,
+    MAX_RATIO,
+    SiftOptions,
+)
 from objconnect.scene.colmap.sift import CHUNK, extract_sift, read_features
 from objconnect.scene.maps.features import Features, unit_descriptors
 from objconnect.scene.maps.matching import match
@@ -32,13 +36,10 @@ _UNIT = 4
 # Pairs matched between two progress reports; finished chunks survive an interruption.
 _PAIR_CHUNK = 32
 
-_MATCHING: Final = MatchOptions()
-_ADJUSTMENT: Final = AdjustmentOptions()
-
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """Photographs to match, and the options of detector and matcher.
+    """Photographs to match, and the options of the detector.
 
     Attributes:
         root: folder that the photographs' names are relative to.
@@ -46,14 +47,12 @@ class MatchingJob:
         sift: options of the detector.
         cluster: address of the cluster that extracts the features, see ``worker_pool``; its nodes
             see ``root`` under the same path. None extracts them in this process.
-        matching: options of the matcher.
     """
 
     root: Path
     pairs: Sequence[tuple[str, str]]
     sift: SiftOptions
     cluster: str | None = None
-    matching: MatchOptions = _MATCHING
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,12 +63,10 @@ class MappingJob(MatchingJob):
         images: photographs with their poses.
         database: file for features and matches, new or left by an interrupted call with an equal
             job; None uses a temporary one.
-        adjustment: options of structure from motion.
     """
 
     images: Sequence[PosedImage]
     database: Path | None = None
-    adjustment: AdjustmentOptions = _ADJUSTMENT
 
 
 def match_photographs(
@@ -105,7 +102,7 @@ def match_photographs(
         )
         model.add_image_with_trivial_frame(native)
     require_database(database, model)
-    fill_database(database, ids, job, job.matching.guessed_epipolar_px, on_progress)
+    fill_database(database, ids, job, GUESSED_EPIPOLAR_PX, on_progress)
 
 
 def match_posed(
@@ -124,7 +121,7 @@ def match_posed(
     check_photographs(job.root, {image.name: image.camera for image in images})
     empty, ids = posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
     require_database(database, empty)
-    fill_database(database, ids, job, job.matching.epipolar_px, on_progress)
+    fill_database(database, ids, job, EPIPOLAR_PX, on_progress)
     features = read_features(database, job.root)
     return posed_model(images, {name: item.xy for name, item in features.items()})[0], features
 
@@ -180,7 +177,7 @@ def fill_database(
             for a, b in left_pairs:
                 require_disk_space(database, ROOM)
                 if not db.exists_matches(ids[a], ids[b]):
-                    matches = match(descriptors[a], descriptors[b], job.matching.max_ratio)
+                    matches = match(descriptors[a], descriptors[b], MAX_RATIO)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
         if left_pairs:
             require_disk_space(database, ROOM)

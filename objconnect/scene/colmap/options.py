@@ -1,15 +1,30 @@
-"""Options of features, of matching and of structure from motion.
-
-The configuration of a map contains the last two.
-"""
+"""Options of features, and the limits of matching and of structure from motion."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
-from pydantic import Field
+MAX_RATIO: Final = 0.8
+"""Largest ratio of the distances to the nearest and the second nearest descriptor of a match;
+COLMAP's own default."""
 
-from objconnect.scene.config import Config
+EPIPOLAR_PX: Final = 2.0
+"""Largest distance (px) of a match from its epipolar line: half of COLMAP's default, because
+the lens is known."""
+
+GUESSED_EPIPOLAR_PX: Final = 4.0
+"""The same where the lens is not calibrated yet; COLMAP's own default."""
+
+OUTLIER_SIGMAS: Final = 5.0
+"""Observations with a residual of more standard deviations leave a model: of noise alone four
+in a million are as large."""
+
+MIN_ANGLE_DEG: Final = 1.5
+"""Points whose rays intersect at smaller angles leave a model; COLMAP's own default."""
+
+ALIGN_M: Final = 1.0
+"""Cameras further than this (m) from their known centres are outliers of the alignment."""
 
 
 @dataclass(frozen=True)
@@ -25,46 +40,3 @@ class SiftOptions:
     max_features: int = 8192
     peak_threshold: float = 0.02 / 3
     upright: bool = False
-
-
-class MatchOptions(Config):
-    """Limits within which features of two photographs match."""
-
-    max_ratio: float = Field(
-        0.8,
-        gt=0,
-        le=1,
-        description="Largest ratio of the distances to the nearest and the second nearest "
-        "descriptor; COLMAP's own default.",
-    )
-    epipolar_px: float = Field(
-        2.0, gt=0, description="Largest distance (px) of a match from its epipolar line."
-    )
-    guessed_epipolar_px: float = Field(
-        4.0,
-        gt=0,
-        description="Largest distance (px) of a match from its epipolar line where the lens is not "
-        "calibrated yet; COLMAP's own default.",
-    )
-
-
-class AdjustmentOptions(Config):
-    """Adjustment of a model of structure from motion, and alignment to known camera centres."""
-
-    outlier_sigmas: float = Field(
-        5.0,
-        gt=0,
-        description="Observations with a residual of more standard deviations are removed.",
-    )
-    min_angle_deg: float = Field(
-        1.5,
-        ge=0,
-        description="Points whose rays intersect at smaller angles are removed; COLMAP's own "
-        "default.",
-    )
-    align_m: float = Field(
-        1.0,
-        gt=0,
-        description="Cameras further than this (m) from their known centres are outliers of the "
-        "alignment.",
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pycolmap
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from objconnect.scene.colmap.database import MatchingJob, fill_database, is_sound, write_matched
 from objconnect.scene.colmap.models import extended_model, write_model, write_posed
 from objconnect.scene.colmap.native import ROOM, Progress
-from objconnect.scene.colmap.options import AdjustmentOptions
+from objconnect.scene.colmap.options import GUESSED_EPIPOLAR_PX
 from objconnect.scene.colmap.structure_from_motion import adjust_robustly
 from objconnect.scene.colmap.triangulation import pipeline_options
 from objconnect.scene.maps.colmap_files import read_model
@@ -23,8 +22,6 @@ from objconnect.scene.maps.photographs import Photograph, PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.scratch import scratch
-
-_ADJUSTMENT: Final = AdjustmentOptions()
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ def match_new(
             write_matched(partial, known.images, known.features, known.matches, photographs)
     names = [image.name for image in known.images] + [p.name for p in photographs]
     ids = {name: k for k, name in enumerate(names, 1)}
-    fill_database(database, ids, job, job.matching.guessed_epipolar_px, on_progress)
+    fill_database(database, ids, job, GUESSED_EPIPOLAR_PX, on_progress)
 
 
 def register_photographs(
@@ -132,6 +129,6 @@ def register_photographs(
         grown = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
         if grown is None:
             grown = pycolmap.Reconstruction(start)
-        adjust_robustly(grown, _ADJUSTMENT, {image.name for image in known.images})
+        adjust_robustly(grown, {image.name for image in known.images})
         write_model(grown, out)
     return read_model(out)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from objconnect.scene.colmap.database import MappingJob, match_posed
 from objconnect.scene.colmap.models import lens_ids, write_model
 from objconnect.scene.colmap.native import LEAST_VARIANCE, ROOM, SEED, Progress
-from objconnect.scene.colmap.options import AdjustmentOptions
+from objconnect.scene.colmap.options import ALIGN_M, MIN_ANGLE_DEG, OUTLIER_SIGMAS
 from objconnect.scene.colmap.triangulation import pipeline_options
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
@@ -84,8 +84,8 @@ def reconstruct(
             f"structure from motion could not register {ALIGNABLE} of the {len(images)} "
             f"images of {root}: they need overlap and texture"
         )
-    adjust_robustly(model, job.adjustment, on_round=lambda done: report(len(images) + done))
-    robust = pycolmap.RANSACOptions(max_error=job.adjustment.align_m, random_seed=SEED)
+    adjust_robustly(model, on_round=lambda done: report(len(images) + done))
+    robust = pycolmap.RANSACOptions(max_error=ALIGN_M, random_seed=SEED)
     centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
     similarity = pycolmap.align_reconstruction_to_locations(
         model, [image.name for image in images], np.array(centres), ALIGNABLE, robust
@@ -99,7 +99,6 @@ def reconstruct(
 
 def adjust_robustly(
     model: pycolmap.Reconstruction,
-    limits: AdjustmentOptions,
     fixed: Collection[str] = (),
     on_round: Progress = lambda _: None,
 ) -> None:
@@ -110,7 +109,6 @@ def adjust_robustly(
 
     Args:
         model: the model, which is changed.
-        limits: which observations are outliers.
         fixed: names of images whose poses stay as they are; without any, the frame of the model is
             that of two cameras.
         on_round: called with the number of rounds done.
@@ -138,7 +136,7 @@ def adjust_robustly(
         options.ceres.loss_function_scale = CAUCHY * sigma
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
         observations = pycolmap.ObservationManager(model)
-        observations.filter_all_points3D(limits.outlier_sigmas * sigma, limits.min_angle_deg)
+        observations.filter_all_points3D(OUTLIER_SIGMAS * sigma, MIN_ANGLE_DEG)
     on_round(ADJUSTMENTS)
     model.update_point_3d_errors()
 

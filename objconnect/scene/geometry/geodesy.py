@@ -41,7 +41,7 @@ def is_on_earth(place: Geodetic) -> bool:
     return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
 
 
-def is_same_place(a: Geodetic, b: Geodetic, up_m: float) -> bool:
+def is_same_place(a: Geodetic, b: Geodetic, up_m: float = 0.01) -> bool:
     """Return whether two places differ by a centimetre across, and ``up_m`` up, at most."""
     across_deg = max(abs(a.latitude - b.latitude), abs(a.longitude - b.longitude))
     return across_deg <= _CENTIMETRE_DEG and abs(a.altitude - b.altitude) <= up_m

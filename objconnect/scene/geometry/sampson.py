@@ -9,12 +9,10 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
+from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN, SINGULAR
 
 # Keeps denominators away from zero.
 _TINY = 1e-24
@@ -22,23 +20,8 @@ _TINY = 1e-24
 _CONVERGED = 1e-7
 # Exact matches have no noise to scale by (px).
 _LEAST_SIGMA = 1e-3
-# A condition number beyond which nothing is left of double precision.
-_SINGULAR = 1e15
-
-
-class RefinementOptions(Config):
-    """Options of the refinement of a pose by Sampson errors."""
-
-    max_steps: int = Field(30, ge=1, description="Most steps of Levenberg-Marquardt.")
-    cauchy_scale: float = Field(
-        CAUCHY,
-        gt=0,
-        description="Scale of the Cauchy loss in standard deviations of the noise; at 2.385 it "
-        "loses 5 % of efficiency where all matches are inliers.",
-    )
-
-
-_DEFAULTS: Final = RefinementOptions()
+# Most steps of Levenberg-Marquardt; one that still moves then has nothing to hold on to.
+_MOST_STEPS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -99,25 +82,19 @@ class Refined:
     iterations: int
 
 
-def refine(
-    start: Pose,
-    photographs: Sequence[Matches],
-    focal: float,
-    options: RefinementOptions = _DEFAULTS,
-) -> Refined:
+def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined:
     """Minimise the Sampson errors over all photographs by Levenberg-Marquardt, under a Cauchy loss.
 
     Args:
         start: ``cam_from_world`` of the query, float64.
         photographs: matches to them.
         focal: focal length of the query, pixels.
-        options: loss and number of steps.
     """
     pose, damping, iterations = start, 1e-3, 0
     error, jacobian = _stacked(pose, photographs, focal)
-    while iterations < options.max_steps:
+    while iterations < _MOST_STEPS:
         iterations += 1
-        scale = options.cauchy_scale * _sigma(error)
+        scale = CAUCHY * _sigma(error)
         weighted = jacobian / (1 + (error / scale) ** 2)[:, None]
         information = weighted.T @ jacobian
         damped = information + damping * torch.diag(information.diagonal() + _TINY)
@@ -131,9 +108,9 @@ def refine(
         if float(step.norm()) < _CONVERGED:
             break
     sigma = _sigma(error)
-    weighted = jacobian / (1 + (error / (options.cauchy_scale * sigma)) ** 2)[:, None]
+    weighted = jacobian / (1 + (error / (CAUCHY * sigma)) ** 2)[:, None]
     information = weighted.T @ jacobian
-    if not float(torch.linalg.cond(information)) < _SINGULAR:
+    if not float(torch.linalg.cond(information)) < SINGULAR:
         return Refined(pose, None, iterations)
     return Refined(pose, (torch.linalg.inv(information) * sigma**2).numpy(), iterations)
 

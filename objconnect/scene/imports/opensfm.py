@@ -27,9 +27,6 @@ from objconnect.scene.imports.poses import ForeignPoses, Format, Frame, begins_w
 
 log = logging.getLogger(__name__)
 
-# Two files state one origin where its heights differ by no more (m).
-_SAME_UP_M = 0.01
-
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
@@ -194,7 +191,7 @@ def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
     origin = reference.place
     if not is_on_earth(origin):
         raise InputError(f"{path}: reference_lla is no place on earth")
-    if other is not None and not is_same_place(origin, other.place, _SAME_UP_M):
+    if other is not None and not is_same_place(origin, other.place):
         raise InputError(
             f"{path}: its reference_lla is not that of {file.name} beside it: "
             "move the file that is of another reconstruction away"

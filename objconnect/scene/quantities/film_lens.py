@@ -14,7 +14,8 @@ from typing import Final
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 SAME_LENS: Final = 0.15
-"""Focal lengths of one lens differ by less than this share."""
+"""Focal lengths of one lens differ by less than this share: equivalent focal lengths are whole
+millimetres, and some makers refer them to the width instead of the diagonal."""
 # No lens of a drone is shorter or longer on 35 mm film (mm); no digital zoom is larger.
 _SHORTEST_MM: Final = 8.0
 _LONGEST_MM: Final = 3000.0

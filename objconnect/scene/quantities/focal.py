@@ -18,12 +18,13 @@ from typing import Final
 from objconnect.scene.quantities.numbers import to_number
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
+SAME_ASPECT: Final = 0.01
+"""Aspect ratios of one picture in two sizes, in whole pixels, differ by less than this share."""
+
 # Two sources agree where they differ by less than this share: equivalents are whole millimetres.
 _AGREE: Final = 0.15
 # Two values of one source are one where they differ by less than this share.
 _SAME: Final = 0.02
-# Aspect ratios of one picture in two sizes, which are whole pixels, differ by less than this share.
-_SAME_ASPECT: Final = 0.01
 # No sensor is wider than this for its height: such pictures are panoramas, or parts of one.
 _WIDEST: Final = 2.4
 # Pixels of a sensor are square up to this share.
@@ -230,7 +231,7 @@ def _cut(detail: Mapping[str, object], size: Size) -> str:
         return ""
     for width, height in (taken, taken[::-1]):
         off = abs(width * size[1] - height * size[0])
-        if off <= max(_SAME_ASPECT * height * size[0], width, height):
+        if off <= max(SAME_ASPECT * height * size[0], width, height):
             return ""
     return (
         f"it is {size[0]} x {size[1]} pixels and ExifImageWidth and ExifImageHeight say "

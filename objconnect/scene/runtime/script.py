@@ -6,11 +6,13 @@ import inspect
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Final
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
 
-_INPUT_AT_FAULT = 2
+INPUT_AT_FAULT: Final = 2
+"""The exit code when the input or the environment is at fault."""
 
 
 def run_script(main: Callable[..., object], words: Sequence[str] | None = None) -> None:
@@ -35,4 +37,4 @@ def run_script(main: Callable[..., object], words: Sequence[str] | None = None) 
     except (InputError, OSError) as error:
         line = for_terminal(" ".join(str(error).split()))
         print(f"error: {line}", file=sys.stderr)
-        sys.exit(_INPUT_AT_FAULT)
+        sys.exit(INPUT_AT_FAULT)

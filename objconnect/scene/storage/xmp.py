@@ -32,8 +32,9 @@ _FARTHEST: Final = 0.1
 # Names of attitudes, and of namespaces and prefixes in which they are those of DJI.
 _ATTITUDE: Final = re.compile(r"Gimbal(Yaw|Pitch|Roll)Degree")
 _DJIS: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
-# Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged.
-_TURNS: Final = (360.0, 180.0, 360.0)
+TURNS: Final = (360.0, 180.0, 360.0)
+"""Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged."""
+
 # Elements that hold the fields of other pictures, or of the places that a picture shows.
 _OTHERS: Final = re.compile(r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)")
 # Fields that tell where a photograph was taken.
@@ -175,7 +176,7 @@ def _gimbal(
     names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
     bad = [
         f"{name} {texts[name][:40]!r} is no angle"
-        for name, most in zip(names, _TURNS, strict=True)
+        for name, most in zip(names, TURNS, strict=True)
         if name in texts and not abs(numbers.get(name, math.nan)) <= most
     ]
     if bad:

@@ -27,7 +27,7 @@ SEEN = [
 
 
 def test_a_neighbour_at_the_pooling_distance_counts_61_percent() -> None:
-    evidence = pool(SEEN, CENTRES, 20.0)
+    evidence = pool(SEEN, CENTRES)
     near = np.exp(-0.5)
     np.testing.assert_allclose(evidence.views, [1 + near, 1 + near, 1.0])
     np.testing.assert_allclose(evidence.found, [1.0, near, 0.0], atol=1e-12)
@@ -41,14 +41,14 @@ def test_a_neighbour_at_the_pooling_distance_counts_61_percent() -> None:
 
 
 def test_without_a_calibration_the_probability_is_the_smoothed_share() -> None:
-    evidence = pool(SEEN, CENTRES, 20.0)
+    evidence = pool(SEEN, CENTRES)
     share = (evidence.found + 0.5) / (evidence.views + 1)
     np.testing.assert_allclose(probability(evidence, UNCALIBRATED), share)
     assert probability(evidence, UNCALIBRATED)[2] == pytest.approx(0.25), "never 0 or 1"
 
 
 def test_risk_is_drawn_to_the_usual_share_of_false_fixes() -> None:
-    evidence = pool(SEEN, CENTRES, 20.0)
+    evidence = pool(SEEN, CENTRES)
     usual = Calibration(weights=(0, 1, 0, 0), false_share=0.1)
     near = np.exp(-0.5)
     assert false_risk(evidence, usual)[0] == pytest.approx((near + 0.6) / (1 + near + 6))
@@ -87,7 +87,7 @@ def test_the_project_has_a_calibration_of_training_towns_alone(method: str) -> N
 
 
 def test_more_evidence_gives_a_higher_calibrated_probability() -> None:
-    evidence = pool(SEEN, CENTRES, 20.0)
+    evidence = pool(SEEN, CENTRES)
     chances = probability(evidence, calibration_of("sift"))
     assert chances[0] > chances[1] > chances[2]
     assert features(evidence).shape == (3, 4)

@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from benchmark.api import ForecastConfig, forecast
 from typer.testing import CliRunner
 
 import benchmark.forecasting.command as command
+from benchmark import ForecastConfig, forecast
 from benchmark.cli import app
 from benchmark.forecasting.calibration import UNCALIBRATED
 from benchmark.forecasting.config import forecast_config
@@ -20,9 +20,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
 
-QUICK = ForecastConfig(
-    seasons=("summer-noon", "snow-dusk"), views=1, size=96, waypoints=3, deviation_m=0.2
-)
+QUICK = ForecastConfig(seasons=("summer-noon", "snow-dusk"), views=1, size=96, waypoints=3)
 FILES = ("forecast.geojson", "forecast.html", "forecast.json", "forecast.png", "views")
 
 

@@ -13,7 +13,7 @@ from benchmark.forecasting.outlook import geojson
 from benchmark.forecasting.report import Forecast, runs, verdict_of
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Status
-from tests.benchmark.forecasting.made_forecast import CENTRES, CONFIG, ORIGIN, observation, report
+from tests.benchmark.forecasting.made_forecast import CENTRES, ORIGIN, observation, report
 
 
 def test_runs_of_flags() -> None:
@@ -61,12 +61,14 @@ def test_the_made_flight_holds_in_summer_and_fails_in_snow() -> None:
     assert summer.false_risk < snow.false_risk
 
 
-def test_photographs_are_wanted_where_points_are_few_and_nowhere_else() -> None:
+def test_photographs_are_wanted_where_points_are_few_and_nowhere_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     (request,) = report().photographs
     assert (request.first, request.last) == (3, 4)
     assert request.points == pytest.approx(2.5, abs=0.1)
-    rich = CONFIG.model_copy(update={"few_points": 2})
-    assert report(rich).photographs == ()
+    monkeypatch.setattr("benchmark.forecasting.report.FEW_POINTS", 2)
+    assert report().photographs == ()
 
 
 def test_views_and_fixes_are_counted() -> None:

@@ -83,18 +83,24 @@ def test_other_flights_are_flown_as_queries_are(scene: Scene, twin: Scene) -> No
 
 
 @pytest.mark.parametrize(
-    ("config", "flight", "said"),
+    ("most", "flight", "said"),
     [
-        ({"most_waypoints": 3}, "plan", "waypoints, about .* trigger less often"),
-        ({}, "far", "lies .* m from the place's middle"),
-        ({}, "wide", "photograph .* lie outside the map's square of 120 m"),
-        ({}, "empty", "it has no waypoints"),
-        ({}, "missing", "mission plan .*nowhere.plan"),
-        ({}, "swim", "swim"),
+        (3, "plan", "waypoints, about .* trigger less often"),
+        (300, "far", "lies .* m from the place's middle"),
+        (300, "wide", "photograph .* lie outside the map's square of 120 m"),
+        (300, "empty", "it has no waypoints"),
+        (300, "missing", "mission plan .*nowhere.plan"),
+        (300, "swim", "swim"),
     ],
 )
 def test_flights_that_cannot_be_forecast_are_refused(
-    tmp_path: Path, scene: Scene, twin: Scene, config: dict[str, Any], flight: str, said: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    scene: Scene,
+    twin: Scene,
+    most: int,
+    flight: str,
+    said: str,
 ) -> None:
     items = PLAN["mission"]["items"]
     moved = copy.deepcopy(items)
@@ -112,8 +118,9 @@ def test_flights_that_cannot_be_forecast_are_refused(
         "missing": lambda: f"plan={tmp_path / 'nowhere.plan'}",
         "swim": lambda: "swim",
     }[flight]()
+    monkeypatch.setattr("benchmark.forecasting.views._MOST_WAYPOINTS", most)
     with pytest.raises(InputError, match=said) as error:
-        views_config(scene, scene.sparse_map(), words, SNOW.model_copy(update=config), twin)
+        views_config(scene, scene.sparse_map(), words, SNOW, twin)
     assert "\n" not in str(error.value)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.evaluation.starts import parse_start
-from benchmark.tracks.description import BOARD, Place, Track, load_track, write_track
+from benchmark.tracks.description import BOARD, Track, TrackPlace, load_track, write_track
 from objconnect.methods import LOCALIZERS
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
@@ -16,7 +16,10 @@ TRACK = Track(
     name="tiny",
     title="Two parks",
     config="uav-seasons",
-    places=(Place(dataset="park-1", preset="park", seed=1), Place(dataset="b", preset="b", seed=2)),
+    places=(
+        TrackPlace(dataset="park-1", preset="park", seed=1),
+        TrackPlace(dataset="b", preset="b", seed=2),
+    ),
     starts=("error=3m,5deg", "none"),
     methods=("sift",),
 )

@@ -17,14 +17,14 @@ from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
 from objconnect.ingestion.command import ingest
 from objconnect.ingestion.neighbours import alike
-from objconnect.ingestion.options import PairOptions
+from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.report import IngestReport
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.bundle.georeference import EXACT
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.checks.validate import validate
-from objconnect.scene.colmap.options import MatchOptions, SiftOptions
+from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
@@ -363,11 +363,9 @@ def test_photographs_look_alike_by_their_largest_features() -> None:
         "c": features(ground[30:]),
         "new": features(ground),
     }
-    chosen = alike(["new"], ["a", "b", "c"], found, PairOptions(nearest=2), MatchOptions())
+    chosen = alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=2))
     assert chosen == [("a", "new"), ("c", "new")]
-    assert alike(["new"], ["a", "b", "c"], found, PairOptions(nearest=1), MatchOptions()) == [
-        ("a", "new")
-    ]
+    assert alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=1)) == [("a", "new")]
 
 
 def aligned(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, float]:

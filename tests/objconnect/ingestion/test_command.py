@@ -68,7 +68,10 @@ def test_a_real_flight(ingested: Ingested) -> None:
 
 
 def test_the_manifest_records_the_options(ingested: Ingested) -> None:
-    """A scene made before the options were recorded counts as made with the defaults."""
+    """A scene made before the options were recorded counts as made with the defaults.
+
+    Later ones record them in parts, with what are constants now.
+    """
     manifest = ingested[0].manifest
     assert manifest.config["options"] == IngestOptions().model_dump(mode="json")
     before = {key: value for key, value in manifest.config.items() if key != "options"}
@@ -78,7 +81,14 @@ def test_the_manifest_records_the_options(ingested: Ingested) -> None:
         objconnect.ingestion.plan.recorded_plan(manifest.model_copy(update={"config": before}))
         == plan
     )
-    other = {**manifest.config, "options": {"line_turn_deg": 30.0}}
+    parts = {"control": {"sigma_m": 0.05, "wrong_m": 1.0}, "pairs": {"nearest": 12, "blind": 10}}
+    earlier = manifest.model_copy(update={"config": {**before, "options": parts}})
+    assert objconnect.ingestion.plan.recorded_plan(earlier) == plan
+    parts["control"]["sigma_m"] = 0.04
+    surveyed = objconnect.ingestion.plan.recorded_plan(earlier)
+    assert surveyed is not None
+    assert surveyed.options == IngestOptions(control_sigma_m=0.04)
+    other = {**manifest.config, "options": {"nearest": 30}}
     assert (
         objconnect.ingestion.plan.recorded_plan(manifest.model_copy(update={"config": other}))
         != plan

@@ -22,7 +22,7 @@ from objconnect.ingestion.command import ingest
 from objconnect.ingestion.control import control_text, fit_to_control, seen_by
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
 from objconnect.ingestion.georegister import Georegistration
-from objconnect.ingestion.options import ControlOptions, IngestOptions
+from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.photographs import SESSION, Flight, FlightImage
 from objconnect.ingestion.report import Residuals, gps_remark
 from objconnect.scene.bundle.scene import Scene
@@ -111,7 +111,7 @@ def fitted(
     model = true_model(tmp_path / "true")
     points = survey(model, moved, checks)
     taken = [Photograph(name, CAMERA, "lens", True, True) for name in model.names]
-    options = IngestOptions(control=ControlOptions(sigma_m=sigma))
+    options = IngestOptions(control_sigma_m=sigma)
     adjusted, residuals = fit_to_control(
         by_gps(model, tmp_path / "gps"), points, ORIGIN, taken, tmp_path, options
     )

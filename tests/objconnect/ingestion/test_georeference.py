@@ -8,7 +8,7 @@ import pytest
 from objconnect.ingestion.control import ControlResidual, Role
 from objconnect.ingestion.georeference import Receiver, georeference_of
 from objconnect.ingestion.georegister import Georegistration
-from objconnect.ingestion.options import ControlOptions, GeoreferenceOptions, IngestOptions
+from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -17,10 +17,7 @@ NAMES = [f"{k}.jpg" for k in range(9)]
 FIXES = {name: np.array([10.0 * k, 0.0, 40.0]) for k, name in enumerate(NAMES)}
 CAMERA = Camera("SIMPLE_PINHOLE", 64, 48, (50.0, 32.0, 24.0))
 OPTIONS = IngestOptions(
-    control=ControlOptions(sigma_m=0.04),
-    georeference=GeoreferenceOptions(
-        receiver_sigma_m=3, receiver_height_sigma_m=6, height_datum_sigma_m=30
-    ),
+    control_sigma_m=0.04, receiver_sigma_m=3, receiver_height_sigma_m=6, height_datum_sigma_m=30
 )
 
 

@@ -164,9 +164,10 @@ def test_heights_above_sea_level(files: dict[str, tuple[Path, Path]], tmp_path: 
 
 
 def test_oblique_views_look_to_four_sides(
-    files: dict[str, tuple[Path, Path]], tmp_path: Path
+    files: dict[str, tuple[Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = ViewOptions(altitude=12, overlap=0.0, tilt=30, size=64, least_seen=0.8)
+    monkeypatch.setattr("objconnect.ingestion.virtual.command._LEAST_SEEN", 0.8)
+    options = ViewOptions(altitude=12, overlap=0.0, tilt=30, size=64)
     report = photograph_orthophoto(*files[SYSTEMS[0]], tmp_path / "out", options=options)
     axes = Scene.open(tmp_path / "out").frames("virtual").cam_from_world[:, 2, :3]
     downward = axes[:, 2] < -0.999

@@ -17,7 +17,7 @@ from objconnect.mapping.supplement.classifier import (
     PlaceClassifier,
     read_classifier,
 )
-from objconnect.mapping.supplement.learning import LearningOptions, Lessons, learn, lessons, report
+from objconnect.mapping.supplement.learning import Lessons, learn, lessons, report
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 
@@ -32,7 +32,7 @@ def made(seed: int, count: int = 3000) -> Lessons:
 
 
 def test_it_learns_what_only_figures_together_say() -> None:
-    judge = learn([made(seed) for seed in range(5)], LearningOptions(steps=1000))
+    judge = learn([made(seed) for seed in range(5)], steps=1000)
     other = made(2)
     right = (judge.likely(other.figures) > 0.5) == other.on_object
     assert right.mean() > 0.85
@@ -42,9 +42,7 @@ def test_it_learns_what_only_figures_together_say() -> None:
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    first, second = (
-        learn([made(0)], LearningOptions(steps=20, seed=3)).state_dict() for _ in range(2)
-    )
+    first, second = (learn([made(0)], steps=20, seed=3).state_dict() for _ in range(2))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.objects import GROUND, UNKNOWN, ImageObjects
-from objconnect.learning.training.options import ObjectLossOptions, PairOptions
+from objconnect.learning.training.options import PairOptions
 from objconnect.learning.training.pairs import collate
 from objconnect.learning.training.rendered import RenderedPairs
 from objconnect.network.config import DetectorConfig, ObjConnectNetConfig
@@ -24,7 +24,6 @@ from objconnect.scene.errors import InputError
 from tests.objconnect.network.made import pictures
 
 STRIDE, SIDE = 4, 64
-OPTIONS = ObjectLossOptions()
 
 
 def three_objects() -> ImageObjects:
@@ -81,13 +80,13 @@ def test_cells_show_the_object_of_a_quarter_of_their_pixels() -> None:
 def test_right_maps_lose_nothing_and_others_do() -> None:
     objects = three_objects()
     right = right_maps(objects)
-    loss, figures = place_loss(right, [objects], STRIDE, OPTIONS)
+    loss, figures = place_loss(right, [objects], STRIDE)
     assert float(loss) < 0.01
     assert set(figures) == {"centres", "inside", "offsets", "sides", "rises"}
     for position in range(5):
         worse = list(right)
         worse[position] = worse[position] + 2.0 if position > 1 else -worse[position]
-        assert float(place_loss(DetectorMaps(worse), [objects], STRIDE, OPTIONS)[0]) > 0.1
+        assert float(place_loss(DetectorMaps(worse), [objects], STRIDE)[0]) > 0.1
 
 
 def test_right_maps_are_read_as_the_objects() -> None:
@@ -177,7 +176,7 @@ def test_one_object_in_two_images_has_one_vector() -> None:
 
     def loss(first: list[list[float]], second: list[list[float]]) -> tuple[float, float]:
         maps = DetectorMaps([*doubled, torch.cat([vectors(v, objects) for v in (first, second)])])
-        lost, share = identity_loss(maps, [objects, objects], STRIDE, OPTIONS)
+        lost, share = identity_loss(maps, [objects, objects], STRIDE)
         return float(lost), share
 
     alike, mixed = loss(apart, apart), loss(apart, apart[::-1])
@@ -185,7 +184,7 @@ def test_one_object_in_two_images_has_one_vector() -> None:
     assert mixed[0] > 5 and mixed[1] == 0.0
     others = objects._replace(ids=objects.ids + 100)
     maps = DetectorMaps([*doubled, torch.cat([vectors(apart, objects)] * 2)])
-    assert float(identity_loss(maps, [objects, others], STRIDE, OPTIONS)[0]) == 0
+    assert float(identity_loss(maps, [objects, others], STRIDE)[0]) == 0
 
 
 def test_levels_of_any_size_are_joined() -> None:

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from pydantic import Field, ValidationError
 
-from objconnect.scene.config import Config, load_config
+from objconnect.scene.config import Config, as_recorded, load_config
 from objconnect.scene.errors import InputError
 
 
@@ -115,3 +116,29 @@ def test_dotted_overrides_change_nested_values_alone(tmp_path: Path) -> None:
         load_config(Outer, None, {"options.depth": 3})
     with pytest.raises(InputError, match="bad value for 'ratio'"):
         load_config(Outer, None, {"ratio.depth": 3})
+
+
+def test_what_an_earlier_version_recorded_is_read() -> None:
+    """Constants are left out; a dissolved group gives its fields to what held it."""
+
+    class Inner(Config):
+        near: float = 1.0
+
+    class Outer(Config):
+        inner: Inner = Inner()
+        control_sigma_m: float = 0.05
+        nearest: int = 12
+        table: Mapping[str, int] = Field(default_factory=dict)
+
+    recorded = {
+        "inner": {"near": 2.0, "gone": 1},
+        "control": {"sigma_m": 0.02, "wrong_m": 1.0},
+        "pairs": {"nearest": 5, "blind": 10, "deeper": {"gone": 1}},
+        "gone": [1, 2],
+        "table": {"kept": 1},
+    }
+    taken = as_recorded(Outer, recorded)
+    assert Outer.model_validate(taken) == Outer(
+        inner=Inner(near=2.0), control_sigma_m=0.02, nearest=5, table={"kept": 1}
+    )
+    assert as_recorded(Outer, taken) == taken

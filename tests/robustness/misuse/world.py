@@ -14,7 +14,7 @@ import torch
 from PIL import Image
 from rasterio.transform import from_origin
 
-from benchmark.tracks.description import Place, Track, write_track
+from benchmark.tracks.description import Track, TrackPlace, write_track
 from objconnect.learning.checkpoint import write_weights
 from objconnect.learning.training.command import _identity
 from objconnect.learning.training.config import TrainConfig
@@ -276,7 +276,7 @@ def _board(root: Path) -> None:
         for dataset in ("meadow", "hamlet")
     }
     places = tuple(
-        Place(dataset=dataset, preset="town", seed=1, renders=(of["sha256"],))
+        TrackPlace(dataset=dataset, preset="town", seed=1, renders=(of["sha256"],))
         for dataset, of in made.items()
     )
     config = "board/tiny/place.yaml"

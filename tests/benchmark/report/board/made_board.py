@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results import DatasetId, Results
-from benchmark.tracks.description import Place, Track, write_track
+from benchmark.tracks.description import Track, TrackPlace, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
 from objconnect.localization.provenance import Method
 from tests.benchmark.made_data import scored_query
@@ -34,7 +34,7 @@ def write_board(
     for preset, seed in places:
         dataset = f"{preset}-{seed}"
         sha256 = hashlib.sha256(dataset.encode()).hexdigest()
-        described.append(Place(dataset=dataset, preset=preset, seed=seed, renders=(sha256,)))
+        described.append(TrackPlace(dataset=dataset, preset=preset, seed=seed, renders=(sha256,)))
         rows = _rows(rng, preset, each)
         write_queries(track / "queries" / f"{dataset}.csv", rows)
         identity = DatasetId(

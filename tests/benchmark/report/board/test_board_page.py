@@ -20,7 +20,7 @@ from benchmark.results.results_files import load
 from benchmark.scoring.clustered import permutation_p
 from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import store, targets_of
-from benchmark.tracks.description import Place, Track, load_track, write_track
+from benchmark.tracks.description import Track, TrackPlace, load_track, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
 from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
@@ -291,7 +291,7 @@ def test_worst_queries_have_pictures_where_an_album_is_kept(
     scene = write_scene(tmp_path / "hamlet")
     path = run(scene, tmp_path / "results", "sift", NONE)
     results = load(path)
-    place = Place(dataset="hamlet", preset="town", seed=1, renders=(results.dataset.sha256,))
+    place = TrackPlace(dataset="hamlet", preset="town", seed=1, renders=(results.dataset.sha256,))
     track = Track(
         name="one", title="One", config="x", places=(place,), starts=("none",), methods=("sift",)
     )

@@ -33,7 +33,6 @@ TINY = TrainConfig(
     crop=96,
     points=64,
     width=0.05,
-    rise=2,
     workers=0,
     save_every=2,
     validate_every=3,

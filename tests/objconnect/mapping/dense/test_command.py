@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from objconnect.mapping.dense.command import DENSE, KEY, UNFINISHED, _resumable, dense
-from objconnect.mapping.dense.options import AgreementOptions, DenseOptions
+from objconnect.mapping.dense.options import DenseOptions
 from objconnect.mapping.dense.report import DenseReport
 from objconnect.mapping.dense.sources import choose_sources, seeds_in
 from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
@@ -221,11 +221,16 @@ def straightened(scene: Scene) -> SparseMap:
 
 
 def test_the_options_are_recorded(tmp_path: Path) -> None:
-    """A folder made before they were recorded counts as made with the defaults."""
+    """A folder made before they were recorded counts as made with the defaults.
+
+    Later ones record them as a part of what are constants now.
+    """
     before = {"map": "sha256", "size": 96}
     key = {**before, "options": DenseOptions().model_dump(mode="json")}
-    other = DenseOptions(agreement=AgreementOptions(confirmed=3)).model_dump(mode="json")
+    other = DenseOptions(confirmed=3).model_dump(mode="json")
     (tmp_path / KEY).write_text(json.dumps(before))
+    assert _resumable(tmp_path, key).is_same()
+    (tmp_path / KEY).write_text(json.dumps({**before, "options": {"agreement": key["options"]}}))
     assert _resumable(tmp_path, key).is_same()
     assert not _resumable(tmp_path, {**before, "options": other}).is_same()
     assert not _resumable(tmp_path, {**key, "size": 97}).is_same()
