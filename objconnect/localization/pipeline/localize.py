@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -35,12 +34,12 @@ from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status, prepare_first
 from objconnect.scene.maps.colmap_files import read_model
+from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import Named, PoseNumbers
 from objconnect.scene.storage.atomic import atomic_write
-from objconnect.scene.storage.digests import digests
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import digest_of, digests_in, sha256_of
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.outputs import check_outputs, check_outside
@@ -125,8 +124,9 @@ def localize(
     reader = PhotographReader(place, camera, known, *sigmas, geography.undulation_m)
     _require_one(reader, paths, photographs)
     located: list[Located] = []
+    key = journal_key(place.sparse_map, place.images, localizer)
     with (
-        Journal(journal_path(out), journal_key(place, localizer), Answer) as journal,
+        Journal(journal_path(out), key, Answer) as journal,
         # The disk of the output has room for what the method keeps per map.
         cache_or_scratch(cache, out.parent) as kept,
     ):
@@ -280,20 +280,17 @@ def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query
 def _digest(photograph: QueryPhotograph, path: Path) -> str:
     """Return the digest of a photograph, its camera and its prior."""
     prior = photograph.query.prior
-    words = [sha256_of(path), str(photograph.query.camera)]
-    if prior is not None:
-        arrays = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
-        words += ["" if numbers is None else str(numbers.tolist()) for numbers in arrays]
-        words.append(f"{prior.attitude_sigma_deg} {prior.heading_sigma_deg}")
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+    known = () if prior is None else vars(prior).values()
+    return digest_of(sha256_of(path), photograph.query.camera, *known)
 
 
-def journal_key(place: Place, localizer: Localizer) -> str:
-    """Return the digest of everything but the photographs that decides the answers."""
-    words = [Method.of(localizer).model_dump_json(), place.sparse_map.sha256]
-    words += digests((place.images / name for name in place.sparse_map.names), "missing")
-    words.append(Environment.current().model_dump_json())
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> str:
+    """Return the digest of everything but the queries that decides the answers."""
+    photographs = digests_in(images, sparse_map.names, "missing").values()
+    method, environment = Method.of(localizer), Environment.current()
+    return digest_of(
+        method.model_dump_json(), sparse_map.sha256, *photographs, environment.model_dump_json()
+    )
 
 
 def require_origin(place: Place, asked: Sequence[Path | str]) -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
@@ -45,6 +42,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.localizer import Estimate, Localizer, Query, Status, prepare_first
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write, write_text
+from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.outputs import OutputFile, check_outputs, check_outside
 from objconnect.scene.storage.scratch import cache_or_scratch
@@ -222,10 +220,12 @@ def _localize(
 ) -> list[Located]:
     """Localize the images of a sequence and write the answers."""
     output, config = job.output, job.config
-    key = f"{journal_key(place, localizer)} {config.model_dump_json()}"
+    key = digest_of(
+        journal_key(place.sparse_map, place.images, localizer), config.model_dump_json()
+    )
     located: list[Located] = []
     with (
-        Journal(journal_path(output.poses), _digest(key), Answer) as journal,
+        Journal(journal_path(output.poses), key, Answer) as journal,
         # The disk of the output has room for what the method keeps per map.
         cache_or_scratch(output.cache, output.poses.parent) as kept,
     ):
@@ -236,7 +236,7 @@ def _localize(
                 if not prepared:  # what cannot be read is refused before the map is prepared
                     prepare_first(localizer, place.sparse_map, place.images, kept)
                     prepared = True
-                asked = _digest(asked, shot.seconds, *_words(shot))
+                asked = digest_of(asked, shot.seconds, *_words(shot))
                 estimate = _answer(shot, tracker, journal, asked)
                 where = on_earth(estimate, place)
                 camera = None if shot.query is None else shot.query.camera
@@ -273,15 +273,9 @@ def _words(shot: Shot) -> Iterator[object]:
     yield shot.name
     if query is None:
         return
-    yield hashlib.sha256(query.image.tobytes()).hexdigest()
-    yield query.camera
+    yield from (query.image, query.camera)
     if query.prior is not None:
-        for value in vars(query.prior).values():
-            yield None if value is None else np.asarray(value).tolist()
-
-
-def _digest(*words: object) -> str:
-    return hashlib.sha256("\n".join(map(str, words)).encode("utf-8", "surrogatepass")).hexdigest()
+        yield from vars(query.prior).values()
 
 
 def _record(located: Sequence[Located], localizer: Localizer, job: _Job) -> str:
