@@ -101,6 +101,12 @@ class Store:
         """Return the number of rows."""
         return self._count
 
+    def row(self, key: str) -> int:
+        """Return the number of the row that was made of a key."""
+        if key not in self.rows:
+            raise self._damaged(KeyError("a photograph is missing"))
+        return self.rows[key]
+
     def read(self, row: int, name: str) -> NDArray[Any]:
         """Read an array of a row."""
         try:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.cache.map_cache import Earlier, MapCache
-from objconnect.localization.cache.store import Rows, Store
+from objconnect.localization.cache.store import Arrays, Rows, Store
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import north_angle, warp_image
@@ -124,7 +124,7 @@ class KeptFeatures(Mapping[str, Features]):
         self._store, self._keys = store, keys
 
     def __getitem__(self, name: str) -> Features:
-        return Features(**self._store.arrays(self._store.rows[self._keys[name]], _ARRAYS))
+        return Features(**self._store.arrays(self._store.row(self._keys[name]), _ARRAYS))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._keys)
@@ -148,19 +148,24 @@ def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]
     keys = {name: _key(kept, extractor, name) for name in kept.names}
 
     def rows(earlier: Earlier) -> Rows:
-        with progress_bar(f"{extractor.name} map features", len(keys)) as advance:
-            left = []
-            for name, key in keys.items():
-                if (known := earlier(key, _ARRAYS)) is None:
-                    left.append(name)
-                else:
-                    yield key, known
+        names, together = kept.names, _TOGETHER if extractor.turned else 1
+        with progress_bar(f"{extractor.name} map features", len(names)) as advance:
+            for first in range(0, len(names), together):
+                some = names[first : first + together]
+                found: dict[str, Arrays] = {
+                    name: known
+                    for name in some
+                    if (known := earlier(keys[name], _ARRAYS)) is not None
+                }
+                left = [name for name in some if name not in found]
+                if left:
 
-            def advanced(done: int) -> None:
-                advance(len(keys) - len(left) + done)
+                    def advanced(done: int, before: int = first + len(found)) -> None:
+                        advance(before + done)
 
-            for name, item in _extracted(extractor, kept, left, advanced):
-                yield keys[name], vars(item)
+                    found |= _extracted(extractor, kept, left, advanced)
+                yield from ((keys[name], found[name]) for name in some)
+                advance(first + len(some))
 
     return KeptFeatures(kept.store(extractor.name, *extractor.made_by, rows=rows), keys)
 
@@ -175,33 +180,26 @@ def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
 
 
 def _extracted(
-    extractor: Extractor,
-    kept: MapCache,
-    names: Sequence[str],
-    on_progress: Callable[[int], None],
-) -> Iterator[tuple[str, Features]]:
-    """Extract features of photographs, few of which are in memory at once.
+    extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
+) -> dict[str, Arrays]:
+    """Extract features of photographs, all of which are in memory at once.
 
     Args:
         extractor: extractor of the features.
         kept: the cache, whose folder takes temporary files.
-        names: of the photographs whose features are wanted.
+        names: of the photographs.
         on_progress: receives the number of finished photographs.
     """
-    for first in range(0, len(names), _TOGETHER if extractor.turned else 1):
-        if extractor.turned:
-            some = names[first : first + _TOGETHER]
-
-            def advanced(done: int, before: int = first) -> None:
-                on_progress(before + done)
-
-            yield from extractor.of_photographs(kept.images, some, advanced, kept.folder).items()
-            continue
-        image = kept.sparse_map.images[names[first]]
-        rgb = read_rgb(kept.images / image.name, image.camera)
+    if extractor.turned:
+        found = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
+        return {name: vars(features) for name, features in found.items()}
+    extracted: dict[str, Arrays] = {}
+    for name in names:
+        image = kept.sparse_map.images[name]
+        rgb = read_rgb(kept.images / name, image.camera)
         angle = north_angle(image.cam_from_world[:3, :3])
-        yield image.name, extractor.seen(rgb, image.camera, angle)
-        on_progress(first + 1)
+        extracted[name] = vars(extractor.seen(rgb, image.camera, angle))
+    return extracted
 
 
 def _kept_with_map(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
