@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
 from objconnect.localization.matching.sift import Sift
@@ -88,7 +89,9 @@ class EpipolarLocalizer:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs."""
         self._map = sparse_map
-        features, unit = map_features(sparse_map, images, self._sift, cache), self._sift.unit
+        unit = self._sift.unit
+        with opened(sparse_map, images, cache) as kept:
+            features = map_features(kept, self._sift)
 
         def seen(name: str) -> _Seen:
             keypoints = features[name]

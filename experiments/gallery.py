@@ -7,7 +7,6 @@ run goes on where it stopped.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +21,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, atomic_write, write_text
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.leftovers import remove_partial
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import JPEG_MARK
@@ -157,7 +157,7 @@ def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> Ren
 
 def _folder(job: RenderJob) -> str:
     """Return the name of the folder of a job's frames, which is a digest of the job."""
-    return hashlib.sha256(job.model_dump_json().encode()).hexdigest()[:16]
+    return sha256(job.model_dump_json())[:16]
 
 
 def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path) -> None:

@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import h5py
 import numpy as np
 
-from objconnect.localization.cache.array_store import ArrayStore
+from objconnect.localization.cache.store import Store
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 
@@ -39,7 +39,7 @@ def main() -> None:
         (fresh,) = caches[1].glob(f"{given.method}-*.h5")
         (before,) = set(caches[0].glob(fresh.name[:-19] + "*.h5")) - {caches[0] / fresh.name}
         _require_same(fresh, caches[0] / fresh.name)
-        copied = len(set(ArrayStore(fresh).keys()) & set(ArrayStore(before).keys()))
+        copied = len(Store(fresh).rows.keys() & Store(before).rows.keys())
     print(f"{given.method}: {old} photographs in {old_seconds:.1f} s")
     print(f"{new} photographs in {alone:.1f} s, after these in {grown:.1f} s", end="")
     print(f" ({grown / alone:.2f}); features of {copied} were copied")

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.connect import ConnectOptions, Connector
 from objconnect.network.constellation_training import LONGEST
@@ -46,7 +47,8 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     scene = Scene.open(path)
     sparse_map, frames = scene.sparse_map(), scene.frames(session)
     ground = map_ground(sparse_map)
-    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)
+    with opened(sparse_map, scene.images_root, None) as kept:
+        landmarks, tracks = merged(finder.views(kept), options)
     name, camera = frames.names[row], frames.cameras[row]
     rgb = read_rgb(scene.images_root / name)
     found = finder(rgb, camera)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.covisibility import Covisibility, surface_points, visible_share
 from objconnect.scene.bundle.frames import LAYERS
 from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 
 # Points per side of the grid that samples a frame's surface, so shares are multiples of 1/256.
@@ -64,4 +64,4 @@ def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
 
 def _sha256(array: NDArray[np.generic]) -> str:
     little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    return hashlib.sha256(np.ascontiguousarray(little).tobytes()).hexdigest()
+    return sha256(little)

@@ -11,7 +11,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import Exif, read_exif, read_rgb
 
 THERE = "photographs are there and readable"

@@ -5,7 +5,6 @@ The readers beside this module build them from the files of each kind of data se
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.names import is_utf8
 
@@ -98,4 +98,4 @@ class Dataset:
     @cached_property
     def sha256(self) -> str:
         """Digest of all parts, their names and their order; one changed byte changes it."""
-        return hashlib.sha256(json.dumps(list(self.parts.items())).encode()).hexdigest()
+        return sha256(json.dumps(list(self.parts.items())))

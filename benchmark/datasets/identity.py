@@ -6,7 +6,6 @@ taken from a manifest. Names are relative, so that a copy in another folder is t
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Final
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digests, digests_in, sha256
 
 # Digest of a map photograph that does not exist: methods that need it report it themselves.
 _MISSING: Final = "missing"
@@ -37,11 +36,9 @@ def parts_of(
     Raises:
         InputError: a photograph of a query or a file of the map is missing or cannot be read.
     """
-    files = digests(model / name for name in MODEL_FILES)
-    parts = {f"map file {name}": of for name, of in zip(MODEL_FILES, files, strict=True)}
-    names = sorted(map_names)
-    photographs = digests((images / name for name in names), _MISSING)
-    parts |= {f"map photograph {name}": of for name, of in zip(names, photographs, strict=True)}
+    parts = {f"map file {name}": of for name, of in digests_in(model, MODEL_FILES).items()}
+    photographs = digests_in(images, sorted(map_names), _MISSING)
+    parts |= {f"map photograph {name}": of for name, of in photographs.items()}
     asked = digests(query.image for query in queries)
     for query, photograph in zip(queries, asked, strict=True):
         parts[f"query photograph {query.name}"] = photograph
@@ -97,4 +94,4 @@ def _known(query: BenchmarkQuery) -> str:
             told.append([prior.heading_sigma_deg])
     numbers = [None if some is None else [f"{x + 0.0:.9f}" for x in some] for some in told]
     words = [query.name, query.condition, str(query.camera), numbers]
-    return hashlib.sha256(json.dumps(words).encode()).hexdigest()
+    return sha256(json.dumps(words))

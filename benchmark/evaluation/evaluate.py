@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from contextlib import closing
 from pathlib import Path
@@ -24,6 +23,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import peak_megabytes
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import pose_of
+from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import PNG_MARK
 
@@ -193,9 +193,8 @@ def _available_start(start: Start, dataset: Dataset) -> Start:
 
 def _key(method: Method, dataset: Dataset, start: Start) -> str:
     """Return the digest of everything that decides the results of a run."""
-    parts = [method.model_dump_json(), dataset.sha256, start.name]
-    parts.append(Environment.current().model_dump_json())
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    environment = Environment.current().model_dump_json()
+    return digest_of(method.model_dump_json(), dataset.sha256, start.name, environment)
 
 
 def _draw_median(dataset: Dataset, sparse_map: SparseMap, results: Results, path: Path) -> None:

@@ -14,7 +14,7 @@ from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_poses
 from objconnect.scene.localizer import Estimate, Status
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.outputs import require_name
 
 

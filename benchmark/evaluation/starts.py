@@ -5,7 +5,6 @@ Results record it, and methods are compared only where it is the same.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from baselines.sift import SiftConfig
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.retrieval import OnDemand, VladIndex
 from objconnect.localization.matching.sift import Sift
@@ -27,6 +27,7 @@ from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.files import read_text
 from objconnect.scene.storage.images import read_rgb
 
@@ -169,8 +170,7 @@ def _written(size: float) -> str:
 
 def _generator(name: str) -> np.random.Generator:
     """Return random numbers that the name of a query decides."""
-    digest = hashlib.sha256(name.encode()).digest()
-    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    return np.random.default_rng(int.from_bytes(bytes.fromhex(sha256(name))[:8], "little"))
 
 
 def tilted_prior(reference: Pose, name: str, degrees: float) -> Prior:
@@ -237,7 +237,8 @@ def _similar(
     It compares VLAD descriptors of SIFT features, and is the same for every method.
     """
     sift = Sift(SiftConfig().max_features)
-    features = map_features(sparse_map, dataset.images, sift, cache)
+    with opened(sparse_map, dataset.images, cache) as kept:
+        features = map_features(kept, sift)
     names = sparse_map.names
 
     def described(row: int) -> NDArray[np.float32]:
@@ -255,5 +256,5 @@ def _similar(
 def _pairs(path: Path) -> Start:
     """Return the start of a pair list, named by the digest of the file."""
     pairs = read_pairs(path)
-    digest = hashlib.sha256(read_text(path, "pair list").encode()).hexdigest()
+    digest = sha256(read_text(path, "pair list"))
     return Start(f"pairs={digest[:12]}", "pairs", pairs=pairs)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +13,7 @@ from objconnect.scene.localizer import Localizer, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import write_text
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digest_of, digests
 from objconnect.scene.storage.files import read_text
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.outputs import OutputFile, check_output_folder, check_outputs
@@ -83,7 +81,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
     words += [sparse_map.sha256, *digests(part.folder / "database" / n for n in sparse_map.names)]
     words += [f"{name} {part.camera(name)}" for name in part.queries]
     words += digests(part.folder / "query" / name for name in part.queries)
-    header = f"{_HEAD.decode()}{hashlib.sha256(json.dumps(words).encode()).hexdigest()}"
+    header = f"{_HEAD.decode()}{digest_of(*words)}"
     if path.is_file():
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -18,8 +17,8 @@ from benchmark.forecasting.config import ForecastConfig
 from benchmark.scoring.score import Threshold, is_correct, is_false_fix
 from objconnect.localization.pipeline.answers import Located
 from objconnect.localization.pipeline.journal import Journal, journal_path
+from objconnect.localization.pipeline.localize import journal_key
 from objconnect.localization.pipeline.safely import localize_safely
-from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
@@ -28,7 +27,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import Named
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digest_of
 
 # A point is in view where the rendered surface is at most this much nearer, as a share of the
 # depth and in metres: maps and twins are less exact than truth.
@@ -135,10 +134,8 @@ def observe(
 def _key(
     scene: Scene, views: Scene, localizer: Localizer, start: Start, sparse_map: SparseMap
 ) -> str:
-    words = [Method.of(localizer).model_dump_json(), sparse_map.sha256, start.name]
-    words += [*digests((scene.images_root / name for name in sparse_map.names), "missing")]
-    words += [*views.manifest.sha256.values(), Environment.current().model_dump_json()]
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+    known = journal_key(sparse_map, scene.images_root, localizer)
+    return digest_of(known, start.name, *views.manifest.sha256.values())
 
 
 def _queries(views: Scene, session: str) -> Iterator[BenchmarkQuery]:

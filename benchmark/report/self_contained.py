@@ -9,12 +9,13 @@ by its digest and allows no connection.
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
 from typing import Any
+
+from objconnect.scene.storage.digests import sha256
 
 
 def fill(page: str, data: Mapping[str, Any], base: str | None = None) -> str:
@@ -51,4 +52,4 @@ def embedded(data: Mapping[str, Any]) -> str:
 
 
 def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return base64.b64encode(bytes.fromhex(sha256(text))).decode()

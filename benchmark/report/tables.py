@@ -16,7 +16,7 @@ from benchmark.scoring.summary import Summary
 from objconnect.scene.bundle.manifest import ALL_CONDITIONS
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 
 log = logging.getLogger(__name__)
 

@@ -67,7 +67,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_folder, atomic_write, link_or_copy
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.locks import write_lock
 
 Array = NDArray[np.float64]

@@ -55,7 +55,7 @@ from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_folder
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.locks import write_lock
 
 _DEFAULTS: Final = IngestOptions()

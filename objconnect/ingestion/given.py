@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from objconnect.scene.imports.poses import Frame
 from objconnect.scene.maps.photographs import Photograph, PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import atomic_folder
+from objconnect.scene.storage.digests import sha256
 
 Array = NDArray[np.float64]
 
@@ -53,11 +53,8 @@ class Given:
     @property
     def sha256(self) -> str:
         """Return a digest of poses, cameras and origin."""
-        digest = hashlib.sha256(repr(self.origin).encode())
-        for name, image in self.images.items():
-            digest.update(f"{name} {image.camera}".encode())
-            digest.update(np.ascontiguousarray(image.cam_from_world).tobytes())
-        return digest.hexdigest()
+        each = ((f"{name} {of.camera}", of.cam_from_world) for name, of in self.images.items())
+        return sha256(repr(self.origin), *(piece for pieces in each for piece in pieces))
 
     @property
     def centres(self) -> dict[str, Array]:

@@ -26,7 +26,7 @@ from objconnect.scene.maps.features import features_key, write_features
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import atomic_folder
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digests_in
 
 FRAMES = "frames.h5"
 """The file of poses, cameras and priors in the folder of a session."""
@@ -137,8 +137,7 @@ def write_map(
 
 def _sift_key(root: Path, names: Sequence[str]) -> str:
     """Return what features of SIFT of photographs are made of, as a digest."""
-    photographs = digests(root / name for name in names)
-    return features_key(list(zip(names, photographs, strict=True)), str(SiftOptions()))
+    return features_key(digests_in(root, names), str(SiftOptions()))
 
 
 def write_lists(

@@ -16,7 +16,7 @@ from objconnect.scene.quantities.doubts import said_of
 from objconnect.scene.quantities.focal import FILM_LENGTH
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, write_resized
 from objconnect.scene.storage.listing import list_files
 

@@ -17,7 +17,8 @@ from torch import Tensor, nn
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
-from objconnect.scene.storage.files import parse_json, sha256_of
+from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import parse_json
 
 
 def shipped(path: Path) -> Path:

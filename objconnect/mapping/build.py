@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,8 +27,7 @@ from objconnect.scene.maps.features import features_key, write_features
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder
-from objconnect.scene.storage.digests import digests
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import digest_of, digests_in
 from objconnect.scene.storage.leftovers import remove_partial
 from objconnect.scene.storage.locks import resumable_file, write_lock
 
@@ -103,9 +101,8 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
                 database=database,
             )
             sparse_map, features = build(job, folder, advance)
-            photographs = digests(scene.images_root / name for name in sparse_map.names)
-            named = list(zip(sparse_map.names, photographs, strict=True))
-            write_features(folder / FEATURES, features, features_key(named, str(_SIFT)))
+            photographs = digests_in(scene.images_root, sparse_map.names)
+            write_features(folder / FEATURES, features, features_key(photographs, str(_SIFT)))
         scene = finish_scene(path, scene.manifest)
         if supplemented:
             log.warning("the new map of %s lacks the points that 'supplement' had added", path)
@@ -128,12 +125,9 @@ def _digest(
     pairs: Sequence[tuple[str, str]],
 ) -> str:
     """Return a digest of all that features and matches depend on."""
-    digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
-    for image in images:
-        photograph = root / image.name
-        content = sha256_of(photograph) if photograph.is_file() else "missing"
-        digest.update(f"{image.name} {image.camera} {content}".encode())
-    return digest.hexdigest()[:16]
+    photographs = digests_in(root, (image.name for image in images), "missing")
+    cameras = [image.camera for image in images]
+    return digest_of(VERSION, _SIFT, pairs, cameras, photographs)[:16]
 
 
 def choose_pairs(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import so3_exp
-from objconnect.scene.localizer import MapPart, Prior, Query
+from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.runtime.progress import progress_within
 
 
@@ -73,28 +72,25 @@ class ObjectPlaceFinder:
         self._watched: MapObjects | None = None
         self.is_first = True
 
-    def watcher(
-        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
-    ) -> MapObjects | None:
+    def watcher(self, source: ReferenceSource) -> MapObjects | None:
         """Return what finds objects in the feature maps of a map's photographs, or of a part.
 
         It is None where the cache holds the objects.
         """
-        self._watched = self._find.watcher(source, cache, part)
+        self._watched = self._find.watcher(source)
         return self._watched
 
-    def prepare(self, source: ReferenceSource, cache: Path) -> None:
+    def prepare(self, source: ReferenceSource) -> None:
         """Find the objects of a map, or take those that the watcher found or the cache holds.
 
         Args:
             source: what references of the map are computed from.
-            cache: folder of files named by a digest of all that the objects depend on.
 
         Raises:
-            InputError: a photograph is missing, broken or changed meanwhile.
+            InputError: a photograph is broken or changed meanwhile.
         """
-        landmarks = self._find.kept_landmarks(source, cache, self._watched)
-        self._watched, sparse_map = None, source.sparse_map
+        landmarks = self._find.kept_landmarks(source, self._watched)
+        self._watched, sparse_map = None, source.kept.sparse_map
         ground = map_ground(sparse_map)
         # Photographs of a street look over the ground, and show no object from above.
         self._connect = None

@@ -6,12 +6,10 @@ the map's points. Centres of several photographs that lie together and look alik
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
-import h5py
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,14 +19,10 @@ from torch import Tensor
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
 from objconnect.scene.config import Config
-from objconnect.scene.errors import HDF5_DAMAGE, InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.nearest import Nearest
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.storage.hdf5 import array
-from objconnect.scene.storage.hdf5_writing import hdf5_file
 
-_ARRAYS: Final = ("xyz", "vectors", "sides", "rises", "scores", "views")
 # Numerical guard: flatter rays meet the ground too far away, as a share of the distance.
 _FLATTEST: Final = 0.2
 # Rounds in which a ray's place on the ground and the height of the ground there agree.
@@ -86,6 +80,8 @@ class Landmarks:
         views: (M,) number of photographs that show it.
     """
 
+    ARRAYS: ClassVar = ("xyz", "vectors", "sides", "rises", "scores", "views")
+
     xyz: NDArray[np.float64]
     vectors: NDArray[np.float32]
     sides: NDArray[np.float32]
@@ -98,41 +94,17 @@ class Landmarks:
 
     def some(self, rows: NDArray[np.int64]) -> Landmarks:
         """Return some of the landmarks."""
-        return Landmarks(*(getattr(self, name)[rows] for name in _ARRAYS))
+        return Landmarks(*(getattr(self, name)[rows] for name in self.ARRAYS))
 
-    def write(self, path: Path) -> None:
-        """Write the landmarks as HDF5, as ``put`` does.
-
-        Raises:
-            WriteError: the folder cannot be written, or the disk is full.
-        """
-        with hdf5_file(path) as file:
-            self.put(file)
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the landmarks by the names of ``ARRAYS``; all but centres in half precision."""
+        found = ((name, getattr(self, name)) for name in self.ARRAYS)
+        return {name: v.astype(np.float16) if v.dtype == np.float32 else v for name, v in found}
 
     @staticmethod
-    def read(path: Path) -> Landmarks:
-        """Read what ``write`` wrote.
-
-        Raises:
-            InputError: the file is damaged.
-        """
-        try:
-            with h5py.File(path) as file:
-                return Landmarks.of(file)
-        except HDF5_DAMAGE as error:
-            raise InputError(f"{path} is damaged ({error}): delete it") from None
-
-    def put(self, file: h5py.File) -> None:
-        """Write the landmarks into an HDF5 file. All but the centres take half precision."""
-        for name in _ARRAYS:
-            values = getattr(self, name)
-            half = values.dtype == np.float32
-            file[name] = values.astype(np.float16) if half else values
-
-    @staticmethod
-    def of(file: h5py.File) -> Landmarks:
-        """Read what ``put`` wrote. Damage raises one of ``HDF5_DAMAGE``."""
-        xyz, *floats, views = (array(file, name) for name in _ARRAYS)
+    def of(arrays: Mapping[str, NDArray[Any]]) -> Landmarks:
+        """Return the landmarks that ``arrays`` was called of. Others raise ``ValueError``."""
+        xyz, *floats, views = (arrays[name] for name in Landmarks.ARRAYS)
         vectors, sides, rises, scores = (each.astype(np.float32) for each in floats)
         if not all(len(each) == len(xyz) for each in (vectors, sides, rises, scores, views)):
             raise ValueError("its lists are of different lengths")

@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.cache.array_store import written_store
-from objconnect.localization.cache.earlier import key_of
-from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.cache.map_cache import Earlier, MapCache, opened
+from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
@@ -22,12 +21,14 @@ from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector
 from objconnect.network.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
-from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.storage.digests import digest_of
 
-_FORMAT: Final = 3
+_FORMAT: Final = 4
+# Files of the objects of the map.
+_OBJECTS: Final = "objects"
 # Files of the objects of each photograph, and the arrays in them.
 _DETECTIONS: Final = "detections"
 _ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
@@ -82,55 +83,49 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        return merged(self.views(sparse_map, images), self._options)[0]
+        with opened(sparse_map, images, None) as kept:
+            return merged(self.views(kept), self._options)[0]
 
-    def views(self, sparse_map: SparseMap, images: Path) -> list[View]:
+    def views(self, kept: MapCache) -> list[View]:
         """Return the photographs of a map that look down, each with its objects.
 
         Raises:
-            InputError: a photograph is missing or broken.
+            InputError: a photograph is broken.
         """
-        source = ReferenceSource(sparse_map, images, self._extract, "", "objects", 0)
-        return list(MapObjects(self, source).views())
+        return list(MapObjects(self, ReferenceSource(kept, self._extract, "", "", 0)).views())
 
-    def file(self, source: ReferenceSource, cache: Path) -> Path:
-        """Return where the cache holds the objects of a map, whether or not it does."""
-        kept = MapCache.of(source.sparse_map, source.images, cache)
-        seen = f"{source.extractor_key} {source.options.same_resolution}"
-        return kept.path("objects", _FORMAT, seen, self._options.model_dump_json())
-
-    def watcher(
-        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
-    ) -> MapObjects | None:
+    def watcher(self, source: ReferenceSource) -> MapObjects | None:
         """Return what finds the objects of a map in the feature maps of its references.
 
         It is None where the cache holds the objects.
         """
-        if self.file(source, cache).is_file():
-            return None
-        kept = MapCache.of(source.sparse_map, source.images, cache)
-        return MapObjects(self, source, replace(kept, part=part))
+        is_known = source.kept.holds(_OBJECTS, *self._map_made_of(source))
+        return None if is_known else MapObjects(self, source)
 
-    def kept_landmarks(
-        self, source: ReferenceSource, cache: Path, watched: MapObjects | None
-    ) -> Landmarks:
+    def kept_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
         """Return the objects of a map, from the cache where it holds them.
 
         Args:
             source: what references of the map are computed from.
-            cache: folder of files named by a digest of all that the objects depend on.
             watched: what ``watcher`` returned.
 
         Raises:
-            InputError: a photograph is missing, broken or changed meanwhile.
+            InputError: a photograph is broken or changed meanwhile.
         """
-        path = self.file(source, cache)
-        found = watched or self.watcher(source, cache)
-        if found is not None:
+
+        def rows(_: Earlier) -> Rows:
+            found = watched or MapObjects(self, source)
             landmarks = merged(list(found.views()), self._options)[0]
             found.write()
-            landmarks.write(path)
-        return Landmarks.read(path)
+            yield "", landmarks.arrays()
+
+        store = source.kept.store(_OBJECTS, *self._map_made_of(source), rows=rows)
+        return store.made(0, Landmarks.ARRAYS, Landmarks.of)
+
+    def _map_made_of(self, source: ReferenceSource) -> tuple[object, ...]:
+        """Return all that decides the objects of a map beside its photographs."""
+        same = source.options.same_resolution
+        return _FORMAT, source.extractor_key, same, self._options.model_dump_json()
 
     def made_of(self) -> str:
         """Return the options that decide what is found in a photograph, as text."""
@@ -146,18 +141,11 @@ class MapObjects:
     Args:
         find: finds the objects of a view.
         source: what references of the map are computed from.
-        kept: the cache, which names the photographs and whose earlier files may hold what did not
-            change; None for all photographs, without a cache.
     """
 
-    def __init__(
-        self,
-        find: ObjectFinder,
-        source: ReferenceSource,
-        kept: MapCache | None = None,
-    ) -> None:
-        self._find, self._source, self._kept = find, source, kept
-        self._earlier = None if kept is None else kept.earlier(_DETECTIONS)
+    def __init__(self, find: ObjectFinder, source: ReferenceSource) -> None:
+        self._find, self._source = find, source
+        self._earlier = source.kept.earlier(_DETECTIONS)
         self._see = MapViews(source)
         self._found: dict[str, Detections] = {}
 
@@ -165,9 +153,8 @@ class MapObjects:
         """Return whether a photograph looks down and its objects are not known."""
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
-        if image.name not in self._found and self._earlier is not None:
-            made_of = key_of(key, self._find.made_of())
-            found = self._earlier.read(made_of, lambda store, row: store.arrays(row, _ARRAYS))
+        if image.name not in self._found:
+            found = self._earlier(digest_of(key, self._find.made_of()), _ARRAYS)
             if found is not None:
                 self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
         return image.name not in self._found
@@ -185,10 +172,10 @@ class MapObjects:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        ground, down = map_ground(self._source.sparse_map), self._down()
+        ground, down = map_ground(self._source.kept.sparse_map), self._down()
         with progress_bar("objects of the map", len(down)) as advance:
             for done, image in enumerate(down, 1):
-                key = self._key(image)
+                key = self._see.key(image)
                 if self.lacks(image, key):
                     self(image, key, *self._see(image))
                     return_freed()
@@ -204,26 +191,22 @@ class MapObjects:
             InputError: a photograph changed meanwhile.
             WriteError: the folder cannot be written, or the disk is full.
         """
-        assert self._kept is not None
-        self._kept.require_unchanged()
-        path = self._kept.path(
-            _DETECTIONS, _FORMAT, self._source.extractor_key, self._find.made_of()
-        )
-        with written_store(path) as add:
+        made_of = self._find.made_of()
+
+        def rows(_: Earlier) -> Rows:
             for image in self._down():
                 found = self._found[image.name]
                 arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
-                add(arrays, key_of(self._key(image), self._find.made_of()))
+                yield digest_of(self._see.key(image), made_of), arrays
+
+        kept, seen_by = self._source.kept, self._source.extractor_key
+        kept.store(_DETECTIONS, _FORMAT, seen_by, made_of, rows=rows)
 
     def _down(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""
-        sparse_map = self._source.sparse_map
-        names = sparse_map.names if self._kept is None else self._kept.names
-        posed = [sparse_map.images[name] for name in names]
+        kept = self._source.kept
+        posed = [kept.sparse_map.images[name] for name in kept.names]
         return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
-
-    def _key(self, image: MapImage) -> str:
-        return self._see.key(image, "" if self._kept is None else self._kept.digests[image.name])
 
 
 def map_ground(sparse_map: SparseMap) -> GroundGrid:

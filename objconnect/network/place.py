@@ -9,6 +9,7 @@ from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped
 from objconnect.learning.folding import Precision, fold
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.coarse.finder import PlaceFinder, PlaceOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
@@ -16,7 +17,6 @@ from objconnect.network.network import read_network
 from objconnect.scene.config import Config
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.storage.scratch import scratch
 
 
 class PlaceConfig(Config):
@@ -51,12 +51,8 @@ class PlaceLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""
-        if cache is None:
-            with scratch() as folder:
-                self.prepare(sparse_map, images, folder)
-            return
-        key = f"{self.weights_sha256} {self.config.precision}"
-        self._finder.prepare(sparse_map, images, key, cache)
+        with opened(sparse_map, images, cache) as kept:
+            self._finder.prepare(kept, f"{self.weights_sha256} {self.config.precision}")
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 
 from objconnect.learning.checkpoint import shipped
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.landmarks import LandmarkOptions, Landmarks, Tracks, merged
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig
@@ -24,7 +25,6 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import write_text
 from objconnect.scene.storage.hdf5 import array
 from objconnect.scene.storage.hdf5_writing import hdf5_file
-from objconnect.scene.storage.images import check_photographs
 from objconnect.scene.storage.leftovers import remove_partial
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.names import quote_cell
@@ -90,13 +90,12 @@ def find_landmarks(
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()
-    cameras = {name: image.camera for name, image in sparse_map.images.items()}
-    check_photographs(scene.images_root, cameras)
     config = ObjConnectConfig()
     options = LandmarkOptions()
     extract = MapExtractor(network, config.longest, config.precision)
     finder = ObjectFinder(extract, network.detector, options)
-    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)
+    with opened(sparse_map, scene.images_root, None) as kept:
+        landmarks, tracks = merged(finder.views(kept), options)
     with write_lock(path):
         remove_partial(path)
         _write(path / LANDMARKS, landmarks, tracks, sparse_map)
@@ -120,7 +119,7 @@ def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Trac
         with h5py.File(path) as file:
             if file.attrs.get("map") != sparse_map.sha256:
                 return None
-            landmarks = Landmarks.of(file)
+            landmarks = Landmarks.of({name: array(file, name) for name in Landmarks.ARRAYS})
             landmark, name, xy = (array(file, f"tracks/{part}") for part in Tracks._fields)
     except HDF5_DAMAGE as error:
         raise InputError(f"{path} is damaged ({error}): run 'objconnect landmarks' again") from None
@@ -131,7 +130,8 @@ def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Trac
 def _write(path: Path, landmarks: Landmarks, tracks: Tracks, sparse_map: SparseMap) -> None:
     with hdf5_file(path) as file:
         file.attrs["map"] = sparse_map.sha256
-        landmarks.put(file)
+        for name, values in landmarks.arrays().items():
+            file[name] = values
         file["tracks/landmark"] = tracks.landmark.astype(np.uint32)
         file["tracks/name"] = np.array([os.fsencode(name) for name in tracks.name], "S")
         file["tracks/xy"] = tracks.xy.astype(np.float32)

@@ -6,7 +6,6 @@ query flights differ when neither says anything.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -14,7 +13,8 @@ from typing import Annotated, Final, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from objconnect.scene.config import Config
-from objconnect.scene.storage.files import read_text, sha256_of
+from objconnect.scene.storage.digests import sha256, sha256_of
+from objconnect.scene.storage.files import read_text
 
 Positive = Annotated[float, Field(gt=0)]
 Overlap = Annotated[float, Field(ge=0, le=0.95)]
@@ -304,7 +304,7 @@ def plan_digest(file: Path) -> str:
     Raises:
         InputError: The file cannot be read.
     """
-    return hashlib.sha256(read_text(file, "mission plan").encode()).hexdigest()
+    return sha256(read_text(file, "mission plan"))
 
 
 WRITTEN_WITH_PATH: Final = {"plan": "file", "flown": "scene"}

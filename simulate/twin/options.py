@@ -9,7 +9,7 @@ from typing import Any, Final
 from pydantic import Field, field_validator, model_validator
 
 from objconnect.scene.config import Config
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from simulate.look.conditions import SEASONS
 
 _FILES = ("ortho", "dsm", "classes")

@@ -32,7 +32,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.quantities.collars import collar_of
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_folder
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import Exif, write_jpeg
 from objconnect.scene.storage.outputs import check_output_folder, require_empty
 

@@ -11,7 +11,8 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.loop import LOG, WEIGHTS
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.atomic import write_text
-from objconnect.scene.storage.files import read_text, sha256_of
+from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import read_text
 
 CARD: Final = "card.md"
 RESIDUAL: Final = "residual "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -14,7 +13,7 @@ from objconnect.learning.training.loop import PairSources, Trainable, join, trai
 from objconnect.learning.training.planes import PlanePairs
 from objconnect.learning.training.rendered import RenderedPairs
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.storage.digests import digest
+from objconnect.scene.storage.digests import digest, sha256
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.outputs import check_output_folder
 
@@ -72,9 +71,7 @@ def train(
 def _identity(scene: Scene) -> str:
     """Return preset, seed and the digest of all flights of a scene; maps may be added to it."""
     flights = {
-        name: sha256
-        for name, sha256 in scene.manifest.sha256.items()
-        if name.startswith("sessions/")
+        name: found for name, found in scene.manifest.sha256.items() if name.startswith("sessions/")
     }
-    content = hashlib.sha256(json.dumps(flights, sort_keys=True).encode()).hexdigest()
+    content = sha256(json.dumps(flights, sort_keys=True))
     return f"{scene.manifest.preset} {scene.manifest.seed} {content}"

@@ -1,83 +1,147 @@
-"""Files of the cache that are made of a map and its photographs."""
+"""What methods keep of a map: files of arrays, found by digests of all that they were made of.
+
+A file is named by a digest of the map, of its photographs' bytes and of all else that decides what
+the file holds: the method's options, the weights' digest. So what was made of anything else is
+never taken. Each row has a digest of all that it was made of, too. Where photographs are added to a
+map, its files are written anew, and the rows that this does not change are copied.
+"""
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any, Final
 
-from objconnect.localization.cache.array_store import ArrayStore
-from objconnect.localization.cache.earlier import Earlier, kept_files
+from numpy.typing import NDArray
+
+from objconnect.localization.cache.store import Rows, Store, write_store
+from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.storage.digests import digests, require_unchanged
+from objconnect.scene.storage.digests import digest_of, digests_in, require_unchanged
 from objconnect.scene.storage.images import check_photographs
+from objconnect.scene.storage.scratch import cache_or_scratch
+
+_DIGITS: Final = 16
+# Earlier files that are open at a time: a cache may hold more than a process may open.
+_OPEN: Final = 8
+
+
+class Earlier:
+    """Rows of earlier files of a kind, whatever map these were made of.
+
+    Args:
+        paths: of the files; damaged ones are passed over.
+    """
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._open = lru_cache(maxsize=_OPEN)(Store)
+        self._rows: dict[str, tuple[Path, int]] = {}
+        for path in paths:
+            with suppress(InputError):
+                rows = self._open(path).rows
+                self._rows |= {key: (path, row) for key, row in rows.items()}
+
+    def __call__(self, key: str, names: Iterable[str]) -> dict[str, NDArray[Any]] | None:
+        """Return arrays of the row that was made of ``key``; None where no file holds it."""
+        if key in self._rows:
+            path, row = self._rows[key]
+            with suppress(InputError):
+                return self._open(path).arrays(row, names)
+        return None
 
 
 @dataclass(frozen=True)
 class MapCache:
-    """Names files of the cache by a digest of all that they are made of.
+    """What methods keep of a map, and what of it they make that of.
 
     Attributes:
-        folder: of the cache.
-        files: the map's photographs.
-        digests: of their bytes, by name, in the order of ``SparseMap.names``.
-        map_sha256: digest of the map.
+        sparse_map: the map.
+        images: folder that the names of its photographs are relative to.
+        folder: of the files.
+        digests: of the photographs' bytes, by name, in the order of ``SparseMap.names``.
         part: the photographs that are prepared; None for all.
     """
 
+    sparse_map: SparseMap
+    images: Path
     folder: Path
-    files: tuple[Path, ...]
-    digests: dict[str, str]
-    map_sha256: str
+    digests: Mapping[str, str]
     part: MapPart | None = None
 
     @staticmethod
-    def of(sparse_map: SparseMap, images: Path, folder: Path) -> MapCache:
+    def of(
+        sparse_map: SparseMap, images: Path, folder: Path, part: MapPart | None = None
+    ) -> MapCache:
         """Read a map's photographs.
-
-        Args:
-            sparse_map: the map.
-            images: folder that the names of its photographs are relative to.
-            folder: of the cache.
 
         Raises:
             InputError: a photograph is missing, broken or not of its camera's size.
         """
-        cameras = {name: sparse_map.images[name].camera for name in sparse_map.names}
-        check_photographs(images, cameras)
-        files = tuple(images / name for name in sparse_map.names)
-        by_name = dict(zip(sparse_map.names, digests(files), strict=True))
-        return MapCache(folder, files, by_name, sparse_map.sha256)
+        names = sparse_map.names
+        check_photographs(images, {name: sparse_map.images[name].camera for name in names})
+        return MapCache(sparse_map, images, folder, digests_in(images, names), part)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the photographs that are prepared."""
-        return tuple(self.digests if self.part is None else self.part.names)
+        return self.sparse_map.names if self.part is None else tuple(self.part.names)
 
-    def path(self, prefix: str, version: int, *parts: object) -> Path:
-        """Return the path of a file of the photographs that are prepared.
+    @property
+    def whole(self) -> MapCache:
+        """Return the cache of all photographs."""
+        return replace(self, part=None)
+
+    def holds(self, kind: str, *made_of: object) -> bool:
+        """Return whether there is a file of all photographs; the arguments are ``store``'s."""
+        return self.whole._path(kind, made_of).is_file()
+
+    def store(self, kind: str, *made_of: object, rows: Callable[[Earlier], Rows]) -> Store:
+        """Return a file of a kind, which is written where it is not there.
+
+        Two processes may write it at a time; either file is whole, and they are the same.
 
         Args:
-            prefix: its name before the digest.
-            version: of its format.
-            parts: whatever else decides its content.
-        """
-        photographs = list(self.digests.values())
-        words = " ".join(map(str, (version, self.map_sha256, photographs, *parts)))
-        folder = self.folder
-        if self.part is not None:
-            folder, words = self.part.folder, f"{words} {self.names}"
-        return folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
-
-    def earlier(self, prefix: str) -> Earlier[ArrayStore, int]:
-        """Return what files of a prefix hold, whatever map they were made of."""
-        return Earlier(ArrayStore, ArrayStore.by_key, kept_files(self.folder, prefix))
-
-    def require_unchanged(self) -> None:
-        """Refuse photographs that changed since they were read: call it before a file is kept.
+            kind: the beginning of its name.
+            made_of: all that decides its content beside the photographs and the map.
+            rows: makes its rows; it is told those of earlier files of the kind.
 
         Raises:
-            InputError: a photograph changed.
+            InputError: the file is damaged, or a photograph changed since it was read.
+            WriteError: the folder cannot be written, or the disk is full.
         """
-        require_unchanged(self.files, list(self.digests.values()))
+        path = self._path(kind, made_of)
+
+        def unchanged() -> Rows:
+            yield from rows(self.earlier(kind))
+            files = [self.images / name for name in self.digests]
+            require_unchanged(files, list(self.digests.values()))
+
+        if not path.is_file():
+            write_store(path, unchanged())
+        return Store(path)
+
+    def earlier(self, kind: str) -> Earlier:
+        """Return the rows of a kind: in the folder, and in those where processes leave parts."""
+        name = f"{kind}-{'[0-9a-f]' * _DIGITS}.h5"
+        return Earlier(sorted([*self.folder.glob(name), *self.folder.glob(f"*/{name}")]))
+
+    def _path(self, kind: str, made_of: Iterable[object]) -> Path:
+        parts = (self.sparse_map.sha256, *self.digests.values(), *made_of)
+        folder = self.folder
+        if self.part is not None:
+            folder, parts = self.part.folder, (*parts, *self.names)
+        return folder / f"{kind}-{digest_of(kind, *parts)[:_DIGITS]}.h5"
+
+
+@contextmanager
+def opened(sparse_map: SparseMap, images: Path, folder: Path | None) -> Iterator[MapCache]:
+    """Yield the cache of a map in a folder, or in a temporary one that goes after the block.
+
+    Files that were opened in it stay open. The errors are those of ``MapCache.of``.
+    """
+    with cache_or_scratch(folder, None) as kept:
+        yield MapCache.of(sparse_map, images, kept)

@@ -11,7 +11,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
@@ -26,7 +27,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
 _FLATTEST: Final = 0.3
@@ -79,20 +80,17 @@ class PlaceFinder:
         self._extract = extract
         self._options = options
 
-    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
+    def prepare(self, kept: MapCache, key: str) -> None:
         """Make the mosaic of a map, or read it from the cache.
 
         Args:
-            sparse_map: the map.
-            images: folder that the names of its photographs are relative to.
+            kept: the map, its photographs and the cache.
             key: of the network.
-            cache: folder of files named by a digest of all that the mosaic depends on.
 
         Raises:
-            InputError: a photograph is missing, broken or changed meanwhile.
+            InputError: a photograph is broken or changed meanwhile.
         """
-        options = self._options
-        kept = MapCache.of(sparse_map, images, cache)
+        options, sparse_map = self._options, kept.sparse_map
         posed = [sparse_map.images[name] for name in sparse_map.names]
         sharpest = of_map(sparse_map, self._extract.largest_scale)
         sides = [
@@ -102,13 +100,13 @@ class PlaceFinder:
         self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)
         heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
         self._height = float(np.median(heights))
-        parts = (key, options.cell_px, options.channels, options.longest)
-        path = kept.path("mosaic", _FORMAT, *parts)
-        if not path.is_file():
-            mosaic = self._make(sparse_map, images)
-            kept.require_unchanged()
-            mosaic.write(path)
-        self._mosaic = Mosaic.read(path)
+
+        def rows(_: Earlier) -> Rows:
+            yield "", self._make(sparse_map, kept.images).arrays()
+
+        made_of = (_FORMAT, key, options.cell_px, options.channels, options.longest)
+        store = kept.store("mosaic", *made_of, rows=rows)
+        self._mosaic = store.made(0, Mosaic.ARRAYS, Mosaic.of)
         self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from typing import Any, ClassVar
 
-import h5py
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.localization.featuremetric.maps import FeatureMap
-from objconnect.scene.errors import HDF5_DAMAGE, InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.hdf5 import array, attribute
-from objconnect.scene.storage.hdf5_writing import hdf5_file
 
 Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
-
-_ARRAYS: Final = ("origin", "heights", "features", "known", "mean", "components")
 
 
 @dataclass(frozen=True)
@@ -36,6 +31,8 @@ class Mosaic:
         mean: (C,) the mean feature of all cells.
         components: (C, K) orthonormal principal components.
     """
+
+    ARRAYS: ClassVar = ("origin", "cell", "heights", "features", "known", "mean", "components")
 
     grid: GroundGrid
     features: Tensor
@@ -54,40 +51,19 @@ class Mosaic:
         """Whether no photograph of the map looks down."""
         return not bool(self.known.any())
 
-    def write(self, path: Path) -> None:
-        """Write the mosaic as HDF5; features take half precision.
-
-        Raises:
-            WriteError: the folder cannot be written, or the disk is full.
-        """
-        arrays = {
-            "origin": self.grid.origin,
-            "heights": self.grid.heights,
-            "features": self.features.half().numpy(),
-            "known": self.known.numpy(),
-            "mean": self.mean.numpy(),
-            "components": self.components.numpy(),
-        }
-        with hdf5_file(path) as file:
-            for name, values in arrays.items():
-                file[name] = values
-            file.attrs["cell"] = self.grid.cell
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all of the mosaic by the names of ``ARRAYS``; features take half precision."""
+        grid, values = self.grid, (self.features.half(), self.known, self.mean, self.components)
+        arrays = (grid.origin, np.array([grid.cell]), grid.heights, *(v.numpy() for v in values))
+        return dict(zip(self.ARRAYS, arrays, strict=True))
 
     @staticmethod
-    def read(path: Path) -> Mosaic:
-        """Read what ``write`` wrote.
-
-        Raises:
-            InputError: the file is damaged.
-        """
-        try:
-            with h5py.File(path) as file:
-                origin, heights, *rest = (array(file, name) for name in _ARRAYS)
-                cell = float(attribute(file, "cell"))
-        except HDF5_DAMAGE as error:
-            raise InputError(f"{path} is damaged ({error}): delete it") from None
+    def of(arrays: Mapping[str, NDArray[Any]]) -> Mosaic:
+        """Return the mosaic that ``arrays`` was called of."""
+        origin, cell, heights, *rest = (arrays[name] for name in Mosaic.ARRAYS)
         features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
-        return Mosaic(GroundGrid(origin, cell, heights), features, known, mean, components)
+        grid = GroundGrid(origin, float(cell[0]), heights)
+        return Mosaic(grid, features, known, mean, components)
 
 
 def empty_mosaic(grid: GroundGrid) -> Mosaic:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.earlier import key_of
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
 from objconnect.localization.depth.neighbours import NeighbourOptions, Neighbours
 from objconnect.localization.depth.plane_sweep import PlaneSweep
@@ -28,6 +27,7 @@ from objconnect.localization.depth.window_sweep import WindowSweep
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import warp_image
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache
 
@@ -185,7 +185,7 @@ class Sweeper:
         for each in (name, *self._neighbours(name)):
             image = self._map.images[each]
             parts += [digests[each], image.camera, image.cam_from_world]
-        return key_of(*parts)
+        return digest_of(*parts)
 
     def _near(
         self,

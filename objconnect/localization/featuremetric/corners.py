@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.array_store import ArrayStore, written_store
-from objconnect.localization.cache.earlier import key_of
-from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.store import Row, Rows
 from objconnect.localization.depth.sweep import Sweeper, SweepOptions
 from objconnect.scene.config import Config
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.runtime.threads import in_threads
+from objconnect.scene.storage.digests import digest_of
 
 _FORMAT: Final = 5
-_PREFIX: Final = "corners"
 
 
 class CornerOptions(Config):
@@ -117,22 +116,19 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
     Raises:
         InputError: a photograph is missing, damaged or changed meanwhile, or the file is damaged.
     """
-    path = kept.path(_PREFIX, _FORMAT, *parts)
-    if not path.is_file():
-        earlier = kept.earlier(_PREFIX)
 
-        def of_photograph(name: str) -> tuple[Mapping[str, NDArray[np.float64]], str]:
-            key = key_of(_FORMAT, *parts, find.made_of(name, kept.digests))
-            xyz = earlier.read(key, lambda store, row: store.read(row, "xyz"))
-            return {"xyz": find(name).xyz if xyz is None else xyz}, key
+    def rows(earlier: Earlier) -> Rows:
+        def of_photograph(name: str) -> Row:
+            key = digest_of(_FORMAT, *parts, find.made_of(name, kept.digests))
+            return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
-        bar = progress_bar("corners of the map", len(kept.names))
-        with written_store(path) as add, bar as advance:
-            for done, (found, key) in enumerate(in_threads(of_photograph, kept.names), 1):
-                add(found, key)
+        with progress_bar("corners of the map", len(kept.names)) as advance:
+            found = in_threads(of_photograph, kept.names)
+            for done, row in enumerate(found, 1):
+                yield row
                 advance(done)
-            kept.require_unchanged()
-    store = ArrayStore(path)
+
+    store = kept.store("corners", _FORMAT, *parts, rows=rows)
     return [store.read(row, "xyz") for row in range(len(store))]
 
 

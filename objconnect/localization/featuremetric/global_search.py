@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Protocol
 
 from objconnect.localization.align.options import SearchRadius
@@ -27,7 +26,7 @@ from objconnect.localization.featuremetric.priors import may_be_at, says_where
 from objconnect.localization.featuremetric.references import ReferenceSource, Watch
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.starts import start_of, starts
-from objconnect.scene.localizer import By, Estimate, MapPart, Query, Stopwatch
+from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
@@ -49,15 +48,13 @@ class OtherFinder(Protocol):
 
     is_first: bool
 
-    def watcher(
-        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
-    ) -> Watch | None:
+    def watcher(self, source: ReferenceSource) -> Watch | None:
         """Return what is to see the photographs of a map, or of a part of it, before ``prepare``;
         None where nothing."""
         ...
 
-    def prepare(self, source: ReferenceSource, cache: Path) -> None:
-        """Prepare for a map; ``cache`` keeps files."""
+    def prepare(self, source: ReferenceSource) -> None:
+        """Prepare for a map."""
         ...
 
     def find(self, query: Query) -> list[Candidate]:

@@ -21,6 +21,7 @@ from torch import nn
 
 from objconnect.learning.quantization import require_quantizable
 from objconnect.localization.align.options import Options
+from objconnect.localization.cache.map_cache import MapCache, opened
 from objconnect.localization.coarse.finder import PlaceFinder
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.attempt import (
@@ -50,7 +51,6 @@ from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.runtime.tuning import return_freed, return_freed_above, spare_collector
 from objconnect.scene.storage.lru_cache import MEGABYTE
-from objconnect.scene.storage.scratch import scratch
 
 
 class FeaturemetricLocalizer:
@@ -89,12 +89,9 @@ class FeaturemetricLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
-        if cache is None:
-            with scratch() as folder:  # files stay open
-                self.prepare(sparse_map, images, folder)
-            return
-        self.prepare_first(sparse_map, images, cache)
-        self._preparation()
+        with opened(sparse_map, images, cache) as kept:
+            self._prepare_matches(kept)
+            self._preparation()
 
     @property
     def prepared(self) -> Prepared:
@@ -106,27 +103,29 @@ class FeaturemetricLocalizer:
 
         Without matches nothing is left: then every query is aligned.
         """
-        config = self.config
-        self._map = sparse_map
+        self._prepare_matches(MapCache.of(sparse_map, images, cache))
+
+    def _prepare_matches(self, kept: MapCache) -> None:
+        config, self._map = self.config, kept.sparse_map
         kept_mb = self._kept_mb(config.max_magnification)
         self._matches = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
             least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            self._matches = matcher(of_matches, sparse_map, images, cache)
-        self._preparation = Preparation(partial(self._prepare_rest, images, cache, kept_mb))
+            self._matches = matcher(of_matches, kept)
+        self._preparation = Preparation(partial(self._prepare_rest, kept, kept_mb))
         if self._matches is None:
             self._preparation()
             return
         self._settle()
 
-    def _prepare_rest(self, images: Path, cache: Path, kept_mb: int) -> Prepared:
+    def _prepare_rest(self, kept: MapCache, kept_mb: int) -> Prepared:
         """Prepare what alignment needs; ``kept_mb`` is the memory beside a pass of the network."""
-        config, sparse_map = self.config, self._map
-        source = self._source(sparse_map, images)
+        config, sparse_map = self.config, kept.sparse_map
+        source = self._source(kept)
         other = self._other if config.multistart else None
-        watch = None if other is None else other.watcher(source, cache)
-        observations = references(source, cache, kept_mb, watch)
+        watch = None if other is None else other.watcher(source)
+        observations = references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
             extract = quantized_extractor(source, config.quantization)
@@ -158,9 +157,9 @@ class FeaturemetricLocalizer:
         places = None
         if config.multistart and config.place.candidates:
             places = PlaceFinder(self._extract, config.place)
-            places.prepare(sparse_map, images, source.extractor_key, cache)
+            places.prepare(kept, source.extractor_key)
         if other is not None:
-            other.prepare(source, cache)
+            other.prepare(source)
         self._settle()
         return Prepared(refine, GlobalSearch(refine, sparse_map, places, other), tracking)
 
@@ -175,17 +174,15 @@ class FeaturemetricLocalizer:
         config = self.config
         if config.multistart and config.matches is not None:
             create_matcher(config.matches).prepare_part(sparse_map, images, cache, part)
-        source = self._source(sparse_map, images)
+        source = self._source(MapCache.of(sparse_map, images, cache, part))
         other = self._other if config.multistart else None
-        watch = None if other is None else other.watcher(source, cache, part)
-        write_part(source, cache, part, watch)
+        write_part(source, None if other is None else other.watcher(source))
 
-    def _source(self, sparse_map: SparseMap, images: Path) -> ReferenceSource:
+    def _source(self, kept: MapCache) -> ReferenceSource:
         """Return what references of a map are computed from."""
         config = self.config
         return ReferenceSource(
-            sparse_map,
-            images,
+            kept,
             self._extract,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             self.name,

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.sift import Sift
 from objconnect.localization.matching.structure import (
     NoKeypointOnPointError,
     StructureConfig,
     StructureLocalizer,
 )
-from objconnect.scene.maps.sparse_map import SparseMap
 
 log = logging.getLogger(__name__)
 
@@ -21,9 +20,7 @@ def create_matcher(config: StructureConfig) -> StructureLocalizer:
     return StructureLocalizer(config, Sift(config.max_features), interpolate=False)
 
 
-def matcher(
-    config: StructureConfig, sparse_map: SparseMap, images: Path, cache: Path
-) -> StructureLocalizer | None:
+def matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
     """Return the localizer by matches; None for a map that was not built from its features.
 
     Raises:
@@ -32,7 +29,7 @@ def matcher(
     """
     localizer = create_matcher(config)
     try:
-        localizer.prepare(sparse_map, images, cache)
+        localizer.prepare_from(kept)
     except NoKeypointOnPointError as error:
         log.warning("no starts from matches: %s", error)
         return None

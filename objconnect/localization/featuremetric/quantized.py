@@ -52,10 +52,11 @@ def quantized_extractor(source: ReferenceSource, options: QuantizationOptions) -
     Raises:
         InputError: a photograph is missing or broken, or the network cannot be quantized here.
     """
-    names, extract, views = source.sparse_map.names, source.extract, MapViews(source)
+    sparse_map, extract, views = source.kept.sparse_map, source.extract, MapViews(source)
+    names = sparse_map.names
     network = extract.network
     assert isinstance(network, nn.Module)
     with largest_values(network) as largest:
         for name in names[:: -(-len(names) // options.photographs)]:
-            views(source.sparse_map.images[name])
+            views(sparse_map.images[name])
     return extract.of(quantized(network, options.scales(largest), network.config.strides))

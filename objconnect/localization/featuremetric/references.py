@@ -6,9 +6,8 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -16,9 +15,8 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from objconnect.localization.cache.array_store import ArrayStore, written_store
-from objconnect.localization.cache.earlier import key_of
-from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.store import Rows, Store
 from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
@@ -31,14 +29,14 @@ from objconnect.localization.resolution import (
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, north_angle
-from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache, room
 
-_FORMAT: Final = 5
+_FORMAT: Final = 6
 
 
 class Watch(Protocol):
@@ -88,8 +86,7 @@ class ReferenceSource:
     """What the observations of a map's photographs are computed from.
 
     Attributes:
-        sparse_map: the map.
-        images: folder of its photographs.
+        kept: the map, its photographs and the cache.
         extract: computes feature maps.
         extractor_key: identifies the network's weights and its options, for the cache.
         name: of the method, used for files and progress.
@@ -99,8 +96,7 @@ class ReferenceSource:
         corner_options: how corners are found.
     """
 
-    sparse_map: SparseMap
-    images: Path
+    kept: MapCache
     extract: MapExtractor
     extractor_key: str
     name: str
@@ -109,13 +105,24 @@ class ReferenceSource:
     options: ReferenceOptions = field(default_factory=ReferenceOptions)
     corner_options: CornerOptions = field(default_factory=CornerOptions)
 
-    def path(self, kept: MapCache) -> Path:
-        """Return the path of the file of observations in a cache."""
+    @property
+    def made_by(self) -> tuple[object, ...]:
+        """Return all that decides the observations beside the map and its photographs."""
         # Without corners, how they would be found changes nothing.
         corner_key = self.corner_options.model_dump_json() if self.corners else ""
         options_key = self.options.model_dump_json()
-        parts = (self.points, self.corners, corner_key, options_key, self.extractor_key)
-        return kept.path(self.name, _FORMAT, *parts)
+        return _FORMAT, self.points, self.corners, corner_key, options_key, self.extractor_key
+
+    @property
+    def arrays(self) -> list[str]:
+        """Return the names of the arrays of a photograph."""
+        levels = range(len(self.extract.network.config.strides))
+        return ["xyz", "confidence", *(f"features {level}" for level in levels)]
+
+    @cached_property
+    def metres_per_pixel(self) -> float:
+        """Return the resolution of the map, at which photographs are seen; NaN if not known."""
+        return of_map(self.kept.sparse_map, self.extract.largest_scale)
 
 
 @dataclass(frozen=True)
@@ -146,18 +153,17 @@ class ReferenceFeatures:
     Threads may share it.
 
     Args:
-        path: written by ``references``.
-        memory: bytes that observations in memory may take.
-
-    Attributes:
+        store: the file.
+        names: of the arrays of a photograph.
         metres_per_pixel: at which the photographs were seen, NaN if not known.
+        memory: bytes that observations in memory may take.
     """
 
-    def __init__(self, path: Path, memory: int) -> None:
-        self._store = ArrayStore(path)
-        names = _names(int(self._store.attribute("levels")))
-        self._cache = LruCache(partial(_read, self._store, names), memory)
-        self.metres_per_pixel = float(self._store.attribute("metres_per_pixel"))
+    def __init__(
+        self, store: Store, names: Sequence[str], metres_per_pixel: float, memory: int
+    ) -> None:
+        self._store, self.metres_per_pixel = store, metres_per_pixel
+        self._cache = LruCache(partial(_read, store, names), memory)
 
     def __len__(self) -> int:
         return len(self._store)
@@ -168,92 +174,79 @@ class ReferenceFeatures:
 
     def coarse(self, photograph: int) -> NDArray[np.float32]:
         """Read the features of a photograph's coarsest level alone, (N, C), past the cache."""
-        return self._store.read(photograph, "features/0").astype(np.float32)
+        return self._store.read(photograph, "features 0").astype(np.float32)
 
 
-def _names(levels: int) -> list[str]:
-    """Return the names of the arrays of a photograph."""
-    return ["xyz", "confidence", *(f"features/{level}" for level in range(levels))]
-
-
-def _read(store: ArrayStore, names: Sequence[str], photograph: int) -> Observations:
-    xyz, confidence, *features = (store.read(photograph, name) for name in names)
+def _read(store: Store, names: Sequence[str], photograph: int) -> Observations:
+    xyz, confidence, *features = store.arrays(photograph, names).values()
     return Observations(xyz, tuple(features), confidence)
 
 
 def references(
-    source: ReferenceSource, cache: Path, memory_mb: int, watch: Watch | None = None
+    source: ReferenceSource, memory_mb: int, watch: Watch | None = None
 ) -> ReferenceFeatures:
     """Return the observations of a map's photographs, from the cache where it holds them.
 
     Args:
         source: what they are computed from.
-        cache: folder of files, each named by a digest of all that decides its content.
         memory_mb: for the whole process; observations stay in memory as far as there is room.
         watch: sees the feature maps, where these are computed.
 
     Raises:
-        InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
+        InputError: a photograph is broken or changed meanwhile.
     """
-    kept = MapCache.of(source.sparse_map, source.images, cache)
-    path = source.path(kept)
-    if not path.is_file():
-        _write_references(source, kept, watch)
-    return ReferenceFeatures(path, room(memory_mb))
+    store = source.kept.store(
+        source.name, *source.made_by, rows=partial(_observed_rows, source, watch)
+    )
+    return ReferenceFeatures(store, source.arrays, source.metres_per_pixel, room(memory_mb))
 
 
-def write_part(source: ReferenceSource, cache: Path, part: MapPart, watch: Watch | None) -> None:
+def write_part(source: ReferenceSource, watch: Watch | None) -> None:
     """Compute the observations of a part of a map's photographs, unless the cache holds all.
 
     The arguments and errors are those of ``references``, which copies what this has written.
     """
-    kept = MapCache.of(source.sparse_map, source.images, cache)
-    if not source.path(kept).is_file():
-        _write_references(source, replace(kept, part=part), watch)
+    if not source.kept.holds(source.name, *source.made_by):
+        references(source, 0, watch)
         if watch is not None:
             watch.write()
 
 
-def _write_references(source: ReferenceSource, kept: MapCache, watch: Watch | None) -> None:
-    """Run the network on photographs of a map and keep the features at their points.
+def _observed_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier) -> Rows:
+    """Run the network on photographs of a map and yield the features at their points.
 
     Args:
         source: what the observations are computed from.
-        kept: the cache, whose earlier files may hold what did not change.
         watch: sees the feature maps.
+        earlier: what did not change.
     """
-    sparse_map, options, path = source.sparse_map, source.options, source.path(kept)
-    posed = [sparse_map.images[name] for name in kept.names]
+    kept, options = source.kept, source.options
+    posed = [kept.sparse_map.images[name] for name in kept.names]
     corner_points = [np.empty((0, 3))] * len(posed)
     if source.corners:
         longest, how = source.extract.longest, source.corner_options
-        find = CornerFinder(sparse_map, source.images, source.corners, longest, how)
+        find = CornerFinder(kept.sparse_map, kept.images, source.corners, longest, how)
         corner_points = all_corners(find, kept, source.corners, longest, how.model_dump_json())
-    views, earlier = MapViews(source), kept.earlier(source.name)
-    levels = len(source.extract.network.config.strides)
-    names = _names(levels)
-    with (
-        written_store(path, levels=levels, metres_per_pixel=views.metres_per_pixel) as add,
-        progress_bar(f"{source.name} map features", len(posed)) as advance,
-    ):
+    views = MapViews(source)
+    with progress_bar(f"{source.name} map features", len(posed)) as advance:
         for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
-            points = np.concatenate([_reliable_points(image, sparse_map, options), corners])
-            seen_as = views.key(image, kept.digests[image.name])
-            key = key_of(
+            points = np.concatenate([_reliable_points(image, kept.sparse_map, options), corners])
+            seen_as = views.key(image)
+            key = digest_of(
                 _FORMAT, seen_as, image.cam_from_world, points, source.points, options.grid
             )
-            arrays = earlier.read(key, lambda store, row: store.arrays(row, names))
+            arrays = earlier(key, source.arrays)
             if arrays is None or (watch is not None and watch.lacks(image, seen_as)):
                 view, maps = views(image)
                 if watch is not None:
                     watch(image, seen_as, view, maps)
                 seen = observe(view, maps, image.pose, points, source.points, options.grid)
-                arrays = dict(zip(names, (seen.xyz, seen.confidence, *seen.features), strict=True))
+                found: list[NDArray[Any]] = [seen.xyz, seen.confidence, *seen.features]
+                arrays = dict(zip(source.arrays, found, strict=True))
                 del view, maps
                 return_freed()
-            add(arrays, key)
+            yield key, arrays
             advance(done)
-        kept.require_unchanged()
 
 
 class MapViews:
@@ -261,14 +254,10 @@ class MapViews:
 
     Args:
         source: the map, its photographs and the network.
-
-    Attributes:
-        metres_per_pixel: the resolution of the map, NaN if not known.
     """
 
     def __init__(self, source: ReferenceSource) -> None:
         self._source = source
-        self.metres_per_pixel = of_map(source.sparse_map, source.extract.largest_scale)
 
     def __call__(self, image: MapImage) -> tuple[WarpedImage, list[FeatureMap]]:
         """Return a photograph as it is seen, and its feature maps.
@@ -276,25 +265,20 @@ class MapViews:
         Raises:
             InputError: the photograph is missing, broken or not of its camera's size.
         """
-        rgb = read_rgb(self._source.images / image.name, image.camera)
+        rgb = read_rgb(self._source.kept.images / image.name, image.camera)
         return self._source.extract(rgb, image.camera, *self._turned_and_scaled(image))
 
-    def key(self, image: MapImage, sha256: str) -> str:
-        """Return a digest of all that the feature maps of a photograph are made of.
-
-        Args:
-            image: the photograph.
-            sha256: digest of its bytes.
-        """
-        how = self._turned_and_scaled(image)
-        return key_of(sha256, image.camera, *how, self._source.extractor_key)
+    def key(self, image: MapImage) -> str:
+        """Return a digest of all that the feature maps of a photograph are made of."""
+        source, how = self._source, self._turned_and_scaled(image)
+        return digest_of(source.kept.digests[image.name], image.camera, *how, source.extractor_key)
 
     def _turned_and_scaled(self, image: MapImage) -> tuple[float, float]:
         """Return by how much a photograph is turned (rad) and resized."""
         source = self._source
-        own = metres_per_pixel(image.pose, image.camera, observed(image, source.sparse_map))
+        own = metres_per_pixel(image.pose, image.camera, observed(image, source.kept.sparse_map))
         largest = source.extract.largest_scale(image.camera)
-        scale = scale_to(self.metres_per_pixel, own, largest, source.options.same_resolution)
+        scale = scale_to(source.metres_per_pixel, own, largest, source.options.same_resolution)
         return north_angle(image.cam_from_world[:3, :3]), scale
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.localization.cache.earlier import Earlier, kept_files, key_of
+from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.store import Arrays, Rows, Store
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import north_angle, warp_image
-from objconnect.scene.localizer import MapPart
 from objconnect.scene.maps.features import (
     FeatureFile,
     Features,
-    feature_writer,
     features_key,
     unit_descriptors,
 )
 from objconnect.scene.maps.matching import match
-from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.digests import digests, require_unchanged
-from objconnect.scene.storage.images import check_photographs, read_rgb
-from objconnect.scene.storage.scratch import scratch
+from objconnect.scene.storage.digests import digest_of
+from objconnect.scene.storage.images import read_rgb
 
 # Photographs whose features are in memory at once while they are extracted.
 _TOGETHER = 64
+_ARRAYS = ("xy", "scale", "descriptors")
 
 
 class Extractor(ABC):
@@ -52,6 +50,11 @@ class Extractor(ABC):
     options: str
     weights_sha256: str | None = None
     turned: bool = True
+
+    @property
+    def made_by(self) -> tuple[object, ...]:
+        """Return all of this object that decides the features of a photograph."""
+        return self.options, self.weights_sha256, self.turned
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -107,130 +110,105 @@ class Extractor(ABC):
         return match(a, b, ratio)
 
 
-def map_features(
-    sparse_map: SparseMap,
-    images: Path,
-    extractor: Extractor,
-    cache: Path | None,
-    part: MapPart | None = None,
-) -> FeatureFile:
-    """Return features of the map's photographs, extracted unless the cache holds them.
+class KeptFeatures(Mapping[str, Features]):
+    """Features of photographs in a file of the cache, each read when it is asked for.
+
+    Threads may share it.
 
     Args:
-        sparse_map: the map.
-        images: folder of the photographs.
-        extractor: extractor of the features.
-        cache: folder of files named by a digest of photographs and extractor; None takes a
-            temporary file that is removed with the result.
-        part: photographs whose features are enough, where the cache does not hold all; None for
-            all.
+        store: the file.
+        keys: of the rows, by the names of photographs.
+    """
+
+    def __init__(self, store: Store, keys: Mapping[str, str]) -> None:
+        self._store, self._keys = store, keys
+
+    def __getitem__(self, name: str) -> Features:
+        return Features(**self._store.arrays(self._store.row(self._keys[name]), _ARRAYS))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+
+def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]:
+    """Return features of the map's photographs, extracted unless map or cache holds them.
+
+    Of a part, they are those of its photographs at least.
 
     Raises:
-        InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
+        InputError: a photograph is damaged or changed meanwhile, or a file of the cache is damaged.
     """
-    if cache is None:
-        with scratch() as folder:
-            return map_features(sparse_map, images, extractor, folder, part)
-    check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    names = sparse_map.names
-    files = [images / name for name in names]
-    photographs = digests(files)
-    key, own = _keys(sparse_map, extractor, photographs)
-    if (kept := _kept_with_map(sparse_map, key)) is not None:
-        return kept
-    path = cache / f"{extractor.name}-{key[:16]}.h5"
-    if path.is_file():
-        return FeatureFile(path)
-    wanted: Sequence[str] = names
-    if part is not None:
-        wanted = part.names
-        path = part.folder / f"{extractor.name}-{key_of(key, *wanted)[:16]}.h5"
-    earlier = Earlier(FeatureFile, FeatureFile.by_key, kept_files(cache, extractor.name))
-    bar = progress_bar(f"{extractor.name} map features", len(wanted))
-    with bar as advance, feature_writer(path, key if part is None else "") as add:
-        left = []
-        for name in wanted:
-            if (item := earlier.read(own[name], FeatureFile.__getitem__)) is None:
-                left.append(name)
-            else:
-                add(name, item, own[name])
+    if (built_from := _kept_with_map(kept, extractor)) is not None:
+        return built_from
+    if kept.holds(extractor.name, *extractor.made_by):
+        kept = kept.whole
+    keys = {name: _key(kept, extractor, name) for name in kept.names}
 
-        def advanced(done: int) -> None:
-            advance(len(wanted) - len(left) + done)
+    def rows(earlier: Earlier) -> Rows:
+        names, together = kept.names, _TOGETHER if extractor.turned else 1
+        with progress_bar(f"{extractor.name} map features", len(names)) as advance:
+            for first in range(0, len(names), together):
+                some = names[first : first + together]
+                found: dict[str, Arrays] = {
+                    name: known
+                    for name in some
+                    if (known := earlier(keys[name], _ARRAYS)) is not None
+                }
+                left = [name for name in some if name not in found]
+                if left:
 
-        for name, item in _extracted(extractor, images, sparse_map, left, cache, advanced):
-            add(name, item, own[name])
-        require_unchanged(files, photographs)
-    return FeatureFile(path)
+                    def advanced(done: int, before: int = first + len(found)) -> None:
+                        advance(before + done)
+
+                    found |= _extracted(extractor, kept, left, advanced)
+                yield from ((keys[name], found[name]) for name in some)
+                advance(first + len(some))
+
+    return KeptFeatures(kept.store(extractor.name, *extractor.made_by, rows=rows), keys)
 
 
-def _keys(
-    sparse_map: SparseMap, extractor: Extractor, photographs: Sequence[str]
-) -> tuple[str, dict[str, str]]:
-    """Return digests of all that features depend on: of all photographs, and of each by name.
-
-    Args:
-        sparse_map: the map of the photographs.
-        extractor: extractor of the features.
-        photographs: digests of their bytes, in the order of ``SparseMap.names``.
-    """
-    made_by = (extractor.options, extractor.weights_sha256)
-    named = list(zip(sparse_map.names, photographs, strict=True))
-    # How photographs are seen: those of a turned extractor, as they are.
-    angles: dict[str, float] = {}
-    cameras: dict[str, str] = {}
+def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
+    """Return a digest of all that the features of a photograph depend on."""
+    image = kept.sparse_map.images[name]
+    seen: tuple[object, ...] = ()
     if not extractor.turned:
-        for name in sparse_map.names:
-            image = sparse_map.images[name]
-            angles[name] = north_angle(image.cam_from_world[:3, :3])
-            cameras[name] = str(image.camera)
-    own = {
-        name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
-        for name, sha256 in named
-    }
-    return features_key(named, *made_by, angles, list(cameras.values())), own
+        seen = north_angle(image.cam_from_world[:3, :3]), image.camera
+    return digest_of(*extractor.made_by, kept.digests[name], *seen)
 
 
 def _extracted(
-    extractor: Extractor,
-    images: Path,
-    sparse_map: SparseMap,
-    names: Sequence[str],
-    cache: Path,
-    on_progress: Callable[[int], None],
-) -> Iterator[tuple[str, Features]]:
-    """Extract features of photographs, few of which are in memory at once.
+    extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
+) -> dict[str, Arrays]:
+    """Extract features of photographs, all of which are in memory at once.
 
     Args:
         extractor: extractor of the features.
-        images: folder of the photographs.
-        sparse_map: the map of the photographs.
-        names: of the photographs whose features are wanted.
-        cache: folder for temporary files.
+        kept: the cache, whose folder takes temporary files.
+        names: of the photographs.
         on_progress: receives the number of finished photographs.
     """
-    for first in range(0, len(names), _TOGETHER if extractor.turned else 1):
-        if extractor.turned:
-            some = names[first : first + _TOGETHER]
-
-            def advanced(done: int, before: int = first) -> None:
-                on_progress(before + done)
-
-            yield from extractor.of_photographs(images, some, advanced, cache).items()
-            continue
-        image = sparse_map.images[names[first]]
-        rgb = read_rgb(images / image.name, image.camera)
+    if extractor.turned:
+        found = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
+        return {name: vars(features) for name, features in found.items()}
+    extracted: dict[str, Arrays] = {}
+    for name in names:
+        image = kept.sparse_map.images[name]
+        rgb = read_rgb(kept.images / name, image.camera)
         angle = north_angle(image.cam_from_world[:3, :3])
-        yield image.name, extractor.seen(rgb, image.camera, angle)
-        on_progress(first + 1)
+        extracted[name] = vars(extractor.seen(rgb, image.camera, angle))
+    return extracted
 
 
-def _kept_with_map(sparse_map: SparseMap, key: str) -> FeatureFile | None:
-    """Return the features that a map was built from, where they are those of a key."""
-    if sparse_map.features is None:
+def _kept_with_map(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
+    """Return the features that a map was built from, where an extractor would find the same."""
+    path = kept.sparse_map.features
+    if path is None or extractor.weights_sha256 is not None or not extractor.turned:
         return None
     try:
-        kept = FeatureFile(sparse_map.features)
+        found = FeatureFile(path)
     except InputError:  # without them, they are extracted
         return None
-    return kept if kept.made_of == key else None
+    return found if found.made_of == features_key(kept.digests, extractor.options) else None

@@ -5,7 +5,7 @@ All local features use this pipeline. A method consists of an extractor and a co
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache as cached
 from pathlib import Path
@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from objconnect.localization.cache.array_store import ArrayStore, written_store
+from objconnect.localization.cache.map_cache import MapCache, opened
+from objconnect.localization.cache.store import Rows
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import (
     LiftingOptions,
@@ -36,14 +37,14 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import north_angle
 from objconnect.scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
-from objconnect.scene.maps.features import FeatureFile, Features
+from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import LruCache, room
-from objconnect.scene.storage.scratch import scratch
 
-# Version in the key of the cache of a map. Another number rebuilds the cache.
-_FORMAT = 1
+# Version of what the cache holds of a map. Another number rebuilds the cache.
+_FORMAT = 2
+_ARRAYS = ("points", "xyz", "descriptors")
 
 
 class NoKeypointOnPointError(InputError):
@@ -116,24 +117,25 @@ class StructureLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and associate them with its points."""
-        if cache is None:
-            with scratch() as folder:  # files in it stay open
-                self.prepare(sparse_map, images, folder)
-            return
-        features = map_features(sparse_map, images, self._extractor, cache)
-        name = f"{self.name}-{features.made_of[:16]}.h5" if features.made_of else features.path.name
-        key = f"{_FORMAT} {name} {sparse_map.sha256} {self._interpolate} "
-        key += self.config.lifting.model_dump_json()
-        path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
-        if not path.is_file():
-            self._write_lifted(path, sparse_map, features, images)
+        with opened(sparse_map, images, cache) as kept:
+            self.prepare_from(kept)
+
+    def prepare_from(self, kept: MapCache) -> None:
+        """Do what ``prepare`` does, with the cache of a map."""
+        sparse_map, unit = kept.sparse_map, self._extractor.unit
+        features = map_features(kept, self._extractor)
+        store = kept.store(
+            f"{self.name}-points",
+            _FORMAT,
+            *self._extractor.made_by,
+            self._interpolate,
+            self.config.lifting.model_dump_json(),
+            rows=lambda _: self._lift(kept, features),
+        )
         self._map = sparse_map
-        store, unit = ArrayStore(path), self._extractor.unit
 
         def lifted(row: int) -> _Lifted:
-            return _Lifted(
-                store.read(row, "point"), store.read(row, "xyz"), store.read(row, "descriptors")
-            )
+            return _Lifted(**store.arrays(row, _ARRAYS))
 
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
@@ -146,37 +148,33 @@ class StructureLocalizer:
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``PreparesParts``."""
-        map_features(sparse_map, images, self._extractor, cache, part)
+        map_features(MapCache.of(sparse_map, images, cache, part), self._extractor)
 
-    def _write_lifted(
-        self, path: Path, sparse_map: SparseMap, features: FeatureFile, images: Path
-    ) -> None:
-        """Keep the keypoints that have a 3D point: only these can vote for a pose.
+    def _lift(self, kept: MapCache, features: Mapping[str, Features]) -> Rows:
+        """Yield the keypoints that have a 3D point: only these can vote for a pose.
 
         Points are those of the map, or one for each keypoint.
         """
-        options = self.config.lifting
+        options, sparse_map = self.config.lifting, kept.sparse_map
         end, carried = len(sparse_map.xyz), 0
-        with written_store(path) as add:
-            for name in sparse_map.names:
-                image, keypoints = sparse_map.images[name], features[name]
-                if self._interpolate:
-                    xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz, options)
-                    kept = np.flatnonzero(np.isfinite(xyz).all(1))
-                    points, xyz = np.arange(end, end + len(kept)), xyz[kept]
-                    end += len(kept)
-                else:
-                    rows = observed_points(keypoints.xy, image, options)
-                    kept = np.flatnonzero(rows >= 0)
-                    points, xyz = rows[kept], sparse_map.xyz[rows[kept]]
-                carried += len(kept)
-                descriptors = keypoints.descriptors[kept]
-                add({"point": points, "xyz": xyz, "descriptors": descriptors})
-            if not carried and _is_observed(sparse_map):
-                raise NoKeypointOnPointError(
-                    f"no keypoint of the photographs in {images} lies where the map has a point: "
-                    "they are not the photographs the map was built from, or were resized since"
-                )
+        for name in sparse_map.names:
+            image, keypoints = sparse_map.images[name], features[name]
+            if self._interpolate:
+                xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz, options)
+                lifted = np.flatnonzero(np.isfinite(xyz).all(1))
+                points, xyz = np.arange(end, end + len(lifted)), xyz[lifted]
+                end += len(lifted)
+            else:
+                rows = observed_points(keypoints.xy, image, options)
+                lifted = np.flatnonzero(rows >= 0)
+                points, xyz = rows[lifted], sparse_map.xyz[rows[lifted]]
+            carried += len(lifted)
+            yield "", vars(_Lifted(points, xyz, keypoints.descriptors[lifted]))
+        if not carried and _is_observed(sparse_map):
+            raise NoKeypointOnPointError(
+                f"no keypoint of the photographs in {kept.images} lies where the map has a point: "
+                "they are not the photographs the map was built from, or were resized since"
+            )
 
     def localize(self, query: Query) -> Estimate:
         """Extract features, choose references, match, lift and solve for the pose.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,11 +26,12 @@ from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status, prepare_first
+from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import Named, PoseNumbers
 from objconnect.scene.storage.atomic import atomic_write, write_text
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digest_of, digests_in
 from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.outputs import OutputFile, check_outputs, check_outside
 from objconnect.scene.storage.scratch import cache_or_scratch
@@ -117,6 +117,13 @@ def localize_video(
     return job.run(source, geography)
 
 
+def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> str:
+    """Return the digest of a map, its photographs in a folder, a method and its environment."""
+    method = Method.of(localizer).model_dump_json()
+    photographs = digests_in(images, sparse_map.names, "missing")
+    return digest_of(method, sparse_map.sha256, photographs, Environment.current())
+
+
 @dataclass(frozen=True)
 class _Job:
     """What is localized how, and where its answers go; ``sequence`` is None outside of one."""
@@ -173,12 +180,8 @@ class _Job:
 
     def _key(self) -> str:
         """Return the digest of everything but the images that decides the answers."""
-        words = [Method.of(self.localizer).model_dump_json(), self.place.sparse_map.sha256]
-        names = (self.place.images / name for name in self.place.sparse_map.names)
-        words += digests(names, "missing")
-        words.append(Environment.current().model_dump_json())
-        words.append("" if self.sequence is None else self.sequence.model_dump_json())
-        return _digest(*words)
+        known = journal_key(self.place.sparse_map, self.place.images, self.localizer)
+        return digest_of(known, "" if self.sequence is None else self.sequence.model_dump_json())
 
     def _located(self, image: QueryImage, estimate: Estimate) -> Located:
         """Return the answer to an image with what is known of it."""
@@ -249,7 +252,7 @@ class _Answering:
         self._prepare()
         # What is found in a sequence depends on all images before.
         before = "" if self._tracker is None else self._asked
-        self._asked = _digest(before, image.seconds, *_words(image))
+        self._asked = digest_of(before, image.seconds, *_words(image))
         estimate = self._estimate(image)
         if self._tracker is not None and image.seconds is not None:
             self._tracker.take(estimate, image.seconds)
@@ -335,12 +338,8 @@ def _words(image: QueryImage) -> Iterator[object]:
     yield image.name
     if image.query is None:
         return
-    yield hashlib.sha256(image.query.image.tobytes()).hexdigest()
+    yield image.query.image
     yield image.query.camera
     if image.query.prior is not None:
         for value in vars(image.query.prior).values():
             yield None if value is None else np.asarray(value).tolist()
-
-
-def _digest(*words: object) -> str:
-    return hashlib.sha256("\n".join(map(str, words)).encode("utf-8", "surrogatepass")).hexdigest()

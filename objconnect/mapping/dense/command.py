@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import shutil
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,7 +46,7 @@ from objconnect.scene.storage.atomic import (
     link_or_copy,
     replace_folder,
 )
-from objconnect.scene.storage.digests import digests, require_unchanged
+from objconnect.scene.storage.digests import digest_of, digests, require_unchanged
 from objconnect.scene.storage.files import read_text, require_disk_space
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.locks import write_lock
@@ -148,7 +147,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
         )  # fmt: skip
     files = [scene.images_root / name for name in sparse_map.names]
     photographs = digests(files)
-    key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": asked.size,
+    key = {"map": sparse_map.sha256, "photographs": digest_of(*photographs), "size": asked.size,
            "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
            "options": options.model_dump(mode="json")}  # fmt: skip
     workspace = _open_workspace(scene, key)
@@ -183,11 +182,6 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     result = report(scene, len(pinhole_map.names), fused, truth)
     _finish(scene, workspace)
     return result
-
-
-def _one(several: Sequence[str]) -> str:
-    """Digest of digests."""
-    return hashlib.sha256(" ".join(several).encode()).hexdigest()
 
 
 def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:

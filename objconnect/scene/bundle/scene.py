@@ -29,7 +29,7 @@ from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, added
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.files import require_readable
 from objconnect.scene.storage.hdf5 import array, attribute, group, groups, set_text
 from objconnect.scene.storage.hdf5_writing import hdf5_file
@@ -72,58 +71,14 @@ def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
     return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
 
 
-def features_key(photographs: Sequence[tuple[str, str]], options: str, *others: object) -> str:
+def features_key(photographs: Mapping[str, str], options: str) -> str:
     """Return a digest of all that features depend on.
 
     Args:
-        photographs: names and digests, in the order of the names.
+        photographs: digests of their bytes by name.
         options: of the extractor, as text.
-        others: digest of its weights, views of the photographs.
     """
-    weights, *views = others or (None,)
-    parts = f"{list(photographs)} {options} {weights} {''.join(str(view or '') for view in views)}"
-    return hashlib.sha256(parts.encode()).hexdigest()
-
-
-class AddFeatures(Protocol):
-    """Adds the features of an image to a file."""
-
-    def __call__(self, name: str, item: Features, made_of: str = "") -> None:
-        """Add the features of the image of a name; ``made_of`` is its own ``features_key``."""
-        ...
-
-
-@contextmanager
-def feature_writer(path: Path, made_of: str = "") -> Iterator[AddFeatures]:
-    """Write a feature file atomically, one image at a time.
-
-    Args:
-        path: of the file.
-        made_of: what ``features_key`` returned; empty where it is not known.
-
-    Yields:
-        A function that adds the features of an image.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    with hdf5_file(path) as file:
-        if made_of:
-            set_text(file, _MADE_OF, made_of)
-
-        def add(name: str, item: Features, made_of: str = "") -> None:
-            # HDF5 would take the slashes of a name for nested groups.
-            if "\\" in name:
-                group = file.create_group(f"\\{len(file)}")
-                set_text(group, _NAME, name)
-            else:
-                group = file.create_group(name.replace("/", "\\"))
-            group["xy"], group["scale"] = item.xy, item.scale
-            group["descriptors"] = item.descriptors
-            if made_of:
-                set_text(group, _MADE_OF, made_of)
-
-        yield add
+    return sha256(f"{list(photographs.items())} {options} None ")
 
 
 def _image_name(group_name: str, node: h5py.Group) -> str:
@@ -133,14 +88,26 @@ def _image_name(group_name: str, node: h5py.Group) -> str:
 def write_features(path: Path, features: Mapping[str, Features], made_of: str = "") -> None:
     """Write a file with the features of several images, by image name, atomically.
 
-    ``made_of`` is that of ``feature_writer``.
+    Args:
+        path: of the file.
+        features: of the images.
+        made_of: what ``features_key`` returned; empty where it is not known.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    with feature_writer(path, made_of) as add:
+    with hdf5_file(path) as file:
+        if made_of:
+            set_text(file, _MADE_OF, made_of)
         for name, item in features.items():
-            add(name, item)
+            # HDF5 would take the slashes of a name for nested groups.
+            if "\\" in name:
+                group = file.create_group(f"\\{len(file)}")
+                set_text(group, _NAME, name)
+            else:
+                group = file.create_group(name.replace("/", "\\"))
+            group["xy"], group["scale"] = item.xy, item.scale
+            group["descriptors"] = item.descriptors
 
 
 class FeatureFile(Mapping[str, Features]):
@@ -179,15 +146,6 @@ class FeatureFile(Mapping[str, Features]):
         try:
             node = group(self._file, key)
             return Features(*(array(node, part) for part in ("xy", "scale", "descriptors")))
-        except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
-
-    def by_key(self) -> dict[str, str]:
-        """Return the names of the images of which is known what their features depend on, by the
-        ``features_key`` of each."""
-        try:
-            nodes = ((name, group(self._file, key)) for name, key in self._groups.items())
-            return {str(attribute(n, _MADE_OF)): name for name, n in nodes if _MADE_OF in n.attrs}
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 

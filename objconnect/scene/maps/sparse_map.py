@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.storage.digests import sha256
 
 if TYPE_CHECKING:
     from objconnect.scene.geometry.pose import Pose
@@ -135,15 +135,12 @@ class SparseMap:
 
         Colours and reprojection errors are not part of it.
         """
-        digest = hashlib.sha256()
+        pieces: list[str | NDArray[Any]] = []
         for name in self.names:
             image = self.images[name]
-            digest.update(json.dumps([name, str(image.camera), len(image.xy)]).encode())
-            for array in (image.cam_from_world, image.xy, image.point_rows):
-                digest.update(np.ascontiguousarray(array).tobytes())
-        for array in (self.xyz, self.track_length):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+            pieces.append(json.dumps([name, str(image.camera), len(image.xy)]))
+            pieces += [image.cam_from_world, image.xy, image.point_rows]
+        return sha256(*pieces, self.xyz, self.track_length)
 
     def reprojection_error(self) -> float:
         """Return the mean distance (px) between keypoints and projected points; NaN without any."""

@@ -57,8 +57,12 @@ def require_regular(path: Path) -> None:
 
 
 @contextmanager
-def atomic_write(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path that becomes ``path`` if the block succeeds.
+
+    Args:
+        path: of the file.
+        beside: folder of the temporary path, on the same disk; None for that of the file.
 
     Raises:
         WriteError: the folder cannot be written, the disk is full, or ``path`` is something other
@@ -77,7 +81,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         require_regular(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=path.parent
+            prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=beside or path.parent
         )
         os.close(handle)
         partial = Path(name)

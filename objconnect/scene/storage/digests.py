@@ -1,8 +1,8 @@
-"""Digests of files, cached from one run to the next.
+"""Digests, all of them SHA-256 in hex: of values, and of files, cached from one run to the next.
 
-A digest is computed from the bytes on disk, never taken from a list. A file is not read again as
-long as it is the file that was read: same device, inode and size, and same times of its last
-change, to the nanosecond. The times are only compared for equality, with one exception: a file
+That of a file is computed from the bytes on disk, never taken from a list. A file is not read
+again as long as it is the file that was read: same device, inode and size, and same times of its
+last change, to the nanosecond. The times are only compared for equality, with one exception: a file
 system counts time in ticks, and a file that changes twice within one keeps its times. Therefore no
 digest is cached of a file that had changed just before it was read.
 
@@ -22,11 +22,15 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.files import require_readable
 
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 """The environment variable that names the folder of the cache."""
@@ -45,6 +49,52 @@ _State = list[int]
 """Device, inode, size, and the times of the last change of content and of status (ns)."""
 # The place of the size in a state.
 _SIZE: Final = 2
+
+
+def sha256(*pieces: str | bytes | NDArray[Any]) -> str:
+    """Return the digest of pieces that follow one another: bytes, text, arrays row by row.
+
+    It is that of records: of maps, data sets, manifests and reports.
+
+    Example:
+        >>> sha256("ab", "c") == sha256(b"abc")
+        True
+    """
+    found = hashlib.sha256()
+    for piece in pieces:
+        found.update(_bytes(piece))
+    return found.hexdigest()
+
+
+def digest_of(*parts: object) -> str:
+    """Return a digest of all that something was made of: of the bytes of arrays, else of text.
+
+    It is that of caches and journals. Each part begins with its length.
+
+    Example:
+        >>> digest_of("ab", "c") == digest_of("a", "bc")
+        False
+    """
+    found = [_bytes(part) for part in parts]
+    return sha256(*(each for data in found for each in (f"{len(data)} ", data)))
+
+
+def _bytes(part: object) -> bytes:
+    if isinstance(part, np.ndarray):
+        return part.tobytes()
+    return part if isinstance(part, bytes) else str(part).encode(errors="surrogatepass")
+
+
+def sha256_of(path: Path) -> str:
+    """Return the digest of a file's bytes, which are read whatever is known of the file.
+
+    Raises:
+        InputError: the path is not a regular file, see ``require_readable``.
+        OSError: the file cannot be read.
+    """
+    require_readable(path, "file")
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def digest(path: Path) -> str:
@@ -77,22 +127,28 @@ def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
         known.append(missing if state is None else entries[folder].get(name, state))
         if state is not None and known[-1] is None:
             size += state[_SIZE]
-    unread = [k for k, sha256 in enumerate(known) if sha256 is None]
+    unread = [k for k, found in enumerate(known) if found is None]
     if unread:
         bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_say_nothing)
         with bar as advance, ThreadPoolExecutor(_THREADS) as pool:
             read = pool.map(_read, [files[k] for k in unread])
-            for done, (k, (state, sha256)) in enumerate(zip(unread, read, strict=True), 1):
-                known[k] = sha256
+            for done, (k, (state, found)) in enumerate(zip(unread, read, strict=True), 1):
+                known[k] = found
                 if state is not None:
                     folder, name = places[k]
-                    entries[folder].put(name, state, sha256)
+                    entries[folder].put(name, state, found)
                 advance(done)
         for entry in entries.values():
             entry.write()
         if cache is not None:
             _bound(cache)
-    return [sha256 for sha256 in known if sha256 is not None]
+    return [found for found in known if found is not None]
+
+
+def digests_in(folder: Path, names: Iterable[str], missing: str | None = None) -> dict[str, str]:
+    """Return the digests of files in a folder by name; see ``digests``."""
+    named = list(names)
+    return dict(zip(named, digests((folder / name for name in named), missing), strict=True))
 
 
 def require_unchanged(paths: Sequence[Path], before: Sequence[str]) -> None:
@@ -115,19 +171,19 @@ class _Entries:
 
     def __init__(self, cache: Path | None, folder: Path) -> None:
         self._folder = folder
-        name = hashlib.sha256(os.fsencode(folder.absolute())).hexdigest()
+        name = sha256(os.fsencode(folder.absolute()))
         self._path = None if cache is None else cache / (name + _ENDING)
         self._known = self._load()
         self._new = False
 
     def get(self, name: str, state: _State) -> str | None:
         """Return the digest of a file that is still in the state it was read in, else None."""
-        was, sha256 = self._known.get(name, (None, None))
-        return sha256 if was == state else None
+        was, found = self._known.get(name, (None, None))
+        return found if was == state else None
 
-    def put(self, name: str, state: _State, sha256: str) -> None:
+    def put(self, name: str, state: _State, found: str) -> None:
         """Add a digest."""
-        self._known[name] = state, sha256
+        self._known[name] = state, found
         self._new = True
 
     def write(self) -> None:
@@ -135,8 +191,8 @@ class _Entries:
         if self._path is None or not self._new:
             return
         current = {
-            name: (state, sha256)
-            for name, (state, sha256) in (self._load() | self._known).items()
+            name: (state, found)
+            for name, (state, found) in (self._load() | self._known).items()
             if _has_state(self._folder / name, state)
         }
         text = json.dumps(current)
@@ -156,7 +212,7 @@ class _Entries:
             return {}
         if header != _header(text):
             return {}
-        return {name: (state, sha256) for name, (state, sha256) in json.loads(text).items()}
+        return {name: (state, found) for name, (state, found) in json.loads(text).items()}
 
 
 def _say_nothing(done: int) -> None:
@@ -189,7 +245,7 @@ def _bound(cache: Path) -> None:
 
 def _header(text: str) -> str:
     """Return the first line of a file of digests: a check sum of the rest."""
-    return f"{_FORMAT} {hashlib.sha256(text.encode('ascii')).hexdigest()}"
+    return f"{_FORMAT} {sha256(text)}"
 
 
 def _state(status: os.stat_result) -> _State:
@@ -229,14 +285,14 @@ def _read(path: Path) -> tuple[_State | None, str]:
     try:
         with path.open("rb") as stream:
             before = os.fstat(stream.fileno())
-            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+            found = hashlib.file_digest(stream, "sha256").hexdigest()
             after = os.fstat(stream.fileno())
     except OSError as error:
         raise _unreadable(path, error) from None
     # On Windows st_ctime is the time at which the file was made.
     changed = before.st_mtime_ns if os.name == "nt" else before.st_ctime_ns
     reliable = _state(before) == _state(after) and changed + _TICK_NS < began
-    return (_state(before) if reliable else None), sha256
+    return (_state(before) if reliable else None), found
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

@@ -1,9 +1,8 @@
-"""Checked reads: what may be opened, text, JSON, digests and names of files."""
+"""Checked reads: what may be opened, text, JSON and names of files."""
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -86,18 +85,6 @@ def parse_json(text: str) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hex.
-
-    Raises:
-        InputError: the path is not a regular file, see ``require_readable``.
-        OSError: the file cannot be read.
-    """
-    require_readable(path, "file")
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def is_safe_path(name: str) -> bool:

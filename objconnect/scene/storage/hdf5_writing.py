@@ -23,13 +23,15 @@ from objconnect.scene.storage.atomic import atomic_write
 
 
 @contextmanager
-def hdf5_file(path: Path) -> Iterator[h5py.File]:
+def hdf5_file(path: Path, beside: Path | None = None) -> Iterator[h5py.File]:
     """Write an HDF5 file that is whole or absent.
+
+    The arguments are those of ``atomic_write``.
 
     Raises:
         WriteError: as for ``atomic_write``; the disk is full.
     """
-    with atomic_write(path) as partial, open_hdf5(partial, called=path) as file:
+    with atomic_write(path, beside) as partial, open_hdf5(partial, called=path) as file:
         yield file
 
 

@@ -14,7 +14,7 @@ from benchmark.auditing.findings import Audit
 from benchmark.auditing.matches import Pair, match_photographs
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from tests.benchmark.auditing.foreign import colmap, halved, nerfstudio, odm, table, tum
 
 Plant = Callable[[Scene, Path], Path]

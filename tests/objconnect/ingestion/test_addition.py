@@ -19,6 +19,7 @@ from objconnect.ingestion.command import ingest
 from objconnect.ingestion.neighbours import alike
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.report import IngestReport
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.bundle.georeference import EXACT
@@ -107,8 +108,8 @@ def test_features_of_the_map_are_those_that_localizers_would_extract(
     for path in (old, tmp_path / "both"):
         scene = Scene.open(path)
         sift, sparse_map = Sift(SiftOptions().max_features), scene.sparse_map()
-        kept = map_features(sparse_map, scene.images_root, sift, tmp_path / "cache")
-        assert kept.path == sparse_map.features
+        kept = map_features(MapCache.of(sparse_map, scene.images_root, tmp_path / "cache"), sift)
+        assert isinstance(kept, FeatureFile) and kept.path == sparse_map.features
         name = sparse_map.names[-1]
         fresh = sift.of_photographs(scene.images_root, [name], lambda _: None)[name]
         np.testing.assert_array_equal(kept[name].xy, fresh.xy)

@@ -19,7 +19,7 @@ from objconnect.mapping.class_coverage import class_coverage
 from objconnect.scene.bundle.scene import FEATURES, Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.features import read_features
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.locks import write_lock
 
 

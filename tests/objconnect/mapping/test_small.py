@@ -24,7 +24,7 @@ from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import read_rgb
 
 

@@ -19,7 +19,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import read_features
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from tests.objconnect.network.oracle import detections
 
 CONFIG = SupplementConfig()

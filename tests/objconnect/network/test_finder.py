@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
+from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.cache.store import Store
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
@@ -61,27 +63,32 @@ def finder() -> ObjectPlaceFinder:
 
 
 def source_of(
-    finder: ObjectPlaceFinder, sparse_map: SparseMap, scene: Scene, key: str = "a key"
+    finder: ObjectPlaceFinder, sparse_map: SparseMap, scene: Scene, cache: Path, key: str = "a key"
 ) -> ReferenceSource:
-    extract = finder._find._extract
-    return ReferenceSource(sparse_map, scene.images_root, extract, key, "objconnect", 64)
+    kept = MapCache.of(sparse_map, scene.images_root, cache)
+    return ReferenceSource(kept, finder._find._extract, key, "objconnect", 64)
+
+
+def landmarks_in(path: Path) -> Landmarks:
+    """Return the objects that a file of the cache holds."""
+    return Store(path).made(0, Landmarks.ARRAYS, Landmarks.of)
 
 
 def test_objects_are_found_in_the_feature_maps_of_references(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The network sees every photograph once, and finds the objects that it would find alone."""
-    source = source_of(finder, rendered.sparse_map(), rendered)
     alone, beside = tmp_path / "alone", tmp_path / "beside"
-    finder.prepare(source, alone)
-    references(source, beside, 64, finder.watcher(source, beside))
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, alone))
+    source = source_of(finder, rendered.sparse_map(), rendered, beside)
+    references(source, 64, finder.watcher(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
-        finder.prepare(source, beside)
-    assert finder.watcher(source, beside) is None
+        finder.prepare(source)
+    assert finder.watcher(source) is None
     (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
     assert one.name == other.name
-    found, again = Landmarks.read(one), Landmarks.read(other)
+    found, again = landmarks_in(one), landmarks_in(other)
     np.testing.assert_array_equal(found.xyz, again.xyz)
     np.testing.assert_array_equal(found.vectors, again.vectors)
 
@@ -90,17 +97,17 @@ def test_the_map_is_looked_at_once(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sparse_map = rendered.sparse_map()
-    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
+    finder.prepare(source_of(finder, sparse_map, rendered, tmp_path))
     (kept,) = tmp_path.glob("objects-*.h5")
-    assert len(Landmarks.read(kept)) >= 10
+    assert len(landmarks_in(kept)) >= 10
 
     def again(*_: object) -> None:
         raise AssertionError("looked at twice")
 
     monkeypatch.setattr(MapExtractor, "__call__", again)
-    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
+    finder.prepare(source_of(finder, sparse_map, rendered, tmp_path))
     with pytest.raises(AssertionError, match="twice"):
-        finder.prepare(source_of(finder, sparse_map, rendered, "another network"), tmp_path)
+        finder.prepare(source_of(finder, sparse_map, rendered, tmp_path, "another network"))
 
 
 def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
@@ -109,8 +116,8 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
     whole = rendered.sparse_map()
     fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
     grown, alone = tmp_path / "grown", tmp_path / "alone"
-    finder.prepare(source_of(finder, fewer, rendered), grown)
-    finder.prepare(source_of(finder, whole, rendered), alone)
+    finder.prepare(source_of(finder, fewer, rendered, grown))
+    finder.prepare(source_of(finder, whole, rendered, alone))
     asked: list[int] = []
     found = MapExtractor.__call__
 
@@ -119,13 +126,13 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
         return found(of, *args)
 
     monkeypatch.setattr(MapExtractor, "__call__", counted)
-    source = source_of(finder, whole, rendered)
-    references(source, grown, 64, finder.watcher(source, grown))
+    source = source_of(finder, whole, rendered, grown)
+    references(source, 64, finder.watcher(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
-    finder.prepare(source, grown)
+    finder.prepare(source)
     assert len(asked) == len(whole.names)
     (one,) = alone.glob("objects-*.h5")
-    kept, fresh = Landmarks.read(grown / one.name), Landmarks.read(one)
+    kept, fresh = landmarks_in(grown / one.name), landmarks_in(one)
     np.testing.assert_array_equal(kept.xyz, fresh.xyz)
     np.testing.assert_array_equal(kept.vectors, fresh.vectors)
 
@@ -141,8 +148,8 @@ def test_a_map_seen_along_the_ground_has_no_objects(
         for name, image in sparse_map.images.items()
     }
     flat = replace(sparse_map, images=images)
-    finder.prepare(source_of(finder, flat, rendered), tmp_path)
-    assert len(Landmarks.read(next(tmp_path.glob("objects-*.h5")))) == 0
+    finder.prepare(source_of(finder, flat, rendered, tmp_path))
+    assert len(landmarks_in(next(tmp_path.glob("objects-*.h5")))) == 0
     camera = flat.images[flat.names[0]].camera
     image = np.zeros((camera.height, camera.width, 3), np.uint8)
     assert finder.find(Query("query", image, camera, None)) == []
@@ -151,8 +158,8 @@ def test_a_map_seen_along_the_ground_has_no_objects(
 def test_landmarks_lie_where_objects_are(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
 ) -> None:
-    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
-    landmarks = Landmarks.read(next(tmp_path.glob("objects-*.h5")))
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, tmp_path))
+    landmarks = landmarks_in(next(tmp_path.glob("objects-*.h5")))
     true = np.array([item.centre for item in rendered.objects.objects])[:, :2]
     found = landmarks.xyz[:, :2].astype(np.float64)
     anywhere = np.random.default_rng(0).uniform(found.min(0), found.max(0), (2000, 2))
@@ -170,7 +177,7 @@ def test_the_place_of_a_query_is_among_those_found(
 ) -> None:
     """In the map's own season, told nothing."""
     (dataset,) = open_datasets(rendered.path)
-    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, tmp_path))
     right = []
     for query in dataset.queries:
         if "summer" in query.name:

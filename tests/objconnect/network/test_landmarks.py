@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,6 @@ from numpy.typing import NDArray
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
 from objconnect.network.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
-from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
@@ -115,13 +112,11 @@ def test_no_objects_are_no_landmarks() -> None:
     assert len(merged([], OPTIONS)[0]) == 0
 
 
-def test_landmarks_are_read_as_they_were_written(tmp_path: Path) -> None:
+def test_landmarks_come_back_from_their_arrays() -> None:
     landmarks = merged(views(*things()), OPTIONS)[0]
-    landmarks.write(tmp_path / "objects.h5")
-    again = Landmarks.read(tmp_path / "objects.h5")
+    again = Landmarks.of(landmarks.arrays())
     np.testing.assert_array_equal(again.xyz, landmarks.xyz)
     np.testing.assert_allclose(again.vectors, landmarks.vectors, atol=1e-3)
     np.testing.assert_array_equal(again.views, landmarks.views)
-    (tmp_path / "objects.h5").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="damaged"):
-        Landmarks.read(tmp_path / "objects.h5")
+    with pytest.raises(ValueError, match="different lengths"):
+        Landmarks.of(landmarks.arrays() | {"xyz": landmarks.xyz[1:]})

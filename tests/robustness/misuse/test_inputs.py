@@ -32,6 +32,7 @@ from benchmark.evaluation.starts import parse_start
 from objconnect.ingestion.photographs import Flight, FlightImage, read_flight
 from objconnect.ingestion.positions import local, with_positions
 from objconnect.learning.checkpoint import load_into, read_weights, write_weights
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.sift import Sift
 from objconnect.mapping.build import build_map
@@ -54,7 +55,8 @@ from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import Features, read_features, write_features
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
-from objconnect.scene.storage.files import read_text, sha256_of
+from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import read_text
 from objconnect.scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import MAP_NAMES, pose_at, write_flight, write_model
@@ -532,10 +534,11 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
     shutil.copy(flight / "images" / "a.jpg", flight / "images" / "x\\y.jpg")
     write_model(tmp_path / "map", {"c.jpg": pose_at(0), "x\\y.jpg": pose_at(1)})
     sparse_map = read_model(tmp_path / "map")
-    features = map_features(sparse_map, flight / "images", Sift(500), tmp_path / "cache")
+    kept = MapCache.of(sparse_map, flight / "images", tmp_path / "cache")
+    features = map_features(kept, Sift(500))
     assert set(features) == {"c.jpg", "x\\y.jpg"}
     assert len(features["x\\y.jpg"].xy)
-    said = refused(lambda: map_features(sparse_map, tmp_path, Sift(500), tmp_path / "cache"))
+    said = refused(lambda: MapCache.of(sparse_map, tmp_path, tmp_path / "cache"))
     assert "c.jpg does not exist" in said
     (flight / "images" / "x\\y.jpg").unlink()
     missing = map_features

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.lifting import LiftingOptions, interpolated_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
@@ -54,7 +55,8 @@ class Vismatch:
         self._matcher = load_matcher(self.config)
         self._map, self._images = sparse_map, images
         self._sift = Sift(RETRIEVAL_FEATURES)
-        features = map_features(sparse_map, images, self._sift, cache)
+        with opened(sparse_map, images, cache) as kept:
+            features = map_features(kept, self._sift)
 
         def described(row: int) -> NDArray[np.float32]:
             return self._sift.unit(features[sparse_map.names[row]].descriptors).numpy()

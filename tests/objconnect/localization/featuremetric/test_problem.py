@@ -12,6 +12,7 @@ from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.problem import Levelling, ProblemBuilder, fit
 from objconnect.localization.featuremetric.references import ReferenceSource, references
@@ -36,9 +37,8 @@ def problems(tmp_path: Path) -> ProblemBuilder:
     extract = MapExtractor(network, 1024, "float32")
     images = tmp_path / "images"
     sparse_map = write_map(images)
-    observations = references(
-        ReferenceSource(sparse_map, images, extract, "key", "pixloc", 2000), tmp_path, 2**20
-    )
+    kept = MapCache.of(sparse_map, images, tmp_path)
+    observations = references(ReferenceSource(kept, extract, "key", "pixloc", 2000), 2**20)
     damping = [factors().detach() for factors in network.damping]
     return ProblemBuilder(extract, observations, sparse_map.centres, damping, Options())
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from objconnect.learning.pixloc_net import read_network
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
@@ -37,7 +38,8 @@ def extract(tmp_path_factory: pytest.TempPathFactory) -> MapExtractor:
 
 
 def read(made: tuple[SparseMap, Path], extract: MapExtractor, cache: Path) -> ReferenceFeatures:
-    return references(ReferenceSource(*made, extract, "key", "method", 100), cache, 2**20)
+    kept = MapCache.of(*made, cache)
+    return references(ReferenceSource(kept, extract, "key", "method", 100), 2**20)
 
 
 def test_beginnings_cover_the_picture() -> None:
@@ -109,10 +111,11 @@ def test_other_inputs_are_other_files(
     read(made, extract, tmp_path)
     sparse_map, images = made
     moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
-    source = ReferenceSource(sparse_map, images, extract, "key", "method", 100)
-    references(replace(source, sparse_map=moved), tmp_path, 2**30)
-    references(replace(source, extractor_key="other"), tmp_path, 2**30)
-    references(replace(source, corners=50), tmp_path, 2**30)
+    kept = MapCache.of(sparse_map, images, tmp_path)
+    source = ReferenceSource(kept, extract, "key", "method", 100)
+    references(replace(source, kept=replace(kept, sparse_map=moved)), 2**30)
+    references(replace(source, extractor_key="other"), 2**30)
+    references(replace(source, corners=50), 2**30)
     # The last has a file of corners beside it.
     assert len(list(tmp_path.iterdir())) == 5
 
@@ -135,10 +138,11 @@ def test_what_an_added_photograph_does_not_change_is_copied(
     corners: int,
 ) -> None:
     whole, images = made
-    source = ReferenceSource(whole, images, extract, "key", "method", 100, corners)
-    before = replace(source, sparse_map=without_the_last(whole))
-    references(before, tmp_path / "cache", 2**30)
-    alone = references(source, tmp_path / "alone", 2**30)
+    kept = MapCache.of(whole, images, tmp_path / "cache")
+    source = ReferenceSource(kept, extract, "key", "method", 100, corners)
+    before = MapCache.of(without_the_last(whole), images, tmp_path / "cache")
+    references(replace(source, kept=before), 2**30)
+    alone = references(replace(source, kept=replace(kept, folder=tmp_path / "alone")), 2**30)
     asked = []
 
     def counted(of: MapExtractor, *args: Any) -> Any:
@@ -147,7 +151,7 @@ def test_what_an_added_photograph_does_not_change_is_copied(
 
     extracted = MapExtractor.__call__
     monkeypatch.setattr(MapExtractor, "__call__", counted)
-    grown = references(source, tmp_path / "cache", 2**30)
+    grown = references(source, 2**30)
     for row in range(len(whole.names)):
         for ours, theirs in zip(grown[row].features, alone[row].features, strict=True):
             np.testing.assert_array_equal(ours, theirs)
@@ -155,7 +159,7 @@ def test_what_an_added_photograph_does_not_change_is_copied(
         np.testing.assert_array_equal(grown[row].confidence, alone[row].confidence)
     # The first photographs share no point with the last.
     assert 1 <= len(asked) < len(whole.names)
-    references(replace(source, extractor_key="other"), tmp_path / "cache", 2**30)
+    references(replace(source, extractor_key="other"), 2**30)
     assert len(asked) >= 2 * len(whole.names) - 4
 
 
@@ -173,8 +177,8 @@ def test_cache_that_leads_elsewhere(
     read(made, extract, tmp_path)
     (path,) = tmp_path.iterdir()
     with h5py.File(path, "r+") as file:
-        file.move("xyz", "other")
-        file["xyz"] = h5py.SoftLink("/other")
+        file.move("arrays/xyz", "other")
+        file["arrays/xyz"] = h5py.SoftLink("/other")
     with pytest.raises(InputError, match="link.*delete it"):
         read(made, extract, tmp_path)[0]
 
@@ -183,6 +187,5 @@ def test_missing_photograph(
     made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        source = ReferenceSource(made[0], tmp_path, extract, "key", "method", 100)
-        references(source, tmp_path, 2**30)
+        read((made[0], tmp_path), extract, tmp_path)
     assert not list(tmp_path.iterdir())

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.scene.maps.features import Features, features_key, write_features
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.storage.digests import digests
+from objconnect.scene.storage.digests import digests_in
 from tests.baselines.pixloc.made_map import write_map
 
 
@@ -39,15 +40,14 @@ def made(tmp_path: Path) -> tuple[SparseMap, Path]:
     """Return a map with the features that it was built from, and the folder of its photographs."""
     images = tmp_path / "images"
     sparse_map, path = write_map(images), tmp_path / "features.h5"
-    named = [*zip(sparse_map.names, digests(images / n for n in sparse_map.names), strict=True)]
     kept = {name: features(-1.0) for name in sparse_map.names}
-    write_features(path, kept, features_key(named, Counting.options))
+    write_features(path, kept, features_key(digests_in(images, sparse_map.names), Counting.options))
     return replace(sparse_map, features=path), images
 
 
 def found(made: tuple[SparseMap, Path], cache: Path, extractor: Counting) -> set[float]:
     """Return the places of all keypoints."""
-    every = map_features(*made, extractor, cache)
+    every = map_features(MapCache.of(*made, cache), extractor)
     return {float(every[name].xy[0, 0]) for name in made[0].names}
 
 
@@ -100,10 +100,10 @@ def test_of_photographs_that_were_added_alone_features_are_extracted(
     first = replace(whole, images={name: whole.images[name] for name in whole.names[:3]})
     extractor = Counting()
     extractor.turned = turned
-    map_features(first, images, extractor, tmp_path / "cache")
-    grown = map_features(whole, images, extractor, tmp_path / "cache")
+    map_features(MapCache.of(first, images, tmp_path / "cache"), extractor)
+    grown = map_features(MapCache.of(whole, images, tmp_path / "cache"), extractor)
     assert extractor.count == len(whole.names) == len(grown)
-    alone = map_features(whole, images, extractor, tmp_path / "other")
+    alone = map_features(MapCache.of(whole, images, tmp_path / "other"), extractor)
     for name in whole.names:
         np.testing.assert_array_equal(grown[name].xy, alone[name].xy)
     # Damaged files say nothing. The grown one is still open, so its place is taken by another.
@@ -112,5 +112,6 @@ def test_of_photographs_that_were_added_alone_features_are_extracted(
         path.unlink()
         path.write_bytes(part)
     before, other = extractor.count, {name: whole.images[name] for name in whole.names[1:]}
-    map_features(replace(whole, images=other), images, extractor, tmp_path / "cache")
+    fewer = replace(whole, images=other)
+    map_features(MapCache.of(fewer, images, tmp_path / "cache"), extractor)
     assert extractor.count == before + len(other)

@@ -10,7 +10,7 @@ from objconnect.scene.bundle.manifest import Manifest, Objects, Session, Splits,
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
 
 SESSION = "summer-noon-nadir"

@@ -32,7 +32,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.files import sha256_of
+from objconnect.scene.storage.digests import sha256_of
 from tests.benchmark.made_data import pose_at, write_jpeg
 
 LEFT = Camera("OPENCV", 96, 64, (81.0, 80.5, 48.5, 35.0, -0.399, 0.189, 0.0002, 0.0006))

@@ -10,7 +10,8 @@ import pytest
 
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.atomic import atomic_folder, atomic_write, write_text
-from objconnect.scene.storage.files import is_safe_path, read_text, sha256_of
+from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import is_safe_path, read_text
 from objconnect.scene.storage.locks import write_lock
 
 

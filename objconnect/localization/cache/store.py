@@ -1,0 +1,135 @@
+"""Files of arrays in rows, most often a row of each photograph of a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.errors import HDF5_DAMAGE, InputError
+from objconnect.scene.storage.files import require_readable
+from objconnect.scene.storage.hdf5 import array, dataset, group
+from objconnect.scene.storage.hdf5_writing import hdf5_file
+from objconnect.scene.storage.scratch import scratch
+
+# An array of a row has hundreds of lines. Chunks that HDF5 chooses by itself divide the columns,
+# too, and take eight times as long to read.
+_CHUNK_LINES: Final = 512
+_CHUNK_BYTES: Final = 1 << 18
+
+T = TypeVar("T")
+Arrays = Mapping[str, NDArray[Any]]
+"""Arrays of a row, by name, the same names in each row of a file."""
+Row = tuple[str, Arrays]
+"""A digest of all that a row was made of, and its arrays; an empty digest says nothing of it."""
+Rows = Generator[Row, None, None]
+
+
+def write_store(path: Path, rows: Rows) -> None:
+    """Write a file of rows, which appears when it is complete.
+
+    Until then it lies in a folder that the next writer removes where this one is killed.
+
+    Raises:
+        WriteError: the folder cannot be written, or the disk is full.
+    """
+    made_of: list[bytes] = []
+    ends: dict[str, list[int]] = {}
+    with closing(rows), scratch(path.parent) as folder, hdf5_file(path, folder) as file:
+        for key, arrays in rows:
+            made_of.append(key.encode())
+            for name, values in arrays.items():
+                ends.setdefault(name, []).append(_append(file, f"arrays/{name}", values))
+        file["made_of"] = np.array(made_of, "S64")
+        for name, lines in ends.items():
+            file[f"ends/{name}"] = np.array(lines, np.int64)
+
+
+def _append(file: h5py.File, name: str, values: NDArray[Any]) -> int:
+    """Add lines to a data set, and return how many it then has."""
+    # An empty array may have another number of columns.
+    if name in file and not len(file[name]) and len(values):
+        del file[name]
+    if name not in file:
+        shape = values.shape[1:]
+        line = values.dtype.itemsize * int(np.prod(shape))
+        lines = min(_CHUNK_LINES, max(1, _CHUNK_BYTES // max(line, 1)))
+        file.create_dataset(
+            name,
+            (0, *shape),
+            values.dtype,
+            maxshape=(None, *shape),
+            chunks=(lines, *shape) if all(shape) else True,
+        )
+    begin = len(file[name])
+    if len(values):
+        file[name].resize(begin + len(values), axis=0)
+        file[name][begin:] = values
+    return begin + len(values)
+
+
+class Store:
+    """A file that ``write_store`` wrote. It stays open, so it may be removed in the meantime.
+
+    Threads may share it.
+
+    Attributes:
+        rows: numbers of rows by what they were made of, where that is known.
+
+    Raises:
+        InputError: the file is damaged; also when its arrays are read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._arrays: dict[str, tuple[h5py.Dataset, list[int]]] = {}
+        try:
+            require_readable(path, "file of the cache")
+            self._file = h5py.File(path)
+            keys = array(self._file, "made_of").tolist()
+            self._count = len(keys)
+            self.rows = {key.decode(): row for row, key in enumerate(keys) if key}
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return self._count
+
+    def row(self, key: str) -> int:
+        """Return the number of the row that was made of a key."""
+        if key not in self.rows:
+            raise self._damaged(KeyError("a photograph is missing"))
+        return self.rows[key]
+
+    def read(self, row: int, name: str) -> NDArray[Any]:
+        """Read an array of a row."""
+        try:
+            # The size is compared with what is stored once, because this takes time for large
+            # files.
+            if name not in self._arrays:
+                ends = [0, *array(group(self._file, "ends"), name).tolist()]
+                self._arrays[name] = dataset(group(self._file, "arrays"), name), ends
+            values, ends = self._arrays[name]
+            return np.asarray(values[ends[row] : ends[row + 1]])
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def arrays(self, row: int, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+        """Read arrays of a row by their names."""
+        return {name: self.read(row, name) for name in names}
+
+    def made(self, row: int, names: Iterable[str], of: Callable[[Arrays], T]) -> T:
+        """Return what ``of`` makes of arrays of a row; where it fails, they are damaged."""
+        try:
+            return of(self.arrays(row, names))
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"{self._path} is damaged ({error}): delete it")
