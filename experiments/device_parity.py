@@ -59,9 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def answers(dataset: Dataset, method: str, device: str, start: str, every: int = 1) -> Answers:
     """Localize every so many queries of a data set on a device."""
-    settings = {"device": device} if method == "d2net" else {
-        "device": device, "precision": "float32"
-    }
+    settings = (
+        {"device": device} if method == "d2net" else {"device": device, "precision": "float32"}
+    )
     localizer, sparse_map = create(method, settings), dataset.load_map()
     with tempfile.TemporaryDirectory() as folder:
         load = parse_start(start).loader(dataset, sparse_map, Path(folder))
@@ -80,7 +80,9 @@ def compared(first: Answers, second: Answers) -> str:
         for name, pose in first.poses.items()
         if pose is not None and (other := second.poses[name]) is not None
     ]
-    metres, degrees = (max(each, default=0.0) for each in zip(*apart, strict=True)) if apart else (0.0, 0.0)
+    metres, degrees = (
+        (max(each, default=0.0) for each in zip(*apart, strict=True)) if apart else (0.0, 0.0)
+    )
     one = sum((pose is None) != (second.poses[name] is None) for name, pose in first.poses.items())
     return (
         f"{len(apart)} poses, at most {metres:.2g} m and {degrees:.2g} deg apart, {one} of one "

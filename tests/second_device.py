@@ -21,7 +21,7 @@ CUDA: Final = torch.device("cuda", 0)
 _CPU: Final = torch.device("cpu")
 # What torch itself takes the second device for: it is linked with no other that has no memory here.
 _MEMORY: Final = torch.device("meta")
-_COPIES: Final = (torch.ops.aten._to_copy, torch.ops.aten.copy_)
+_COPIES: Final = (torch.ops.aten._to_copy, torch.ops.aten.to, torch.ops.aten.copy_)
 # Places may be given by the processor, to be looked up on any device.
 _LOOKED_UP: Final = (torch.ops.aten.index, torch.ops.aten.index_put, torch.ops.aten.index_put_)
 
@@ -55,7 +55,11 @@ class Elsewhere(Tensor):
 
     @classmethod
     def __torch_dispatch__(
-        cls, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
+        cls,
+        func: Any,
+        types: Any,
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         """Compute where the arguments are; see ``Tensor``."""
         return _computed(func, args, dict(kwargs or {}))
@@ -65,7 +69,11 @@ class _Devices(TorchDispatchMode):
     """Lets operations name the second device."""
 
     def __torch_dispatch__(
-        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
+        self,
+        func: Any,
+        types: Any,
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         return _computed(func, args, dict(kwargs or {}))
 
@@ -74,7 +82,11 @@ class _Numbers(TorchFunctionMode):
     """Lets numbers of Python become tensors of the second device, which torch makes by itself."""
 
     def __torch_function__(
-        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
+        self,
+        func: Any,
+        types: Any,
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         asked = dict(kwargs or {})
         if func is torch.tensor:
@@ -97,22 +109,23 @@ def _computed(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
         both = isinstance(args[0], Elsewhere) != there
     if both and packet not in _COPIES:
         raise RuntimeError(f"{func}: tensors of cpu and cuda")
-    asked = kwargs.get("device")
-    if asked is not None:
-        there, kwargs["device"] = torch.device(asked) != _CPU, _CPU
+    for asked in tree_flatten((args, kwargs))[0]:
+        if isinstance(asked, torch.device):
+            there = asked != _CPU
     if packet is torch.ops.aten.copy_:
         there = isinstance(args[0], Elsewhere)
     made = func(*tree_map(_here, args), **tree_map(_here, kwargs))
-    if func._schema.name.endswith("_"):
-        return args[0]
-    if "out" in kwargs:
-        return kwargs["out"]
+    if func._schema.is_mutable:
+        return kwargs.get("out", args[0])
     return tree_map(
-        lambda each: Elsewhere(each) if there and isinstance(each, Tensor) else each, made
+        lambda each: Elsewhere(each.resolve_conj()) if there and isinstance(each, Tensor) else each,
+        made,
     )
 
 
 def _here(value: Any) -> Any:
+    if isinstance(value, torch.device):
+        return _CPU
     return value.here if isinstance(value, Elsewhere) else value
 
 

@@ -84,11 +84,11 @@ def find_landmarks(
         InputError: the scene is not finished or has no map, the weights have no detector, a
             photograph is missing or broken, ``out`` cannot be written, or the device is not there.
     """
-    scene = Scene.open(path)
+    on, scene = torch_device(device), Scene.open(path)
     outputs: list[OutputFile | Path] = [path / LANDMARKS]
     outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
-    network = read_network(weights or shipped(SHIPPED))[0].to(torch_device(device))
+    network = read_network(weights or shipped(SHIPPED))[0].to(on)
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()

@@ -112,8 +112,8 @@ def dense(
             with enough others that see the same, a damaged photograph, a folder that cannot be
             written, or a device that is not there.
     """
-    scene = Scene.open(path)
     asked = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
+    scene = Scene.open(path)
     with write_lock(path):
         return _make(scene, asked, cluster)
 
