@@ -100,8 +100,8 @@ def dense(
         seed: seed of every random choice; the same seed makes the same files.
         cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
             must see the scene at the same path and write to it.
-        device: device of our PatchMatch, as in ``objconnect.scene.runtime.device.Device``; on a
-            cluster every node must have it.
+        device: device of our PatchMatch, as in ``objconnect.scene.runtime.device.Device``. On a
+            cluster, whose units ask for cores alone, auto is cpu.
         options: when depth maps agree, and which depths are kept.
 
     Returns:
@@ -112,6 +112,8 @@ def dense(
             with enough others that see the same, a damaged photograph, a folder that cannot be
             written, or a device that is not there.
     """
+    if cluster is not None and device == AUTO:
+        device = "cpu"  # units of a cluster ask for cores alone
     asked = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
     scene = Scene.open(path)
     with write_lock(path):
