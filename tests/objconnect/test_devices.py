@@ -20,7 +20,6 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.localization.align import descent, linearise
 from objconnect.mapping.dense import patchmatch
 from objconnect.mapping.dense.command import dense
-from objconnect.mapping.dense.options import SearchOptions
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.methods import create, trainable
 from objconnect.network.connect import ConnectOptions, Connector
@@ -179,13 +178,14 @@ def test_objects_connect_as_on_the_processor() -> None:
 
 def test_depth_maps_are_those_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(patchmatch, "loops_serve", lambda device: False)
+    monkeypatch.setattr(patchmatch, "_FIRST_ROUNDS", 1)
 
     def planes(device: str) -> torch.Tensor:
         views = [replace(v, grey=v.grey.to(device)) for v in (REFERENCE, *SOURCES)]
-        random, options = torch.Generator().manual_seed(0), SearchOptions(first_rounds=1)
-        first = first_estimate(views[0], views[1:], some_seeds(12), random, options)
+        random = torch.Generator().manual_seed(0)
+        first = first_estimate(views[0], views[1:], some_seeds(12), random)
         maps = [inverse_depth_at(view).float().to(device) for view in SOURCES]
-        last = consistent_estimate(views[0], views[1:], first.planes, maps, random, options)
+        last = consistent_estimate(views[0], views[1:], first.planes, maps, random)
         return last.planes.cpu()
 
     here = planes("cpu")

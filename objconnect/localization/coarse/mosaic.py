@@ -54,7 +54,12 @@ class Mosaic:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all of the mosaic by the names of ``ARRAYS``; features take half precision."""
         grid, values = self.grid, (self.features.half(), self.known, self.mean, self.components)
-        arrays = (grid.origin, np.array([grid.cell]), grid.heights, *(v.cpu().numpy() for v in values))
+        arrays = (
+            grid.origin,
+            np.array([grid.cell]),
+            grid.heights,
+            *(v.cpu().numpy() for v in values),
+        )
         return dict(zip(self.ARRAYS, arrays, strict=True))
 
     @staticmethod
