@@ -21,6 +21,7 @@ from objconnect.learning.checkpoint import shipped
 from objconnect.localization.matching.features import Extractor
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features
+from objconnect.scene.runtime.device import AUTO, Device, torch_device
 from objconnect.scene.runtime.tuning import return_freed
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
@@ -39,6 +40,7 @@ class D2NetConfig(StructureConfig):
         None,
         description="File of weights, ours or a checkpoint of the authors; None for those shipped.",
     )
+    device: Device = AUTO
     scales: tuple[float, ...] = Field(
         (2.0,),
         min_length=1,
@@ -76,7 +78,7 @@ class D2NetExtractor(Extractor):
     turned = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
-        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self._device = torch_device(config.device)
         # Convolutions of channels-last maps take less time on processors.
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._network: D2Net = fast.to(self._device)

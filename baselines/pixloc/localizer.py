@@ -12,6 +12,7 @@ from objconnect.learning.folding import fold
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchingConfig
+from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
 """The weights that come with the project."""
@@ -35,6 +36,7 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: PixlocConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        network.to(torch_device(config.device))
         fold(network, config.precision)
         super().__init__("pixloc", network, digest, config.accepting())
 
@@ -56,5 +58,6 @@ class PixlocSearchLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: PixlocSearchConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        network.to(torch_device(config.device))
         fold(network, config.precision)
         super().__init__("pixloc-search", network, digest, config.accepting())

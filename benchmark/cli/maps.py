@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli.options import ClusterAddress, Json, MappedScene
+from benchmark.cli.options import ClusterAddress, DeviceName, Json, MappedScene
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.errors import InputError
 
@@ -212,6 +212,7 @@ def landmarks(
         Path | None,
         typer.Option(metavar="CSV", help="Table of the objects to write too: places, sizes."),
     ] = None,
+    device: DeviceName = "auto",
     as_json: Json = False,
 ) -> None:
     """Find the objects of a map: cars, trees, roofs, lamps and the like.
@@ -222,7 +223,7 @@ def landmarks(
     """
     from objconnect.network.scene_landmarks import find_landmarks as run
 
-    emit(run(scene, weights, out), as_json)
+    emit(run(scene, weights, out, device), as_json)
 
 
 @app.command()
@@ -247,6 +248,7 @@ def dense(
         int, typer.Option(help="Random seed; the same seed gives the same depth maps.", min=0)
     ] = 0,
     cluster: ClusterAddress = None,
+    device: DeviceName = "auto",
     as_json: Json = False,
 ) -> None:
     """Estimate depth maps of a map's photographs and fuse them to a point cloud.
@@ -256,7 +258,15 @@ def dense(
     """
     from objconnect.mapping.dense.command import dense as run
 
-    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed, cluster=cluster)
+    report = run(
+        scene,
+        size=size,
+        sources=sources,
+        stereo=stereo.value,
+        seed=seed,
+        cluster=cluster,
+        device=device,
+    )
     emit(report, as_json)
 
 

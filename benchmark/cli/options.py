@@ -123,6 +123,16 @@ ClusterAddress = Annotated[
 ]
 
 
+DeviceName = Annotated[
+    str,
+    typer.Option(
+        "--device",
+        metavar="DEVICE",
+        help="Device to compute on: auto (CUDA where torch finds it), cpu, cuda or cuda:NUMBER.",
+    ),
+]
+
+
 def options_of(
     config: type[Any],
     *fields: str,

@@ -20,7 +20,7 @@ from torch.nn import functional
 from objconnect.learning.folding import CellwiseConv, ConvReLU, has_bfloat16_units
 from objconnect.learning.vgg import IMAGENET_MEAN, IMAGENET_STD
 from objconnect.scene.errors import InputError
-from objconnect.scene.runtime.loops import has_compiler
+from objconnect.scene.runtime.device import loops_serve
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
 Channelwise = dict[str, Tensor]
@@ -55,8 +55,11 @@ def require_quantizable(network: nn.Module) -> None:
     """Refuse a network that ``quantized`` cannot take.
 
     Raises:
-        InputError: the processor has no units for integers, or the network has another decoder.
+        InputError: the network is not on the processor, which has no units for integers, or it has
+            another decoder.
     """
+    if any(each.device.type != "cpu" for each in network.parameters()):
+        raise InputError("quantized=true computes on the processor: take device=cpu with it")
     if not torch.cpu._is_vnni_supported():
         raise InputError("quantized=true needs a processor with units for integers (VNNI)")
     with_objects = any(name.startswith("objects_of.") for name, _ in network.named_modules())
@@ -139,7 +142,7 @@ def doubled(maps: Tensor) -> Tensor:
     """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
-    if has_compiler():
+    if loops_serve(maps.device):
         from objconnect.learning.doubling import doubled_integers
 
         return doubled_integers(maps)

@@ -199,7 +199,9 @@ class Connector:
         x, y = laid.offset.T
         where = np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
         where = where * height[:, None, None]
-        near, there = self._graph.neighbours(torch.from_numpy(laid.offset).float())
+        graph = self._graph
+        near, there = graph.neighbours(graph.taken(laid.offset))
+        vectors = laid.vectors.to(near.device)
         batch = max(1, min(_BATCH, _AT_ONCE // (len(laid) * len(self._landmarks))))
         count = min(count, len(self._landmarks))
         # Made before what is large: kept arrays between large ones that go would hold their memory.
@@ -207,20 +209,20 @@ class Connector:
         rows = np.empty(weights.shape, np.int64)
         for first in range(0, len(assumed), batch):
             part = slice(first, first + batch)
-            own = self._graph(
-                laid.vectors,
-                torch.from_numpy(where[part]).float(),
-                torch.from_numpy(laid.rise * height[part, None]).float(),
-                torch.from_numpy(laid.side * height[part, None]).float(),
+            own = graph(
+                vectors,
+                graph.taken(where[part]),
+                graph.taken(laid.rise * height[part, None]),
+                graph.taken(laid.side * height[part, None]),
                 near,
                 there,
             )
             # A softmax, which is quicker without its maximum: no cosine is larger than one.
-            sharpness = self._graph.sharpness.exp()
+            sharpness = graph.sharpness.exp()
             likely = ((sharpness * own) @ self._described.T).sub_(sharpness).exp_()
             best, row = likely.topk(count, -1)
-            weights[part] = (best / likely.sum(-1, keepdim=True)).numpy()
-            rows[part] = row.numpy()
+            weights[part] = (best / likely.sum(-1, keepdim=True)).cpu().numpy()
+            rows[part] = row.cpu().numpy()
         return where, weights, rows
 
     def _voted(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
@@ -332,13 +334,13 @@ class _Matches(NamedTuple):
 
 def described_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tensor:
     """Describe landmarks among their neighbours, (M, D) of unit length."""
-    where = torch.from_numpy(landmarks.xyz[:, :2]).float()
+    where = graph.taken(landmarks.xyz[:, :2])
     near, there = graph.neighbours(where)
     described: Tensor = graph(
-        torch.from_numpy(landmarks.vectors),
+        graph.taken(landmarks.vectors),
         where[None],
-        torch.from_numpy(landmarks.rises)[None],
-        torch.from_numpy(landmarks.sides)[None],
+        graph.taken(landmarks.rises)[None],
+        graph.taken(landmarks.sides)[None],
         near,
         there,
     )

@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -59,15 +61,21 @@ class ConstellationGraph(nn.Module):
         self.out = nn.Linear(config.size, config.out)
         self.sharpness = nn.Parameter(torch.tensor(math.log(10.0)))
 
+    def taken(self, numbers: NDArray[np.float32] | NDArray[np.float64]) -> Tensor:
+        """Return numbers as the graph takes them: single precision, on its device."""
+        return torch.from_numpy(numbers).to(self.sharpness.device).float()
+
     def neighbours(self, where: Tensor) -> tuple[Tensor, Tensor]:
         """Return rows (N, k) of the nearest neighbours of places (N, 2), and which exist (N, k)."""
         count = min(self.config.neighbours, len(where) - 1)
-        near = torch.zeros(len(where), self.config.neighbours, dtype=torch.long)
-        there = torch.zeros(near.shape)
+        shape, device = (len(where), self.config.neighbours), where.device
+        near = torch.zeros(shape, dtype=torch.long, device=device)
+        there = torch.zeros(shape, device=device)
         if count > 0:
             # Of some at a time: all distances of a large map do not fit into memory.
             for first in range(0, len(where), _AT_ONCE):
-                rows = torch.arange(first, min(first + _AT_ONCE, len(where)))
+                last = min(first + _AT_ONCE, len(where))
+                rows = torch.arange(first, last, device=device)
                 away = torch.cdist(where[None, rows], where[None])[0]
                 away[rows - first, rows] = math.inf
                 near[rows, :count] = away.topk(count, largest=False).indices

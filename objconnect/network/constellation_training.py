@@ -36,6 +36,7 @@ from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import looks_down
+from objconnect.scene.runtime.device import AUTO, torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
@@ -171,13 +172,13 @@ def describe_query(
     turned = laid.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
     height = query.height * stretch
     where = turned * height + (0 if moved is None else moved)
-    place = torch.from_numpy(where).float()
+    place = graph.taken(where)
     near, there = graph.neighbours(place)
     described: Tensor = graph(
-        laid.vectors[torch.from_numpy(rows)],
+        laid.vectors[torch.from_numpy(rows)].to(place.device),
         place[None],
-        torch.from_numpy(laid.rise[rows] * height).float()[None],
-        torch.from_numpy(laid.side[rows] * height).float()[None],
+        graph.taken(laid.rise[rows] * height)[None],
+        graph.taken(laid.side[rows] * height)[None],
         near,
         there,
     )
@@ -185,16 +186,19 @@ def describe_query(
 
 
 def train_graph(
-    lessons: Sequence[Lesson], config: ConstellationConfig, options: ConstellationTraining
+    lessons: Sequence[Lesson],
+    config: ConstellationConfig,
+    options: ConstellationTraining,
+    device: torch.device,
 ) -> ConstellationGraph:
-    """Train a graph on scenes. Equal arguments give equal graphs on one machine.
+    """Train a graph on scenes, on a device. Equal arguments give equal graphs on one machine.
 
     Raises:
         InputError: no query of the scenes shows a landmark.
     """
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
-    graph = ConstellationGraph(config)
+    graph = ConstellationGraph(config).to(device)
     optimizer = torch.optim.AdamW(graph.parameters(), options.rate, weight_decay=options.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, options.rate, options.steps, pct_start=0.05
@@ -250,8 +254,9 @@ def _query_loss(
         return None
     own = describe_query(graph, query, rows, wrong, moved)
     alike = graph.sharpness.exp() * own @ theirs.T
-    there = functional.cross_entropy(alike[known], torch.from_numpy(target[known]))
-    back = functional.cross_entropy(alike.T[target[known]], torch.from_numpy(known))
+    mine, their = (torch.from_numpy(each).to(alike.device) for each in (known, target[known]))
+    there = functional.cross_entropy(alike[mine], their)
+    back = functional.cross_entropy(alike.T[their], mine)
     return there + 0.5 * back
 
 
@@ -262,9 +267,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--weights", type=Path, required=True, help="network with a detector")
     parser.add_argument("--out", type=Path, required=True, help="file of weights to write")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default=AUTO, help="auto, cpu, cuda or cuda:NUMBER")
     given = parser.parse_args(arguments)
     try:
-        network, _ = read_network(given.weights)
+        device = torch_device(given.device)
+        network = read_network(given.weights)[0].to(device)
         if network.detector is None:
             raise InputError(f"{given.weights} has no detector of objects")
         extract = MapExtractor(network, LONGEST, "float32")
@@ -272,7 +279,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = ConstellationTraining(seed=given.seed)
         lessons = [lesson(Scene.open(path), finder, options.same_m) for path in given.scenes]
         config = ConstellationConfig(vector=network.detector.config.vector)
-        graph = train_graph(lessons, config, options)
+        graph = train_graph(lessons, config, options, device)
         whole = start_from(given.weights, {"constellation": config.model_dump()})
         assert whole.constellation is not None
         whole.constellation.load_state_dict(graph.state_dict())

@@ -79,6 +79,11 @@ class Detections:
     def __len__(self) -> int:
         return len(self.xy)
 
+    def on_processor(self) -> Detections:
+        """Return the same objects in the memory of the processor."""
+        parts = (self.xy, self.score, self.side, self.rise, self.vectors)
+        return Detections(*(each.cpu() for each in parts))
+
 
 class ObjectDetector(nn.Module):
     """A few convolutions over the features of all levels, at one stride.

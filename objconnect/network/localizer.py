@@ -15,6 +15,7 @@ from objconnect.localization.featuremetric.options import SearchingConfig
 from objconnect.network.connect import ConnectOptions
 from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions
 from objconnect.network.network import read_network
+from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
 """The weights that come with the project."""
@@ -39,6 +40,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        network.to(torch_device(config.device))
         fold(network, config.precision)
         objects = None
         if config.objects is not None and network.constellation is not None:

@@ -73,9 +73,12 @@ class ObjectFinder:
         )
 
     def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
-        """Return the objects of a picture (H, W, 3), given what the detector says of it."""
+        """Return the objects of a picture (H, W, 3), given what the detector says of it.
+
+        They are on the processor, whatever device the maps are on.
+        """
         options, stride = self._options, self._detector.config.stride
-        return detections(maps, stride, options.count, options.least_score)
+        return detections(maps, stride, options.count, options.least_score).on_processor()
 
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
         """Return the objects that the photographs of a map show from above.

@@ -17,6 +17,7 @@ from objconnect.network.network import read_network
 from objconnect.scene.config import Config
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.device import AUTO, Device, torch_device
 
 
 class PlaceConfig(Config):
@@ -24,11 +25,13 @@ class PlaceConfig(Config):
 
     Attributes:
         weights: file of an object-connect network; None is the one that comes with the project.
+        device: of the network and the search.
         precision: of the convolutions.
         search: options of the search.
     """
 
     weights: Path | None = None
+    device: Device = AUTO
     precision: Precision = Field("auto", validate_default=True)
     search: PlaceOptions = Field(default_factory=PlaceOptions)
 
@@ -44,6 +47,7 @@ class PlaceLocalizer:
     def __init__(self, config: PlaceConfig) -> None:
         self.config = config
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        network.to(torch_device(config.device))
         fold(network, config.precision)
         self.weights_sha256: str | None = digest
         extract = MapExtractor(network, 2 * config.search.longest, config.precision)

@@ -22,6 +22,7 @@ from objconnect.network.object_map import ObjectFinder
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import HDF5_DAMAGE, InputError
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.runtime.device import AUTO, torch_device
 from objconnect.scene.storage.atomic import write_text
 from objconnect.scene.storage.hdf5 import array
 from objconnect.scene.storage.hdf5_writing import hdf5_file
@@ -67,7 +68,7 @@ class LandmarksReport:
 
 
 def find_landmarks(
-    path: Path, weights: Path | None = None, out: Path | None = None
+    path: Path, weights: Path | None = None, out: Path | None = None, device: str = AUTO
 ) -> LandmarksReport:
     """Find the learned objects of a scene's map, and keep them in the scene.
 
@@ -77,16 +78,17 @@ def find_landmarks(
         path: finished scene with a map.
         weights: weights of an object-connect network with a detector; None takes the shipped ones.
         out: table of the objects to write besides, CSV.
+        device: device of the network, as in ``objconnect.scene.runtime.device.Device``.
 
     Raises:
         InputError: the scene is not finished or has no map, the weights have no detector, a
-            photograph is missing or broken, or ``out`` cannot be written.
+            photograph is missing or broken, ``out`` cannot be written, or the device is not there.
     """
-    scene = Scene.open(path)
+    on, scene = torch_device(device), Scene.open(path)
     outputs: list[OutputFile | Path] = [path / LANDMARKS]
     outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
-    network, _ = read_network(weights or shipped(SHIPPED))
+    network = read_network(weights or shipped(SHIPPED))[0].to(on)
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()

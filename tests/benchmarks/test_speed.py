@@ -155,7 +155,7 @@ def test_mix_bare_lookup(
 @pytest.mark.parametrize("way", ["compiled", "by_torch"])
 def test_linearise(benchmark: BenchmarkFixture, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """In compiled loops, and by operations of torch."""
-    monkeypatch.setattr(linearising, "has_compiler", lambda: way == "compiled")
+    monkeypatch.setattr(linearising, "loops_serve", lambda device: way == "compiled")
     generator = torch.Generator().manual_seed(0)
     maps = torch.rand(1, 32, 256, 256, generator=generator).contiguous(
         memory_format=torch.channels_last

@@ -39,7 +39,7 @@ def write_card(
     weights = run / WEIGHTS
     rows = [json.loads(line) for line in read_text(run / LOG, "training log").splitlines()]
     hours = sum(row.get("seconds", 0.0) for row in rows) / 3600
-    changed = config.model_dump(mode="json", exclude_defaults=True)
+    changed = config.model_dump(mode="json", exclude_defaults=True, exclude={"device"})
     megabytes = weights.stat().st_size / 1e6
     lines = [
         f"# Weights of {method}",
@@ -47,7 +47,8 @@ def write_card(
         f"- file: {weights.name}, {megabytes:.1f} MB, sha256 {sha256_of(weights)}",
         f"- trained on: {_places(scenes)}",
         f"- looked at while training: {_places(validation) or 'nothing'}",
-        f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours",
+        f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours "
+        f"on {config.device}",
         f"- settings beside the defaults: {json.dumps(changed, sort_keys=True)}",
     ]
     last = [row for row in rows if any(name.startswith("val/") for name in row)][-1:]

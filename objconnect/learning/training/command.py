@@ -13,6 +13,7 @@ from objconnect.learning.training.loop import PairSources, Trainable, join, trai
 from objconnect.learning.training.planes import PlanePairs
 from objconnect.learning.training.rendered import RenderedPairs
 from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.runtime.device import torch_device
 from objconnect.scene.storage.digests import digest, sha256
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.outputs import check_output_folder
@@ -56,7 +57,7 @@ def train(
     described = {"method": method, "scenes": [_identity(scene) for scene in scenes]}
     if config.weights is not None:
         described["weights"] = digest(config.weights)
-    first = join().rank == 0
+    first = join(torch_device(config.device)).rank == 0
     with write_lock(out) if first else nullcontext():
         trained = make(config)
         # Weights to begin with have a width of their own.

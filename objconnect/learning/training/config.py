@@ -9,6 +9,7 @@ from pydantic import Field
 
 from objconnect.learning.training.options import LOSSES, PAIRS, LossOptions, PairOptions
 from objconnect.scene.config import Config
+from objconnect.scene.runtime.device import AUTO, Device
 
 
 class TrainConfig(Config):
@@ -61,6 +62,8 @@ class TrainConfig(Config):
     )
     save_every: int = Field(100, ge=1, description="Number of steps between checkpoints.")
     workers: int = Field(1, ge=0, description="Number of processes that make pairs.")
+    # Under ``torchrun``, each process takes a CUDA device of its own where no number is given.
+    device: Device = AUTO
     pairs: PairOptions = Field(PAIRS, description="How pairs are drawn.")
     losses: LossOptions = Field(LOSSES, description="Weights of the losses.")
     seed: int = Field(0, description="Seed of all random numbers.")

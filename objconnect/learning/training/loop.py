@@ -25,6 +25,7 @@ from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
 from objconnect.scene.config import as_recorded
 from objconnect.scene.errors import InputError, WriteError
+from objconnect.scene.runtime.device import torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write, write_text
 from objconnect.scene.storage.files import parse_json, read_text
@@ -35,7 +36,7 @@ _CHECKPOINT = "checkpoint.pt"
 LOG: Final = "log.jsonl"
 _RUN = "run.json"
 # Settings that may differ when a run goes on, as they do not change what it learns.
-_FREE: Final = ("workers", "save_every", "validate_every")
+_FREE: Final = ("workers", "device", "save_every", "validate_every")
 _CURVES = "curves.png"
 # Steps until the highest learning rate, which the first gradients of random weights do not bear.
 _RISE: Final = 50
@@ -149,8 +150,10 @@ def train_loop(
         InputError: ``out`` belongs to another run or cannot be written, or a process that makes
             pairs died.
     """
-    rank, world = join()
-    device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
+    device = torch_device(config.device)
+    rank, world = join(device)
+    if config.device == "cuda":
+        device = torch.device("cuda", rank % torch.cuda.device_count())
     _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
     method.network.to(device)
     # torch's annotations do not know this argument.
@@ -198,13 +201,6 @@ def train_loop(
     return out / WEIGHTS
 
 
-_CPU: Final = torch.device("cpu")
-
-
-def _gpu() -> bool:
-    return torch.cuda.is_available()
-
-
 class Processes(NamedTuple):
     """The rank of this process and the number of processes that train together."""
 
@@ -212,11 +208,14 @@ class Processes(NamedTuple):
     world: int
 
 
-def join() -> Processes:
-    """Connect to the other processes of ``torchrun``. Without it, there is one process."""
+def join(device: torch.device) -> Processes:
+    """Connect to the other processes of ``torchrun``, which learn on devices of the same type.
+
+    Without ``torchrun``, there is one process.
+    """
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not distributed.is_initialized():
-        distributed.init_process_group("nccl" if _gpu() else "gloo")
+        distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     return Processes(int(os.environ.get("RANK", "0")), world)
 
 

@@ -6,16 +6,18 @@ Results differ by rounding alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
 from math import radians
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
+from numba import boolean, f4, f8, i8, types
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.localization.align import kernels
+from objconnect.localization.align import kernels, records
 from objconnect.localization.align.damping import FLOOR, LEAST_FACTOR, MOST_FACTOR
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
@@ -25,18 +27,25 @@ from objconnect.scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsic
 from objconnect.scene.runtime.loops import compiled
 from objconnect.scene.runtime.tuning import worker_threads
 
-# Types of the arguments of ``kernels.descend``.
-_CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2), b1))"
-_LEVEL: Final = (
-    "Tuple((Tuple((f4[:,::1], f4[:,::1], i8[::1], i8, i8)), Tuple((f4[:,:,::1], f4[:,::1])), "
-    "f4[::1], UniTuple(f4, 2), UniTuple(b1, 2)))"
+
+def _record(kind: type[NamedTuple], *fields: Any) -> Any:
+    """Return the type of a record for Numba, given those of its fields."""
+    return types.NamedTuple(fields, kind)
+
+
+_MAPS: Final = _record(records.Maps, f4[:, ::1], f4[:, ::1], i8[::1], i8, i8)
+_LEVEL: Final = _record(
+    records.Level, _MAPS, f4[:, :, ::1], f4[:, ::1], f4[::1], f4, f4, boolean, boolean
 )
-_AROUND: Final = "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1]))"
-_DESCEND: Final = (
-    f"void({_LEVEL}, Tuple((f4[:,:,::1], b1[:,::1], {_CAMERA})), "
-    "Tuple((f8[:,:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1])), "
-    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 4))), {_AROUND})"
+_CAMERAS: Final = _record(records.Cameras, *[f4[:, ::1]] * 4, f4, f4, boolean)
+_POINTS: Final = _record(records.Points, f4[:, :, ::1], boolean[:, ::1], _CAMERAS)
+_POSES: Final = _record(records.PoseArrays, f8[:, :, ::1], f8[:, ::1])
+_AROUND: Final = _record(
+    records.Around, boolean[:, ::1], f4[:, ::1], f4[:, ::1], *[f4[:, :, ::1]] * 3
 )
+_MOVING: Final = _record(records.Moving, _POSES, boolean[::1], i8[::1], f8[::1], _AROUND)
+_RULES: Final = _record(records.Rules, f8[::1], *[f8] * 6, i8, i8)
+_DESCEND: Final = types.void(_LEVEL, _POINTS, _MOVING, _RULES, i8, i8)
 # Poses of fewer points than this in all are not worth a second thread.
 _WORTH_THREADS: Final = 1024
 
@@ -45,26 +54,35 @@ def descended(
     cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
 ) -> State:
     """Return what ``descent.descend`` does, with careful steps."""
-    positions, used, moving = _arrays(cost.points, cost.mask, alive)
+    positions, used, moved = _arrays(cost.points, cost.mask, alive)
     turns, shifts = (np.array(each, float) for each in _arrays(pose.rotation, pose.translation))
-    tried, factors = np.zeros(len(moving), np.int64), np.ones(len(moving))
-    out = _empty(*used.shape)
-    rules = (options.damping_change, LEAST_FACTOR, MOST_FACTOR, FLOOR)
-    small = (radians(options.converged_deg), options.converged_m)
-    loops, level = compiled(kernels.descend, _DESCEND), _level(cost)
-    points, state = (
-        (positions, used, _camera(cost.intrinsics)),
-        (turns, shifts, moving, tried, factors),
+    (axes,) = _arrays(damping.double())
+    level, points = _level(cost), records.Points(positions, used, _cameras(cost.intrinsics))
+    moving = records.Moving(
+        poses=records.PoseArrays(turns, shifts),
+        alive=moved,
+        tried=np.zeros(len(moved), np.int64),
+        factors=np.ones(len(moved)),
+        around=_empty(*used.shape),
     )
-    (axes,), limits = _arrays(damping.double()), (options.iterations, options.min_points)
-
-    def descend(first: int, end: int) -> None:
-        loops(level, points, state, (axes, (*rules, *small), (*limits, first, end)), out)
-
-    _in_parts(descend, *used.shape)
-    to = Pose(torch.from_numpy(turns), torch.from_numpy(shifts))
-    there = Linearisation(*map(torch.from_numpy, out))
-    return State(to, there, torch.from_numpy(tried), torch.from_numpy(factors)[:, None])
+    rules = records.Rules(
+        damping=axes,
+        change=options.damping_change,
+        least=LEAST_FACTOR,
+        most=MOST_FACTOR,
+        floor=FLOOR,
+        small_turn=radians(options.converged_deg),
+        small_shift=options.converged_m,
+        steps=options.iterations,
+        min_points=options.min_points,
+    )
+    _in_parts(
+        partial(compiled(kernels.descend, _DESCEND), level, points, moving, rules), *used.shape
+    )
+    to = Pose(*map(torch.from_numpy, moving.poses))
+    there = Linearisation(*map(torch.from_numpy, moving.around))
+    factors = torch.from_numpy(moving.factors)[:, None]
+    return State(to, there, torch.from_numpy(moving.tried), factors)
 
 
 def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
@@ -87,25 +105,28 @@ def around(cost: LevelCost, pose: Pose) -> Linearisation:
     return descended(cost, pose, still, torch.zeros(6), Options()).around
 
 
-def _level(cost: LevelCost) -> kernels.Level:
+def _level(cost: LevelCost) -> records.Level:
     # Confidence that is not known is one, and not read.
     one = torch.ones(1, 1)
     trust = one if cost.trust is None else cost.trust.cells.float()
     target_trust = one if cost.target_trust is None else cost.target_trust.float()
     features, sure, first = _arrays(cost.table.cells, trust, cost.first)
     target, target_sure, stride = _arrays(cost.target, target_trust, cost.stride)
-    return (
-        (features, sure, first, cost.table.width, cost.table.height),
-        (target, target_sure),
-        stride,
-        (np.float32(cost.border), np.float32(2 * cost.scale**2)),
-        (cost.trust is not None, cost.target_trust is not None),
+    return records.Level(
+        maps=records.Maps(features, sure, first, cost.table.width, cost.table.height),
+        target=target,
+        target_trust=target_sure,
+        stride=stride,
+        border=np.float32(cost.border),
+        twice_scale=np.float32(2 * cost.scale**2),
+        has_trust=cost.trust is not None,
+        has_target_trust=cost.target_trust is not None,
     )
 
 
-def _empty(poses: int, points: int) -> kernels.Around:
+def _empty(poses: int, points: int) -> records.Around:
     shape = (poses, points)
-    return (
+    return records.Around(
         np.empty(shape, np.bool_),
         np.empty(shape, np.float32),
         np.empty(shape, np.float32),
@@ -115,13 +136,15 @@ def _empty(poses: int, points: int) -> kernels.Around:
     )
 
 
-def _camera(camera: Intrinsics) -> kernels.Camera:
+def _cameras(camera: Intrinsics) -> records.Cameras:
     fields = (camera.focal, camera.principal, camera.distortion, camera.limit[..., None])
     focal, principal, distortion, limit = _arrays(
         *(each.reshape(-1, each.shape[-1]) for each in fields)
     )
-    bounds = (np.float32(MIN_DEPTH), np.float32(MAX_SLOPE))
-    return (focal, principal, distortion, limit), bounds, camera.fisheye
+    least_depth, most_slope = np.float32(MIN_DEPTH), np.float32(MAX_SLOPE)
+    return records.Cameras(
+        focal, principal, distortion, limit, least_depth, most_slope, camera.fisheye
+    )
 
 
 def _arrays(*tensors: Tensor) -> Iterator[NDArray[Any]]:

@@ -127,7 +127,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     hessian, shrinkage = around.hessian.detach().double(), options.covariance_shrinkage
     first = _sandwich(hessian, scatter, patches, shrinkage)
     known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
-    eye = torch.eye(6).to(first)
+    eye = torch.eye(6, dtype=first.dtype, device=first.device)
     lower = torch.linalg.cholesky(torch.where(known, hessian, eye))
     axes = torch.linalg.inv(lower)  # a row for each direction
     variance = lower.transpose(-1, -2) @ torch.where(known, first, eye) @ lower

@@ -1,8 +1,7 @@
 """Loops over points that Numba compiles for ``objconnect.localization.align.compiled``.
 
 A point is finished before the next begins: its twelve cells are read once, and only its products
-are written. It is over 400 lines because all loops are in this file, by which Numba knows what it
-kept of them.
+are written. All loops are in this file, by which Numba knows what it kept of them.
 """
 
 from __future__ import annotations
@@ -11,29 +10,19 @@ from math import isfinite, sin, sqrt
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from objconnect.localization.align.records import (
+    Around,
+    Doubles,
+    Level,
+    Moving,
+    Points,
+    PoseArrays,
+    Rules,
+    Singles,
+    View,
+)
 from objconnect.scene.runtime.loops import CALLED
-
-Singles = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Integers = NDArray[np.int64]
-Maps = tuple[Singles, Singles, Integers, int, int]
-"""Tables of features and of confidence, the first cell of each pose's maps, width and height."""
-Targets = tuple[Singles, Singles]
-"""Features and confidence of the points."""
-Numbers = tuple[np.float32, np.float32]
-Level = tuple[Maps, Targets, Singles, Numbers, tuple[bool, bool]]
-"""Then pixels per cell; border, and twice the squared scale of the robust cost; whether there is
-confidence of the query, and of the points."""
-Camera = tuple[tuple[Singles, Singles, Singles, Singles], Numbers, bool]
-"""Focal lengths, principal points, distortion and limit of one or M; least depth, steepest ray;
-whether it is a fisheye."""
-View = tuple[Singles, Singles, Flags, Singles]
-"""Points in the frames of cameras, their pixels, whether these are valid, and derivatives."""
-Around = tuple[Flags, Singles, Singles, Singles, Singles, Singles]
-"""The fields of ``residuals.Linearisation``."""
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)
 # Coefficients of a lens without a denominator.
@@ -41,36 +30,28 @@ _POLYNOMIAL = 4
 
 
 def descend(
-    level: Level,
-    points: tuple[Singles, Flags, Camera],
-    state: tuple[Doubles, Doubles, Flags, Integers, Doubles],
-    options: tuple[Doubles, tuple[float, float, float, float, float, float], tuple[int, ...]],
-    out: Around,
+    level: Level, points: Points, moving: Moving, rules: Rules, first: int, end: int
 ) -> None:
-    """Move each pose to where its cost is least.
+    """Move poses ``first`` to ``end`` to where their cost is least.
 
     Args:
         level: what the cost is of.
-        points: (M, N, 3), which of them to use, and the cameras.
-        state: rotations, translations (changed); which to move; steps tried, damping (written).
-        options: damping (6,); what a rejected step multiplies it by, the least and the most of that
-            factor, the least that is added to the diagonal, the turn (rad) and the shift (m) that
-            end a level; the most steps, the fewest points, the first pose and the end of them.
-        out: the cost around the last poses.
+        points: what the poses see.
+        moving: the poses, and what is written of them.
+        rules: of the minimisation.
+        first: number of the first pose.
+        end: number after the last.
     """
-    positions, used, camera = points
-    turns, shifts, alive, tried, factors = state
-    damping, (change, least, most, floor, small_turn, small_shift), whole = options
-    steps, min_points, first, end = whole
-    seen, weight, cost, pull, hessian, cells = out
-    number = positions.shape[1]
-    view = (
+    poses, out = moving.poses, moving.around
+    tried, factors = moving.tried, moving.factors
+    number = points.xyz.shape[1]
+    view = View(
         np.empty((number, 3), np.float32),
         np.empty((number, 2), np.float32),
         np.empty(number, np.bool_),
         np.empty((number, 2, 3), np.float32),
     )
-    there = (
+    there = Around(
         np.empty(number, np.bool_),
         np.empty(number, np.float32),
         np.empty(number, np.float32),
@@ -78,66 +59,65 @@ def descend(
         np.empty((6, 6), np.float32),
         np.empty((number, 2), np.float32),
     )
+    trial = PoseArrays(np.empty((3, 3)), np.empty(3))
     gradient, step = np.empty(6), np.empty(6)
-    turn, shift = np.empty((3, 3)), np.empty(3)
-    for pose in range(first, end):
-        own = (positions[pose], used[pose])
-        here = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
+    for k in range(first, end):
+        pose = PoseArrays(poses.turn[k], poses.shift[k])
+        here = Around(
+            out.seen[k], out.weight[k], out.cost[k], out.pull[k], out.hessian[k], out.cells[k]
+        )
         step[:] = 0
-        tried[pose], factors[pose], ended = -1, 1.0, not alive[pose]
+        tried[k], factors[k], ended = -1, 1.0, not moving.alive[k]
         while True:
-            angle, length = _move(turns[pose], shifts[pose], step, turn, shift)
-            _project((turn, shift), own, (camera, pose), view)
-            _linearise(level, pose, view, there)
-            tried[pose] += 1
-            better = tried[pose] == 0 or _falls(here, there, min_points)
+            angle, length = _move(pose, step, trial)
+            _project(trial, points, k, view)
+            _linearise(level, k, view, there)
+            tried[k] += 1
+            better = tried[k] == 0 or _falls(here, there, rules.min_points)
             if better:
-                _accept((turn, shift), there, (turns[pose], shifts[pose]), here)
-            if tried[pose] > 0:
-                ended = angle < small_turn and length < small_shift
-                factor = factors[pose] / change if better else factors[pose] * change
-                factors[pose] = min(max(factor, least), most)
-            if ended or tried[pose] == steps or not _gradient(here, min_points, gradient):
+                _accept(trial, there, pose, here)
+            if tried[k] > 0:
+                ended = angle < rules.small_turn and length < rules.small_shift
+                factor = factors[k] / rules.change if better else factors[k] * rules.change
+                factors[k] = min(max(factor, rules.least), rules.most)
+            if ended or tried[k] == rules.steps or not _gradient(here, rules.min_points, gradient):
                 break
-            _damped_step(gradient, here[4], factors[pose] * damping, floor, step)
+            _damped_step(gradient, here.hessian, factors[k] * rules.damping, rules.floor, step)
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
-def _accept(
-    found: tuple[Doubles, Doubles], there: Around, pose: tuple[Doubles, Doubles], here: Around
-) -> None:
+def _accept(found: PoseArrays, there: Around, pose: PoseArrays, here: Around) -> None:
     """Copy a pose and the cost around it."""
     for row in range(3):
-        pose[1][row] = found[1][row]
+        pose.shift[row] = found.shift[row]
         for column in range(3):
-            pose[0][row, column] = found[0][row, column]
+            pose.turn[row, column] = found.turn[row, column]
     for row in range(6):
         for column in range(6):
-            here[4][row, column] = there[4][row, column]
-    for point in range(len(here[0])):
-        here[0][point], here[1][point] = there[0][point], there[1][point]
-        here[2][point] = there[2][point]
+            here.hessian[row, column] = there.hessian[row, column]
+    for point in range(len(here.seen)):
+        here.seen[point], here.weight[point] = there.seen[point], there.weight[point]
+        here.cost[point] = there.cost[point]
         for k in range(6):
-            here[3][point, k] = there[3][point, k]
+            here.pull[point, k] = there.pull[point, k]
         for k in range(2):
-            here[5][point, k] = there[5][point, k]
+            here.cells[point, k] = there.cells[point, k]
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _gradient(around: Around, min_points: int, out: Doubles) -> bool:
     """Write the gradient (6,), and return whether a step can be computed."""
-    seen, _, _, pull, hessian, _ = around
     finite, count = True, 0
     for k in range(6):
         out[k] = 0
-    for point in range(len(seen)):
-        count += seen[point]
+    for point in range(len(around.seen)):
+        count += around.seen[point]
         for k in range(6):
-            out[k] += pull[point, k]
+            out[k] += around.pull[point, k]
     for row in range(6):
         finite &= isfinite(out[row])
         for column in range(6):
-            finite &= isfinite(hessian[row, column])
+            finite &= isfinite(around.hessian[row, column])
     return finite and count >= min_points
 
 
@@ -146,13 +126,13 @@ def _falls(here: Around, there: Around, min_points: int) -> bool:
     """Return whether the mean cost falls, over the points in view from both poses."""
     count = 0
     before = after = weight_before = weight_after = 0.0
-    for point in range(len(here[0])):
-        if here[0][point] and there[0][point]:
+    for point in range(len(here.seen)):
+        if here.seen[point] and there.seen[point]:
             count += 1
-            weight_before += here[1][point]
-            weight_after += there[1][point]
-            before += here[1][point] * here[2][point]
-            after += there[1][point] * there[2][point]
+            weight_before += here.weight[point]
+            weight_after += there.weight[point]
+            before += here.weight[point] * here.cost[point]
+            after += there.weight[point] * there.cost[point]
     lower = after * weight_before < before * weight_after
     return lower and count >= min_points and _gradient(there, 0, np.empty(6))
 
@@ -184,9 +164,7 @@ def _damped_step(
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
-def _move(
-    turn: Doubles, shift: Doubles, step: Doubles, to_turn: Doubles, to_shift: Doubles
-) -> tuple[float, float]:
+def _move(pose: PoseArrays, step: Doubles, to: PoseArrays) -> tuple[float, float]:
     """Write the pose of ``damping.moved``, and return the angle and the length of the step."""
     x, y, z = step[0], step[1], step[2]
     angle = sqrt(x * x + y * y + z * z)
@@ -198,51 +176,47 @@ def _move(
     by[1, 0], by[1, 1], by[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
     by[2, 0], by[2, 1], by[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
     for row in range(3):
-        to_shift[row] = step[3 + row]
+        to.shift[row] = step[3 + row]
         for k in range(3):
-            to_shift[row] += by[row, k] * shift[k]
+            to.shift[row] += by[row, k] * pose.shift[k]
         for column in range(3):
-            to_turn[row, column] = 0.0
+            to.turn[row, column] = 0.0
             for k in range(3):
-                to_turn[row, column] += by[row, k] * turn[k, column]
+                to.turn[row, column] += by[row, k] * pose.turn[k, column]
     return angle, sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
-def _project(
-    cam_from_world: tuple[Doubles, Doubles],
-    points: tuple[Singles, Flags],
-    camera: tuple[Camera, int],
-    out: View,
-) -> None:
+def _project(cam_from_world: PoseArrays, points: Points, pose: int, out: View) -> None:
     """Write what one pose sees of the points to use."""
-    turn, shift = cam_from_world[0].astype(np.float32), cam_from_world[1].astype(np.float32)
-    positions, used = points
-    ((focal, principal, distortion, limit), (least_depth, most_slope), fisheye), pose = camera
-    in_camera, xy, valid, jacobian = out
-    k = pose if len(focal) > 1 else 0
-    fx, fy = focal[k]
+    turn = cam_from_world.turn.astype(np.float32)
+    shift = cam_from_world.shift.astype(np.float32)
+    positions, used, cameras = points.xyz[pose], points.used[pose], points.cameras
+    k = pose if len(cameras.focal) > 1 else 0
+    fx, fy = cameras.focal[k]
+    principal, distortion, limit = cameras.principal[k], cameras.distortion[k], cameras.limit[k, 0]
+    least_depth, most_slope = cameras.least_depth, cameras.most_slope
     bent = np.empty(5, np.float32)
     for point in range(len(used)):
         px, py, pz = positions[point]
         x = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + shift[0]
         y = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + shift[1]
         z = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2]
-        there = in_camera[point]
+        there = out.in_camera[point]
         there[0], there[1], there[2] = x, y, z
-        valid[point] = False
+        out.valid[point] = False
         if not (used[point] and z > least_depth and max(abs(x), abs(y)) < most_slope * z):
             continue
         u, v = x / z, y / z
-        if fisheye:
-            inside = _bend_fisheye(u, v, distortion[k], limit[k, 0], bent)
+        if cameras.fisheye:
+            inside = _bend_fisheye(u, v, distortion, limit, bent)
         else:
-            inside = _bend(u, v, distortion[k], limit[k, 0], bent)
+            inside = _bend(u, v, distortion, limit, bent)
         if not inside:
             continue
-        valid[point] = True
-        at, by = xy[point], jacobian[point]
-        at[0], at[1] = fx * bent[0] + principal[k, 0], fy * bent[1] + principal[k, 1]
+        out.valid[point] = True
+        at, by = out.xy[point], out.jacobian[point]
+        at[0], at[1] = fx * bent[0] + principal[0], fy * bent[1] + principal[1]
         by[0, 0], by[0, 1] = fx * bent[2] / z, fx * bent[3] / z
         by[1, 0], by[1, 1] = fy * bent[3] / z, fy * bent[4] / z
         by[0, 2] = -(by[0, 0] * u + by[0, 1] * v)
@@ -298,10 +272,8 @@ def _bend_fisheye(
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
     """Write the cost around one pose."""
-    (features, trust, first, width, height), targets, stride, numbers, trusted = level
-    target, target_trust = targets
-    in_camera, xy, valid, jacobian = points
-    border, twice_scale = numbers
+    maps, stride, border, twice_scale = level.maps, level.stride, level.border, level.twice_scale
+    width, height = maps.width, maps.height
     seen, weight, cost, pull, hessian, cells = out
     last_x, last_y = np.float32(width - 1) - border, np.float32(height - 1) - border
     rows = np.empty((2, 6), np.float32)
@@ -309,32 +281,32 @@ def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
     for i in range(6):
         for j in range(6):
             hessian[i, j] = 0
-    for point in range(len(valid)):
+    for point in range(len(points.valid)):
         seen[point], weight[point], cost[point] = False, 0, 0
         cells[point, 0] = cells[point, 1] = 1
         for i in range(6):
             pull[point, i] = 0
-        if not valid[point]:
+        if not points.valid[point]:
             continue
-        x = xy[point, 0] / stride[0] - _HALF
-        y = xy[point, 1] / stride[1] - _HALF
+        x = points.xy[point, 0] / stride[0] - _HALF
+        y = points.xy[point, 1] / stride[1] - _HALF
         if not (border <= x <= last_x and border <= y <= last_y):
             continue
         cells[point, 0], cells[point, 1] = x, y
         left = min(max(int(x), 1), width - 3)
         top = min(max(int(y), 1), height - 3)
         a, b = x - np.float32(left), y - np.float32(top)
-        cell = first[pose] + top * width + left
+        cell = maps.first[pose] + top * width + left
         sure = _ONE
-        if trusted[0]:
-            sure = _bilinear(trust, cell, width, (a, b))
-        if trusted[1]:
-            sure *= target_trust[pose, point]
+        if level.has_trust:
+            sure = _bilinear(maps.trust, cell, width, (a, b))
+        if level.has_target_trust:
+            sure *= level.target_trust[pose, point]
         if not sure > 0:
             continue
-        _products(features, cell, width, (a, b), target[pose, point], gram)
+        _products(maps.features, cell, width, (a, b), level.target[pose, point], gram)
         for k in range(2):
-            _row(in_camera[point], jacobian[point, k], stride[k], rows[k])
+            _row(points.in_camera[point], points.jacobian[point, k], stride[k], rows[k])
         share = sure / (_ONE + gram[0] / twice_scale)
         seen[point], weight[point] = True, sure
         cost[point] = twice_scale * np.log1p(gram[0] / twice_scale)

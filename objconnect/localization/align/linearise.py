@@ -6,7 +6,7 @@ import torch
 
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.runtime.loops import has_compiler
+from objconnect.scene.runtime.device import loops_serve
 
 
 def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
@@ -21,5 +21,5 @@ def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
 def can_be_compiled(cost: LevelCost) -> bool:
     """Return whether compiled loops know how: they know no gradients, and one precision."""
     tensors = (cost.table.cells, cost.points, cost.target)
-    usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
-    return usual and torch.is_inference_mode_enabled() and has_compiler()
+    single = all(each.dtype == torch.float32 for each in tensors)
+    return single and torch.is_inference_mode_enabled() and loops_serve(cost.points.device)

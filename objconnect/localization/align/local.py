@@ -46,7 +46,7 @@ class Local:
         dtype = torch.float64 if double else torch.float32
         begin = problem.start.to(dtype=torch.float64)
         finite = begin.matrix().isfinite().flatten(-2).all(-1)
-        begin = choose(finite, begin, Pose.identity().to(device=points.device))
+        begin = choose(finite, begin, Pose.identity(device=points.device))
         origin = begin.centre().detach().reshape(len(points), -1, 3)[:, 0]
         usable = points.isfinite().all(-1)
         usable = usable if problem.mask is None else usable & problem.mask

@@ -106,7 +106,7 @@ class PlaceFinder:
 
         made_of = (_FORMAT, key, options.cell_px, options.channels, options.longest)
         store = kept.store("mosaic", *made_of, rows=rows)
-        self._mosaic = store.made(0, Mosaic.ARRAYS, Mosaic.of)
+        self._mosaic = store.made(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
         self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:

@@ -54,7 +54,12 @@ class Mosaic:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all of the mosaic by the names of ``ARRAYS``; features take half precision."""
         grid, values = self.grid, (self.features.half(), self.known, self.mean, self.components)
-        arrays = (grid.origin, np.array([grid.cell]), grid.heights, *(v.numpy() for v in values))
+        arrays = (
+            grid.origin,
+            np.array([grid.cell]),
+            grid.heights,
+            *(v.cpu().numpy() for v in values),
+        )
         return dict(zip(self.ARRAYS, arrays, strict=True))
 
     @staticmethod
@@ -64,6 +69,11 @@ class Mosaic:
         features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
         grid = GroundGrid(origin, float(cell[0]), heights)
         return Mosaic(grid, features, known, mean, components)
+
+    def on(self, device: torch.device) -> Mosaic:
+        """Return the mosaic for searches on a device."""
+        tensors = (self.features, self.known, self.mean, self.components)
+        return Mosaic(self.grid, *(each.to(device) for each in tensors))
 
 
 def empty_mosaic(grid: GroundGrid) -> Mosaic:
@@ -81,6 +91,8 @@ def make_mosaic(
     advance: Callable[[int], None],
 ) -> Mosaic:
     """Average the coarse features of all photographs that look down, cell by cell.
+
+    They are summed on the processor, whatever device made them.
 
     Args:
         sparse_map: whose photographs.
@@ -132,4 +144,4 @@ def _shown(
     shown = torch.from_numpy(view.shows(xy.numpy()))
     rows, xy = rows[shown], xy[shown]
     features, confidence = level.sample(xy.float())
-    return rows, features, confidence
+    return rows, features.cpu(), confidence.cpu()

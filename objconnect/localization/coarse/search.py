@@ -191,15 +191,15 @@ class PlaceSearch:
         scores[overlap < self._overlap * total] = -1.0
         score, turn = scores.max(0)
         # Shifts beyond the grid are those to the south and west.
-        north = torch.arange(size[0])
-        east = torch.arange(size[1])
+        north = torch.arange(size[0], device=score.device)
+        east = torch.arange(size[1], device=score.device)
         y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - laid.first[1]
         x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - laid.first[0]
         if within is not None:
             away = torch.hypot(x[None] - within[0], y[:, None] - within[1])
             score[away > within[2]] = -1.0
         near = max(1, round(self._separation / grid.cell))
-        around = torch.arange(-near, near + 1)
+        around = torch.arange(-near, near + 1, device=score.device)
         for _ in range(_PEAKS):
             row, column = divmod(int(score.argmax()), size[1])
             value = float(score[row, column])
@@ -257,14 +257,16 @@ class PlaceSearch:
         features, confidence = level.sample(xy[inside].float())
         focal = float(np.mean(view.camera.focal))
         area = (focal * cell) ** 2 * altitude / seen[inside][:, 2] ** 3
-        confidence = confidence * (area / level.stride**2).clamp(max=1.0).float()
+        device = features.device
+        confidence = confidence * (area / level.stride**2).clamp(max=1.0).float().to(device)
         if not float(confidence.sum()) > _LEAST_WEIGHT:
             return None
         of_turn, of_place = torch.nonzero(inside, as_tuple=True)
-        patch = torch.zeros(len(rotations), rows * columns, features.shape[1])
-        weight = torch.zeros(len(rotations), rows * columns)
-        patch[of_turn, place[of_place]] = features
-        weight[of_turn, place[of_place]] = confidence
+        of_turn, cells = of_turn.to(device), place[of_place].to(device)
+        patch = features.new_zeros(len(rotations), rows * columns, features.shape[1])
+        weight = features.new_zeros(len(rotations), rows * columns)
+        patch[of_turn, cells] = features
+        weight[of_turn, cells] = confidence
         return _LaidOut(
             patch.mT.reshape(len(rotations), -1, rows, columns),
             weight.reshape(-1, rows, columns),

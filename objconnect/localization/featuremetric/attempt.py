@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment
@@ -184,6 +185,6 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
-    """Return ``cam_from_world`` of the photograph of an aligned view."""
-    pose = alignment.pose
+    """Return ``cam_from_world`` of the photograph of an aligned view, on the processor."""
+    pose = alignment.pose.to(device=torch.device("cpu"))
     return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))

@@ -63,8 +63,8 @@ def calibrated(
     change = np.clip((ratio - 1) / by.changed_fit, 0, 1)
     deviation = by.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
     alike = (change[:, None] * deviation**2)[:, :, None] * np.eye(6)
-    return np.asarray(factor[:, None, None] * around.covariance.numpy() + alike)
+    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[np.float64]]:
-    return [tensor.double().numpy() for tensor in tensors]
+    return [tensor.double().cpu().numpy() for tensor in tensors]

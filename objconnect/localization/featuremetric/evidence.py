@@ -105,7 +105,7 @@ def _height(problem: Problem, pose: Pose, options: EvidenceOptions) -> float:
     projected = few.intrinsics.project(pose.transform(few.points))
     cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
     most = int(options.reach_cells / options.step_cells + 1e-6)
-    side = options.step_cells * torch.arange(-most, most + 1).float()
+    side = options.step_cells * torch.arange(-most, most + 1, device=cells.device).float()
     shifts = torch.cartesian_prod(side, side)
     gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
     length = shifts.norm(dim=-1)
@@ -146,7 +146,7 @@ def _shifted_gains(
     chance = cost @ shown / shown.sum().clamp_min(1)
     gain = cost.neg_().add_(chance[:, None]).mul_(trust).view(-1, 1, height, width)
     at = cells[:, None] + shifts
-    size = torch.tensor([width, height], dtype=at.dtype)
+    size = at.new_tensor([width, height])
     seen = valid[:, None] & ((at > 0.5) & (at < size - 0.5)).all(-1)
     place = torch.where(seen[..., None], 2 * at / size - 1, 3.0)  # 3 is out of the picture
     gains = grid_sample(gain, place[:, None], align_corners=False)[:, 0, 0]
@@ -166,7 +166,7 @@ def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:
     """
     finest = problem.levels[-1]
     stride = per_axis(finest.stride, problem.points)
-    size = torch.tensor(finest.features.shape[:1:-1], dtype=stride.dtype) * stride
+    size = stride.new_tensor(finest.features.shape[:1:-1]) * stride
     projected = problem.intrinsics.project(pose.transform(problem.points))
     seen = projected.valid & (projected.xy > 0).all(-1) & (projected.xy < size).all(-1)
     black = (projected.xy / size * fields).floor().sum(-1) % 2 == 0

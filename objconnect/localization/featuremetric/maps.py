@@ -65,7 +65,7 @@ class Network(Protocol):
 
 @dataclass(frozen=True)
 class FeatureMap:
-    """One level of one view.
+    """One level of one view, on the device of the network.
 
     Attributes:
         features: (1, C, h, w) float32, not normalised.
@@ -80,10 +80,11 @@ class FeatureMap:
     def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
 
-        Pixels less than half a cell from the edge of the map take the value there.
+        They are on the device of the map. Pixels less than half a cell from its edge take the value
+        there.
         """
         height, width = self.features.shape[-2:]
-        half = self.stride / 2
+        half, xy = self.stride / 2, xy.to(self.features.device)
         most = xy.new_tensor([width, height]) * self.stride - half
         within = torch.minimum(xy.clamp(min=half), most)
         features, _ = sample(self.features, within[None], self.stride)
@@ -92,7 +93,7 @@ class FeatureMap:
 
 
 class MapExtractor:
-    """Runs a network on photographs of any size.
+    """Runs a network on photographs of any size, on the device where the network is.
 
     Args:
         network: trained, ready for use.
@@ -106,6 +107,11 @@ class MapExtractor:
         self.longest = longest
         self._precision = precision
         self._bfloat16 = resolved(precision) == "bfloat16"
+
+    @property
+    def device(self) -> torch.device:
+        """Return where the network is, and so all maps that it makes."""
+        return next(self.network.damping.parameters()).device
 
     def of(self, network: Network) -> MapExtractor:
         """Return an extractor that runs another network in the same way."""
@@ -169,7 +175,7 @@ class MapExtractor:
             if finest is not None:
                 last = stride == strides[-1]
                 shown = finest if last else _shown(seen, confidence.shape[-2:], stride)
-                confidence = confidence * torch.from_numpy(shown)
+                confidence = confidence * torch.from_numpy(shown).to(self.device)
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
 
@@ -179,8 +185,8 @@ class MapExtractor:
         """Run the network; see ``Network.__call__``."""
         # Rows of pixels of RGB are channels-last as they are.
         picture = np.require(seen.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
-        image = torch.from_numpy(picture).permute(2, 0, 1)[None]
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+        image = torch.from_numpy(picture).to(self.device).permute(2, 0, 1)[None]
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self._bfloat16):
             return list(self.network(image, levels=levels, shown=shown))
 
     def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:

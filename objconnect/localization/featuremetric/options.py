@@ -19,6 +19,7 @@ from objconnect.localization.matching.retrieval import RetrievalOptions
 from objconnect.localization.matching.structure import StructureConfig
 from objconnect.localization.starts import StartOptions
 from objconnect.scene.config import Config
+from objconnect.scene.runtime.device import AUTO, Device
 
 
 class SearchOptions(Config):
@@ -205,6 +206,7 @@ class FeaturemetricConfig(Config):
     weights: Path | None = Field(
         None, description="File of the network; None for the one that comes with the project."
     )
+    device: Device = AUTO
     references: int = Field(
         5, ge=1, description="Photographs of the map that the query is aligned to, together."
     )

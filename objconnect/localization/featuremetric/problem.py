@@ -201,6 +201,8 @@ class ProblemBuilder:
     ) -> Problem:
         """Build the problem of a view with at most ``count`` points, those in view first.
 
+        The points are chosen on the processor; the problem is on the device of the maps.
+
         The points cover the image evenly, though the references overlap most in its middle: tilting
         the camera and moving it are told apart only far from there. A point seen by several
         references counts once for each of them, as in the authors' code.
@@ -226,6 +228,7 @@ class ProblemBuilder:
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]
+        device = self.extract.device
         levels = []
         for number, level in enumerate(maps):
             reference = np.concatenate([each.features[number] for each in observed])[kept]
@@ -233,19 +236,19 @@ class ProblemBuilder:
                 Level(
                     level.features,
                     level.stride,
-                    torch.from_numpy(reference).float()[None],
+                    torch.from_numpy(reference).to(device).float()[None],
                     level.confidence,
-                    torch.from_numpy(confidence[:, number]).float()[None],
+                    torch.from_numpy(confidence[:, number]).to(device).float()[None],
                 )
             )
         return Problem(
             levels,
-            torch.from_numpy(xyz[kept])[None],
-            view.camera.intrinsics(),
-            Pose(from_world.rotation[None], from_world.translation[None]),
+            torch.from_numpy(xyz[kept]).to(device)[None],
+            view.camera.intrinsics(device=device),
+            Pose(from_world.rotation[None], from_world.translation[None]).to(device=device),
             self.damping,
             self.options,
-            seen_from=torch.from_numpy(seen_from)[None],
+            seen_from=torch.from_numpy(seen_from).to(device)[None],
         )
 
 
@@ -261,7 +264,7 @@ def fit(problem: Problem, pose: Pose) -> float:
     points, options = problem.points, problem.options
     level = problem.levels[len(problem.levels) // 2]
     projected = problem.intrinsics.project(pose.transform(points))
-    size = torch.tensor(level.features.shape[:1:-1], dtype=points.dtype)
+    size = points.new_tensor(level.features.shape[:1:-1])
     cells = projected.xy / per_axis(level.stride, points)
     seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
     if not bool(seen.any()):

@@ -307,14 +307,14 @@ def observe(
     inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
     levels = [level.sample(projected.xy.float()) for level in maps]
     confidence = torch.stack([c for _, c in levels], -1)
-    seen = np.flatnonzero(inside & (confidence > 0).all(-1).numpy())
+    seen = np.flatnonzero(inside & (confidence > 0).all(-1).cpu().numpy())
     size = np.array([view.camera.width, view.camera.height])
-    worth = confidence.log().sum(-1).numpy()[seen]
+    worth = confidence.log().sum(-1).cpu().numpy()[seen]
     kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth, grid)[:points]]
     return Observations(
         xyz[kept],
-        tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
-        confidence[kept].to(torch.float16).numpy(),
+        tuple(features[kept].to(torch.float16).cpu().numpy() for features, _ in levels),
+        confidence[kept].to(torch.float16).cpu().numpy(),
     )
 
 

@@ -109,7 +109,7 @@ class Refiner:
         """Return unit features (n, C) of all coarse cells of the image as it was taken."""
         _, maps = self.extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
-        return torch.nn.functional.normalize(cells, dim=1).numpy()
+        return torch.nn.functional.normalize(cells, dim=1).cpu().numpy()
 
     def _realigned(
         self, query: Query, maps: list[FeatureMap], found: Found, clock: Stopwatch

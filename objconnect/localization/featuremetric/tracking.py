@@ -83,7 +83,8 @@ def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int 
 
 def _aligned(problem: Problem, first: int, tracking: TrackingOptions) -> Alignment:
     """Align from a level on; before the finest only few points, until steps are rather small."""
-    options, iterations = problem.options, torch.zeros(1, dtype=torch.long)
+    options = problem.options
+    iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
     rough = options.rougher(tracking.rough_convergence)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):

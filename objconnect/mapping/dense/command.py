@@ -39,6 +39,7 @@ from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.cluster import worker_pool
+from objconnect.scene.runtime.device import AUTO, torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import (
     TEMPORARY_PREFIX,
@@ -82,6 +83,7 @@ def dense(
     stereo: Stereo = "own",
     seed: int = 0,
     cluster: str | None = None,
+    device: str = AUTO,
     options: DenseOptions = DEFAULTS,
 ) -> DenseReport:
     """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
@@ -98,6 +100,8 @@ def dense(
         seed: seed of every random choice; the same seed makes the same files.
         cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
             must see the scene at the same path and write to it.
+        device: device of our PatchMatch, as in ``objconnect.scene.runtime.device.Device``. On a
+            cluster, whose units ask for cores alone, auto is cpu.
         options: when depth maps agree, and which depths are kept.
 
     Returns:
@@ -105,11 +109,13 @@ def dense(
 
     Raises:
         InputError: not a finished scene, one that another run is writing, no map, no photograph
-            with enough others that see the same, a damaged photograph, or a folder that cannot be
-            written.
+            with enough others that see the same, a damaged photograph, a folder that cannot be
+            written, or a device that is not there.
     """
+    if cluster is not None and device == AUTO:
+        device = "cpu"  # units of a cluster ask for cores alone
+    asked = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
     scene = Scene.open(path)
-    asked = _Request(size, sources, stereo, seed, options)
     with write_lock(path):
         return _make(scene, asked, cluster)
 
@@ -122,6 +128,7 @@ class _Request:
     sources: int
     stereo: Stereo
     seed: int
+    device: str
     options: DenseOptions
 
 
@@ -149,7 +156,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     photographs = digests(files)
     key = {"map": sparse_map.sha256, "photographs": digest_of(*photographs), "size": asked.size,
            "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
-           "options": options.model_dump(mode="json")}  # fmt: skip
+           "device": asked.device, "options": options.model_dump(mode="json")}  # fmt: skip
     workspace = _open_workspace(scene, key)
     _write_photographs(scene, sparse_map, cameras, workspace)
     try:
@@ -213,6 +220,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
             return "key"
         # Options that came later than the folder had the effect of their defaults.
         recorded["options"] = DEFAULTS.model_dump(mode="json") | options
+        recorded.setdefault("device", key["device"])
         return None if recorded == json.loads(request) else "key"
 
     return ResumableFolder(folder, folder / KEY, request, difference)
@@ -303,7 +311,7 @@ class _Maps:
         self._pairs = pairs
         self._asked = asked
         self._options = asked.options
-        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self._device = torch_device(asked.device)
         images = sparse_map.images.values()
         pixels = max(image.camera.width * image.camera.height for image in images)
         floats = _CACHED * pixels * np.dtype(np.float32).itemsize

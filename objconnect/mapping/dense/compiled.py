@@ -94,6 +94,24 @@ class _Sources(NamedTuple):
     limit_px: np.float32
 
 
+class _Place(NamedTuple):
+    """Where a pixel lies in another picture: pixels, depth, and whether it is in the picture."""
+
+    u: np.float32
+    v: np.float32
+    z: np.float32
+    inside: bool
+
+
+class _Slopes(NamedTuple):
+    """Derivatives of a place by the pixel: of u by x and y, then of v."""
+
+    ux: np.float32
+    uy: np.float32
+    vx: np.float32
+    vy: np.float32
+
+
 class CompiledPhotometry:
     """Costs of planes at pixels, as ``Photometry``, whose arguments it takes."""
 
@@ -217,17 +235,18 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
         for k in range(len(seen)):
             if not seen[k, row, column]:
                 continue
-            shape, begin, here = (shapes[k, 0], shapes[k, 1]), begins[k], _WORST
+            shape = (shapes[k, 0], shapes[k, 1])
+            begin, here = begins[k], _WORST
             at = _warped(there, k, shape, x, y, w)
-            if at[3]:
+            if at.inside:
                 slopes = _slopes(there, k, at, gx, gy)
                 here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
                 if len(inverse_depths):
-                    pixel = begin + int(at[1]) * (shape[1] + _MORE) + int(at[0])
+                    pixel = begin + int(at.v) * (shape[1] + _MORE) + int(at.u)
                     known, pixels = inverse_depths[pixel], limit_px
                     if known > 0:
-                        home = _warped(back, k, shape, at[0], at[1], known)
-                        pixels = min(np.hypot(home[0] - x, home[1] - y), pixels)
+                        home = _warped(back, k, shape, at.u, at.v, known)
+                        pixels = min(np.hypot(home.u - x, home.v - y), pixels)
                     here += weight * pixels
             # Costs so far, in ascending order.
             place = done
@@ -249,22 +268,23 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
 
 @_compiled
 def _warped(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
-    """Warp a pixel as ``Warp`` k does: u, v, z and whether it is in a picture of a shape."""
+    """Warp a pixel as ``Warp`` k does, into a picture of a shape; a ``_Place``."""
     a = matrices[k, 0, 0] * x + matrices[k, 0, 1] * y + (matrices[k, 0, 2] + matrices[k, 0, 3] * w)
     b = matrices[k, 1, 0] * x + matrices[k, 1, 1] * y + (matrices[k, 1, 2] + matrices[k, 1, 3] * w)
     c = matrices[k, 2, 0] * x + matrices[k, 2, 1] * y + (matrices[k, 2, 2] + matrices[k, 2, 3] * w)
     z = max(c, _MIN_DEPTH)
     u, v = a / z, b / z
-    return u, v, z, u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
+    inside = u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
+    return _Place(u, v, z, inside)
 
 
 @_compiled
 def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
     """Return the slopes of warp k as ``Warp.slopes`` does."""
-    u, v, z, _ = at
+    u, v, z = at.u, at.v, at.z
     zx = matrices[k, 2, 0] + matrices[k, 2, 3] * gx
     zy = matrices[k, 2, 1] + matrices[k, 2, 3] * gy
-    return (
+    return _Slopes(
         (matrices[k, 0, 0] + matrices[k, 0, 3] * gx - u * zx) / z,
         (matrices[k, 0, 1] + matrices[k, 0, 3] * gy - u * zy) / z,
         (matrices[k, 1, 0] + matrices[k, 1, 3] * gx - v * zx) / z,
@@ -277,12 +297,12 @@ def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
 def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
     """Return the weighted correlation of window i with that of a picture around a place."""
     right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _MORE)
-    ux, uy, vx, vy = slopes
     # Positions count from the middle of the first pixel; those beyond the edge lie on it.
-    u, v = at[0] - _HALF, at[1] - _HALF
+    u, v = at.u - _HALF, at.v - _HALF
     mean = square = product = _ZERO
     for s in range(_SAMPLES):
-        column, row = u + ux * _DX[s] + uy * _DY[s], v + vx * _DX[s] + vy * _DY[s]
+        column = u + slopes.ux * _DX[s] + slopes.uy * _DY[s]
+        row = v + slopes.vx * _DX[s] + slopes.vy * _DY[s]
         column = column if column > _ZERO else _ZERO
         column = column if column < right else right
         row = row if row > _ZERO else _ZERO

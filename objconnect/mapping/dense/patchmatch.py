@@ -22,7 +22,7 @@ from torch.nn.functional import interpolate, pad
 from objconnect.mapping.dense.photometry import Photometry, PlaneCosts
 from objconnect.mapping.dense.planes import moved, planes_at_nearest, planes_through, resized
 from objconnect.mapping.dense.warp import StereoView
-from objconnect.scene.runtime.loops import has_compiler
+from objconnect.scene.runtime.device import loops_serve
 from objconnect.scene.runtime.threads import torch_threads
 
 # Number of pixels processed at once, whose windows fit into the processor's cache.
@@ -225,7 +225,7 @@ class _Search:
 
 def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
     """Return the class that takes the least time on a device, of those that are installed."""
-    if device.type == "cpu" and has_compiler():
+    if loops_serve(device):
         from objconnect.mapping.dense.compiled import CompiledPhotometry
 
         return CompiledPhotometry

@@ -131,9 +131,10 @@ class Pose:
     translation: Tensor
 
     @staticmethod
-    def identity(dtype: torch.dtype = torch.float64) -> Pose:
+    def identity(dtype: torch.dtype = torch.float64, device: torch.device | None = None) -> Pose:
         """Return the identity transform."""
-        return Pose(torch.eye(3, dtype=dtype), torch.zeros(3, dtype=dtype))
+        rotation = torch.eye(3, dtype=dtype, device=device)
+        return Pose(rotation, torch.zeros(3, dtype=dtype, device=device))
 
     @staticmethod
     def from_matrix(matrix: object) -> Pose:

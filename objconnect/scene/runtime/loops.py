@@ -28,8 +28,8 @@ def has_compiler() -> bool:
 
 
 @cache
-def compiled(function: Callable[..., None], signature: str) -> Callable[..., None]:
-    """Compile a function of arrays for one signature.
+def compiled(function: Callable[..., None], signature: Any) -> Callable[..., None]:
+    """Compile a function of arrays, and of records of them, for one signature of Numba.
 
     To compile takes a second or so, and a tenth to read what was compiled before: that is kept
     beside the function's file, or in the user's cache.

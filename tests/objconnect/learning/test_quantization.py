@@ -88,7 +88,7 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
 def test_doubling_rounds_bilinear_values(
     size: tuple[int, int], compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(quantization, "has_compiler", lambda: compiled)
+    monkeypatch.setattr(quantization, "loops_serve", lambda device: compiled)
     torch.manual_seed(2)
     maps = torch.randint(0, 256, (2, 6, *size), dtype=torch.uint8)
     maps = maps.contiguous(memory_format=torch.channels_last)

@@ -278,4 +278,5 @@ CAMERA = values(
     *(f"PINHOLE {10**20} {10**20} 80 80 48 32",),
 )
 CLUSTER = values(None, "", "magic", "host", "host:port", "local:", ":6379", "a b:1", "h:1/x")
+DEVICE = values("cpu", "", "magic", "cuda:999", "cuda:")
 SEED = integer("3", "0", HUGE)

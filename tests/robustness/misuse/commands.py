@@ -9,6 +9,7 @@ from tests.robustness.fuzz.readers import CMU_QUERY
 from tests.robustness.misuse.arguments import (
     CAMERA,
     CLUSTER,
+    DEVICE,
     FLAG,
     HUGE,
     METHOD,
@@ -555,6 +556,7 @@ COMMANDS: dict[str, Row] = {
             "scene": folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH),
             "weights": file("weights/net.safetensors", "bytes"),
             "out": out_file("out.csv"),
+            "device": DEVICE,
             "as_json": FLAG,
         },
         work=("objconnect.network.object_map.ObjectFinder.views",),
@@ -567,6 +569,7 @@ COMMANDS: dict[str, Row] = {
             "stereo": choice("own"),
             "seed": SEED,
             "cluster": CLUSTER,
+            "device": DEVICE,
             "as_json": FLAG,
         },
         work=("objconnect.mapping.dense.command._make_maps",),

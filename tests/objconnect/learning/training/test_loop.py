@@ -206,7 +206,7 @@ class _Fit:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         from objconnect.learning.training.loop import join
 
-        return self.network.slope.sum() * (join().rank + 1.0), {}
+        return self.network.slope.sum() * (join(torch.device("cpu")).rank + 1.0), {}
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         return [{"params": list(self.network.parameters()), "lr": rate}]

@@ -1,0 +1,94 @@
+"""Poses on the processor and on a CUDA device, compared: ``python -m experiments.device_parity``.
+
+It localizes queries of a data set twice, told a pose with an error, then told nothing. Each device
+prepares the map for itself. It prints how far poses are apart at most, and the ratio of seconds.
+Networks compute in single precision on both, so that rounding alone differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import torch
+
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.starts import parse_start
+from objconnect.methods import create
+from objconnect.scene.geometry.pose import Pose
+
+SCENE: Final = Path(__file__).parents[1] / "tests" / "data" / "gate-snow"
+METHODS: Final = ("objconnect", "pixloc", "pixloc-search", "place", "d2net")
+STARTS: Final = ("error=3m,5deg", "none")
+
+
+class Answers(NamedTuple):
+    """What a method says of queries on one device.
+
+    Attributes:
+        poses: ``cam_from_world`` by the name of the query; None where it has none.
+        seconds: of all queries, by the clock, without the preparation of the map.
+    """
+
+    poses: dict[str, Pose | None]
+    seconds: float
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print one line per method and start."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path, nargs="?", default=SCENE)
+    parser.add_argument("--methods", nargs="+", default=METHODS)
+    parser.add_argument("--device", default="cuda", help="compared with cpu")
+    parser.add_argument("--every", type=int, default=1, help="take every so many queries")
+    given = parser.parse_args(arguments)
+    if given.device != "cpu" and not torch.cuda.is_available():
+        print("torch finds no CUDA device here: there is nothing to compare")
+        return
+    (dataset,) = open_datasets(given.scene)
+    for method in given.methods:
+        for start in STARTS:
+            both = [answers(dataset, method, d, start, given.every) for d in ("cpu", given.device)]
+            print(f"{method}, {start}: {compared(*both)}", flush=True)
+
+
+def answers(dataset: Dataset, method: str, device: str, start: str, every: int = 1) -> Answers:
+    """Localize every so many queries of a data set on a device."""
+    settings = (
+        {"device": device} if method == "d2net" else {"device": device, "precision": "float32"}
+    )
+    localizer, sparse_map = create(method, settings), dataset.load_map()
+    with tempfile.TemporaryDirectory() as folder:
+        load = parse_start(start).loader(dataset, sparse_map, Path(folder))
+        localizer.prepare(sparse_map, dataset.images, Path(folder))
+        queries = [load(query) for query in dataset.queries[::every]]
+        localizer.localize(queries[0])  # what is made once
+        begin = time.perf_counter()
+        poses = {query.name: localizer.localize(query).cam_from_world for query in queries}
+        return Answers(poses, time.perf_counter() - begin)
+
+
+def compared(first: Answers, second: Answers) -> str:
+    """Return how far the poses of two devices are apart, and the ratio of seconds, in words."""
+    apart = [
+        tuple(map(float, pose.error_to(other)))
+        for name, pose in first.poses.items()
+        if pose is not None and (other := second.poses[name]) is not None
+    ]
+    metres, degrees = (
+        (max(each, default=0.0) for each in zip(*apart, strict=True)) if apart else (0.0, 0.0)
+    )
+    one = sum((pose is None) != (second.poses[name] is None) for name, pose in first.poses.items())
+    return (
+        f"{len(apart)} poses, at most {metres:.2g} m and {degrees:.2g} deg apart, {one} of one "
+        f"device alone; {second.seconds / first.seconds:.2f} of the seconds"
+    )
+
+
+if __name__ == "__main__":
+    main()
