@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.matching.features import Extractor, map_features
-from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
+from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.colmap.relative_pose import estimate_relative_pose
 from objconnect.scene.config import Config
@@ -66,9 +66,6 @@ class EpipolarConfig(Config):
     refinement: RefinementOptions = Field(
         RefinementOptions(), description="How the pose is refined over all references."
     )
-    retrieval: RetrievalOptions = Field(
-        RetrievalOptions(), description="How photographs are chosen where there is no prior."
-    )
 
 
 @dataclass(frozen=True)
@@ -107,9 +104,7 @@ class EpipolarLocalizer:
 
         self._seen = LruCache(seen, room(self.config.memory_mb))
         count = len(sparse_map.names)
-        self._references = References.build(
-            sparse_map, OnDemand(described, count), self.config.retrieval
-        )
+        self._references = References.build(sparse_map, OnDemand(described, count))
 
     def localize(self, query: Query) -> Estimate:
         """Extract features, choose references, find relative poses, intersect rays and refine."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from pydantic import Field
-
 from objconnect.learning.checkpoint import shipped
 from objconnect.learning.folding import fold
 from objconnect.learning.pixloc_net import read_network
+from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchingConfig
 
@@ -23,7 +22,7 @@ class PixlocConfig(FeaturemetricConfig):
     ``weights`` may be a checkpoint of the authors.
     """
 
-    corners: int = Field(0, ge=0)
+    corners: CornerOptions | None = None
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
@@ -36,7 +35,7 @@ class PixlocLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: PixlocConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
         fold(network, config.precision)
-        super().__init__("pixloc", network, digest, config.accepting())
+        super().__init__("pixloc", network, digest, config)
 
 
 class PixlocSearchConfig(SearchingConfig):
@@ -57,4 +56,4 @@ class PixlocSearchLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: PixlocSearchConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
         fold(network, config.precision)
-        super().__init__("pixloc-search", network, digest, config.accepting())
+        super().__init__("pixloc-search", network, digest, config)

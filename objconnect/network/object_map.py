@@ -19,7 +19,7 @@ from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, detections
-from objconnect.network.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
+from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merged, on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.localizer import MapPart
@@ -43,13 +43,10 @@ class ObjectFinder:
     Args:
         extract: of the feature maps that the detector sees.
         detector: of objects.
-        options: of the objects that are kept.
     """
 
-    def __init__(
-        self, extract: MapExtractor, detector: ObjectDetector, options: LandmarkOptions
-    ) -> None:
-        self._extract, self._detector, self._options = extract, detector, options
+    def __init__(self, extract: MapExtractor, detector: ObjectDetector) -> None:
+        self._extract, self._detector = extract, detector
 
     def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
         """Return the objects of a photograph (H, W, 3), in its own pixels."""
@@ -73,8 +70,7 @@ class ObjectFinder:
 
     def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
         """Return the objects of a picture (H, W, 3), given what the detector says of it."""
-        options, stride = self._options, self._detector.config.stride
-        return detections(maps, stride, options.count, options.least_score)
+        return detections(maps, self._detector.config.stride, COUNT, LEAST_SCORE)
 
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
         """Return the objects that the photographs of a map show from above.
@@ -82,7 +78,7 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        return merged(self.views(sparse_map, images), self._options)[0]
+        return merged(self.views(sparse_map, images))[0]
 
     def views(self, sparse_map: SparseMap, images: Path) -> list[View]:
         """Return the photographs of a map that look down, each with its objects.
@@ -96,8 +92,7 @@ class ObjectFinder:
     def file(self, source: ReferenceSource, cache: Path) -> Path:
         """Return where the cache holds the objects of a map, whether or not it does."""
         kept = MapCache.of(source.sparse_map, source.images, cache)
-        seen = f"{source.extractor_key} {source.options.same_resolution}"
-        return kept.path("objects", _FORMAT, seen, self._options.model_dump_json())
+        return kept.path("objects", _FORMAT, source.extractor_key)
 
     def watcher(
         self, source: ReferenceSource, cache: Path, part: MapPart | None = None
@@ -127,14 +122,10 @@ class ObjectFinder:
         path = self.file(source, cache)
         found = watched or self.watcher(source, cache)
         if found is not None:
-            landmarks = merged(list(found.views()), self._options)[0]
+            landmarks = merged(list(found.views()))[0]
             found.write()
             landmarks.write(path)
         return Landmarks.read(path)
-
-    def made_of(self) -> str:
-        """Return the options that decide what is found in a photograph, as text."""
-        return f"{_FORMAT} {self._options.count} {self._options.least_score}"
 
 
 class MapObjects:
@@ -166,7 +157,7 @@ class MapObjects:
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
         if image.name not in self._found and self._earlier is not None:
-            made_of = key_of(key, self._find.made_of())
+            made_of = key_of(key, _FORMAT)
             found = self._earlier.read(made_of, lambda store, row: store.arrays(row, _ARRAYS))
             if found is not None:
                 self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
@@ -206,14 +197,12 @@ class MapObjects:
         """
         assert self._kept is not None
         self._kept.require_unchanged()
-        path = self._kept.path(
-            _DETECTIONS, _FORMAT, self._source.extractor_key, self._find.made_of()
-        )
+        path = self._kept.path(_DETECTIONS, _FORMAT, self._source.extractor_key)
         with written_store(path) as add:
             for image in self._down():
                 found = self._found[image.name]
                 arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
-                add(arrays, key_of(self._key(image), self._find.made_of()))
+                add(arrays, key_of(self._key(image), _FORMAT))
 
     def _down(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""

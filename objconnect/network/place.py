@@ -9,7 +9,7 @@ from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped
 from objconnect.learning.folding import Precision, fold
-from objconnect.localization.coarse.finder import PlaceFinder, PlaceOptions
+from objconnect.localization.coarse.finder import LONGEST, PlaceFinder, PlaceOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
@@ -20,17 +20,17 @@ from objconnect.scene.storage.scratch import scratch
 
 
 class PlaceConfig(Config):
-    """Options of the method ``place``.
+    """Options of the method ``place``."""
 
-    Attributes:
-        weights: file of an object-connect network; None is the one that comes with the project.
-        precision: of the convolutions.
-        search: options of the search.
-    """
-
-    weights: Path | None = None
-    precision: Precision = Field("auto", validate_default=True)
-    search: PlaceOptions = Field(default_factory=PlaceOptions)
+    weights: Path | None = Field(
+        None,
+        description="File of an object-connect network; None is the one that comes with the "
+        "project.",
+    )
+    precision: Precision = Field(
+        "auto", validate_default=True, description="Precision of the convolutions."
+    )
+    place: PlaceOptions = Field(PlaceOptions(), description="Search of the map.")
 
 
 class PlaceLocalizer:
@@ -46,8 +46,8 @@ class PlaceLocalizer:
         network, digest = read_network(config.weights or shipped(SHIPPED))
         fold(network, config.precision)
         self.weights_sha256: str | None = digest
-        extract = MapExtractor(network, 2 * config.search.longest, config.precision)
-        self._finder = PlaceFinder(extract, config.search)
+        extract = MapExtractor(network, 2 * LONGEST, config.precision)
+        self._finder = PlaceFinder(extract, config.place)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from objconnect.learning.checkpoint import shipped
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.landmarks import LandmarkOptions, Landmarks, Tracks, merged
+from objconnect.network.landmarks import Landmarks, Tracks, merged
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig
 from objconnect.network.network import read_network
 from objconnect.network.object_map import ObjectFinder
@@ -93,10 +93,9 @@ def find_landmarks(
     cameras = {name: image.camera for name, image in sparse_map.images.items()}
     check_photographs(scene.images_root, cameras)
     config = ObjConnectConfig()
-    options = LandmarkOptions()
     extract = MapExtractor(network, config.longest, config.precision)
-    finder = ObjectFinder(extract, network.detector, options)
-    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)
+    finder = ObjectFinder(extract, network.detector)
+    landmarks, tracks = merged(finder.views(sparse_map, scene.images_root))
     with write_lock(path):
         remove_partial(path)
         _write(path / LANDMARKS, landmarks, tracks, sparse_map)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.align import kernels
-from objconnect.localization.align.damping import FLOOR, LEAST_FACTOR, MOST_FACTOR
+from objconnect.localization.align.damping import CHANGE, FLOOR, LEAST_FACTOR, MOST_FACTOR
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.state import State
@@ -49,7 +49,7 @@ def descended(
     turns, shifts = (np.array(each, float) for each in _arrays(pose.rotation, pose.translation))
     tried, factors = np.zeros(len(moving), np.int64), np.ones(len(moving))
     out = _empty(*used.shape)
-    rules = (options.damping_change, LEAST_FACTOR, MOST_FACTOR, FLOOR)
+    rules = (CHANGE, LEAST_FACTOR, MOST_FACTOR, FLOOR)
     small = (radians(options.converged_deg), options.converged_m)
     loops, level = compiled(kernels.descend, _DESCEND), _level(cost)
     points, state = (
