@@ -4,12 +4,13 @@
         [--start error=3m,5deg] [--cache CACHE] [--out own.covariance.yaml]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. The numbers (``CovarianceNumbers``) make most likely the errors, if these follow a Student distribution of eight degrees of freedom, and, with
-four times the weight, under each condition the mean of their normalised squares (NEES) and the
-share of them in the 95 % ellipsoid. ``--out`` writes them, for weights of your own beside these
-(``own.covariance.yaml`` beside ``own.safetensors``). Printed are the eight, and for each condition the NEES with
-them, with those that the method has now, and with the covariance as it is measured; of several
-scenes, also the NEES of each with the numbers that the others give.
+queries of many conditions. The numbers (``CovarianceNumbers``) make most likely the errors, if
+these follow a Student distribution of eight degrees of freedom, and, with four times the weight,
+under each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
+ellipsoid. ``--out`` writes them: beside weights of your own as ``own.covariance.yaml`` beside
+``own.safetensors``. Printed are the eight, and for each condition the NEES with them, with those
+that the method has now, and with the covariance as it is measured; of several scenes, also the NEES
+of each with the numbers that the others give.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchingConfig
+from objconnect.scene.config import with_default
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
 """The weights that come with the project."""
@@ -22,7 +23,7 @@ class PixlocConfig(FeaturemetricConfig):
     ``weights`` may be a checkpoint of the authors.
     """
 
-    corners: CornerOptions | None = None
+    corners: CornerOptions | None = with_default(FeaturemetricConfig, "corners", None)
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):

@@ -13,7 +13,7 @@ from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.calibration import CovarianceNumbers
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.matching.structure import StructureConfig
-from objconnect.scene.config import Config
+from objconnect.scene.config import Config, with_default
 
 
 class SearchOptions(Config):
@@ -109,6 +109,7 @@ class FeaturemetricConfig(Config):
     )
     precision: Precision = Field(
         "float32",
+        validate_default=True,
         description="Precision of the convolutions; auto is bfloat16 where the processor has "
         "matrix units for it, else float32.",
     )
@@ -165,11 +166,13 @@ class SearchingConfig(FeaturemetricConfig):
     """Options of a localizer that looks around its start and finds starts itself where no prior
     gives them. It aligns to more photographs: what snow hides in one may be seen in another."""
 
-    references: int = Field(8, ge=1)
-    precision: Precision = Field("auto", validate_default=True)
-    multistart: bool = True
-    max_magnification: float = Field(2.0, ge=1)
-    place: PlaceOptions = Field(PlaceOptions())
-    matches: StructureConfig | None = Field(StructureConfig())
+    references: int = with_default(FeaturemetricConfig, "references", 8)
+    precision: Precision = with_default(FeaturemetricConfig, "precision", "auto")
+    multistart: bool = with_default(FeaturemetricConfig, "multistart", True)
+    max_magnification: float = with_default(FeaturemetricConfig, "max_magnification", 2.0)
+    place: PlaceOptions = with_default(FeaturemetricConfig, "place", PlaceOptions())
+    matches: StructureConfig | None = with_default(
+        FeaturemetricConfig, "matches", StructureConfig()
+    )
     most_tilt_deg: ClassVar[float | None] = 30.0
     same_place_m: ClassVar[float | None] = 3.0

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from pydantic import Field
 
 from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
@@ -56,7 +57,9 @@ _DEFAULTS: Final = SequenceConfig()
 
 
 class _Settings(Config):
-    sequence: SequenceConfig = _DEFAULTS
+    sequence: SequenceConfig = Field(
+        _DEFAULTS, description="When an image of a sequence is believed."
+    )
 
 
 def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
