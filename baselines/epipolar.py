@@ -20,7 +20,7 @@ from torch import Tensor
 
 from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.matching.features import Extractor, map_features
-from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
+from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.colmap.relative_pose import estimate_relative_pose
 from objconnect.scene.config import Config
@@ -59,9 +59,6 @@ class EpipolarConfig(Config):
         "there is room below it.",
     )
     seed: int = Field(0, description="Random seed of RANSAC.")
-    retrieval: RetrievalOptions = Field(
-        RetrievalOptions(), description="How photographs are chosen where there is no prior."
-    )
 
 
 @dataclass(frozen=True)
@@ -102,9 +99,7 @@ class EpipolarLocalizer:
 
         self._seen = LruCache(seen, room(self.config.memory_mb))
         count = len(sparse_map.names)
-        self._references = References.build(
-            sparse_map, OnDemand(described, count), self.config.retrieval
-        )
+        self._references = References.build(sparse_map, OnDemand(described, count))
 
     def localize(self, query: Query) -> Estimate:
         """Extract features, choose references, find relative poses, intersect rays and refine."""

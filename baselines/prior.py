@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
 
-from objconnect.localization.matching.retrieval import References, RetrievalOptions
-from objconnect.localization.starts import StartOptions, start_of, starts
+from objconnect.localization.matching.retrieval import References
+from objconnect.localization.starts import start_of, starts
 from objconnect.scene.config import Config
 from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -16,13 +15,6 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 class PriorConfig(Config):
     """Options of the prior localizer."""
-
-    starts: StartOptions = Field(
-        StartOptions(), description="How an incomplete prior is completed from photographs."
-    )
-    retrieval: RetrievalOptions = Field(
-        RetrievalOptions(), description="How the photograph to complete it from is chosen."
-    )
 
 
 class PriorLocalizer:
@@ -41,7 +33,7 @@ class PriorLocalizer:
         """Keep the map; of its photographs only the poses are needed."""
         self._map = sparse_map
         unseen = [np.empty((0, 1), np.float32)] * len(sparse_map.names)
-        self._references = References.build(sparse_map, unseen, self.config.retrieval)
+        self._references = References.build(sparse_map, unseen)
 
     def localize(self, query: Query) -> Estimate:
         """Return the query's starting pose."""
@@ -58,6 +50,6 @@ class PriorLocalizer:
             chosen = self._references.choose(query, 1, lambda: np.empty((0, 1), np.float32))
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            start = starts(query.prior, self._map, chosen, self.config.starts)[0]
+            start = starts(query.prior, self._map, chosen)[0]
         by = start_of(query.prior)
         return Estimate(Status.OK, start, seconds=clock.seconds, by=by)

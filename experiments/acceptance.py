@@ -28,7 +28,6 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-import yaml
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
@@ -43,18 +42,17 @@ from benchmark.scoring.score import wilson
 from objconnect.localization.featuremetric.acceptance import (
     RIGHT_DEG,
     RIGHT_M,
-    SHIPPED,
     AcceptanceModel,
     AlignedModel,
     MatchedModel,
     best_probability,
-    read_acceptance,
 )
 from objconnect.localization.featuremetric.attempt import Attempt, sigma_m
 from objconnect.localization.featuremetric.evidence import Evidence
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.methods import create
+from objconnect.scene.config import load_config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate
 from objconnect.scene.runtime.progress import progress_bar
@@ -293,17 +291,15 @@ def fit(given: argparse.Namespace) -> None:
         aligned=AlignedModel(**dict(zip(AlignedModel.model_fields, aligned.round(3), strict=True))),
         matched=_matched_model(_together(list(map(_matches, files)))),
     )
-    text = "# From python -m experiments.acceptance.\n"
-    text += yaml.safe_dump(model.model_dump(), sort_keys=False, default_flow_style=None)
-    print(text)
+    print(model)
     if given.out:
-        given.out.write_text(text)
+        model.write(given.out, "python -m experiments.acceptance")
 
 
 def _matched_model(cases: Cases) -> MatchedModel:
     """Return the model of poses by matches; the shipped one where records have no such pose."""
     if not len(cases[0]):
-        return read_acceptance(None).matched
+        return AcceptanceModel.beside(None).matched
     numbers = _regression(cases, _MATCHED_RIDGE).round(3)
     return MatchedModel(**dict(zip(MatchedModel.model_fields, numbers, strict=True)))
 
@@ -338,8 +334,7 @@ def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | No
 
 def check(given: argparse.Namespace) -> None:
     """Print what a model is worth on each file of records, and draw its reliability."""
-    path = given.model or SHIPPED
-    model = AcceptanceModel.model_validate(yaml.safe_load(path.read_text()))
+    model = load_config(AcceptanceModel, given.model or AcceptanceModel.shipped(), {})
     print(
         "| records | queries | answered | wrong by > 1 m, 5° | wrong by > 5 m, 10° | right within "
         "0.5 m | of these refused | calibration error |\n|---|--:|--:|--:|--:|--:|--:|--:|"

@@ -14,11 +14,8 @@ import numpy as np
 import torch
 
 from benchmark.datasets.open import open_datasets
-from objconnect.localization.depth.sweep import SweepOptions
 from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions
 from objconnect.scene.bundle.scene import Scene
-
-_MOST = 2500
 
 
 def main() -> None:
@@ -28,11 +25,11 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=6, help="take every so many photographs")
     parser.add_argument("--sweep", default="{}", help="options of the sweep, as JSON")
     given = parser.parse_args()
-    options = CornerOptions(sweep=SweepOptions.model_validate_json(given.sweep))
+    options = CornerOptions.model_validate_json(given.sweep)
     torch.set_num_threads(1)
     scene, (dataset,) = Scene.open(given.scene), open_datasets(given.scene)
     sparse_map = dataset.load_map()
-    find = CornerFinder(sparse_map, dataset.images, _MOST, 1024, options)
+    find = CornerFinder(sparse_map, dataset.images, 1024, options)
     names = sparse_map.names[given.every // 2 :: given.every]
     find(names[0])  # what is made once
     off, seconds = [], []
@@ -54,7 +51,7 @@ def _summary(off: list[np.ndarray], seconds: list[float]) -> str:
     """Return how many corners were placed, how exactly and in what time, in words."""
     every = np.concatenate(off)
     return (
-        f"{len(every) / len(off):.0f} of {_MOST} corners placed, off by {np.median(every):.4f} m "
+        f"{len(every) / len(off):.0f} corners placed, off by {np.median(every):.4f} m "
         f"(median), {np.mean(every < 0.5):.1%} within 0.5 m, {np.mean(seconds):.3f} s"
     )
 

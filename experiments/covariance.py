@@ -1,16 +1,16 @@
 """The eight numbers of the covariance of poses by alignment, from scenes, and what it is worth.
 
-    python -m experiments.covariance SCENE [SCENE ...] [--method objconnect]
-        [--start error=3m,5deg] [--cache CACHE]
+    python -m experiments.covariance SCENE [SCENE ...] [--method objconnect] [--weights WEIGHTS]
+        [--start error=3m,5deg] [--cache CACHE] [--out own.covariance.yaml]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_level``,
-``_level_patches``, ``_floor``, ``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most
-likely the errors, if these follow a Student distribution of eight degrees of freedom, and, with
-four times the weight, under each condition the mean of their normalised squares (NEES) and the
-share of them in the 95 % ellipsoid. Printed are the eight, and for each condition the NEES with
-them, with those that the method has now, and with the covariance as it is measured; of several
-scenes, also the NEES of each with the numbers that the others give.
+queries of many conditions. The numbers (``CovarianceNumbers``) make most likely the errors, if
+these follow a Student distribution of eight degrees of freedom, and, with four times the weight,
+under each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
+ellipsoid. ``--out`` writes them: beside weights of your own as ``own.covariance.yaml`` beside
+``own.safetensors``. Printed are the eight, and for each condition the NEES with them, with those
+that the method has now, and with the covariance as it is measured; of several scenes, also the NEES
+of each with the numbers that the others give.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from objconnect.localization.featuremetric.calibration import CovarianceNumbers,
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import Estimate, Status
+from objconnect.scene.localizer import Estimate, Localizer, Status
 from objconnect.scene.runtime.progress import progress_bar
 
 # Degrees of freedom of the errors: fewer than infinitely many, as some poses are wrong by far more.
@@ -64,8 +64,8 @@ _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
 # Where the search for the numbers begins, as there are several minima.
 _BEGIN: Final = (
-    CovarianceNumbers(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
-    CovarianceNumbers(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    (1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    (2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
 )
 
 
@@ -116,7 +116,7 @@ def calibrate(answers: Answers) -> CovarianceNumbers:
     """Return the numbers with which the covariances are right."""
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
-        numbers = CovarianceNumbers(*np.exp(logarithms).tolist())
+        numbers = CovarianceNumbers.of(np.exp(logarithms).tolist())
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
         nees = answers.nees(numbers)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
@@ -135,7 +135,8 @@ def calibrate(answers: Answers) -> CovarianceNumbers:
             found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
             at = found.x
         tried.append(found)
-    return CovarianceNumbers(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
+    best = np.exp(min(tried, key=lambda found: float(found.fun)).x)
+    return CovarianceNumbers.of([float(f"{number:.3g}") for number in best])
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:
@@ -153,20 +154,22 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--start", default="error=3m,5deg", type=parse_start)
+    parser.add_argument("--weights", type=Path, help="of your own")
     parser.add_argument("--cache", type=Path)
+    parser.add_argument("--out", type=Path, help="file of the numbers to write")
     given = parser.parse_args()
+    settings = {} if given.weights is None else {"weights": given.weights}
     cache = given.cache or Path(tempfile.mkdtemp())
     answers = _together(
         answer
         for scene in given.scenes
         for dataset in open_datasets(scene)
-        for answer in _answers(dataset, given.method, given.start, cache)
+        for answer in _answers(dataset, create(given.method, settings), given.start, cache)
     )
-    options = create(given.method, {}).config.search
-    found = calibrate(answers)
-    now = CovarianceNumbers.of(options)
-    for name, value in found._asdict().items():
-        print(f"covariance_{name} {value:.3g}")
+    found, now = calibrate(answers), CovarianceNumbers.beside(given.weights)
+    print(found)
+    if given.out:
+        found.write(given.out, "python -m experiments.covariance")
     _table("found", answers, answers.nees(found))
     _table("now", answers, answers.nees(now))
     _table("measured", answers, _nees(answers.errors, answers.around.covariance.numpy()))
@@ -178,9 +181,10 @@ _Answer = tuple[str, str, Estimate, Attempt, Pose]
 """Scene, condition, estimate, what it is of, and the true pose."""
 
 
-def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterator[_Answer]:
+def _answers(
+    dataset: Dataset, localizer: Localizer, start: Start, cache: Path
+) -> Iterator[_Answer]:
     """Yield the accepted poses of a data set's queries that come from an alignment."""
-    localizer = create(method, {})
     localizer.prepare(dataset.load_map(), dataset.images, cache)
     load = start.loader(dataset, dataset.load_map(), cache)
     last: list[Attempt] = []
@@ -194,7 +198,7 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
 
     with (
         patch.object(attempts, "pose_covariance", measured),
-        progress_bar(f"{dataset.name} {method}", len(dataset.queries)) as advance,
+        progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
     ):
         for done, query in enumerate(dataset.queries, 1):
             last.clear()

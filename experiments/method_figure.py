@@ -20,6 +20,7 @@ from benchmark.evaluation.starts import moved_prior
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.align.options import SearchRadius
+from objconnect.localization.featuremetric.references import POINTS
 from objconnect.localization.starts import starts
 from objconnect.network.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network.network import read_network
@@ -40,7 +41,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         chosen = refine.retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
         view, maps = refine.problems.view(query, chosen, start)
-        problem = refine.problems.build(view, maps, chosen, start, localizer.config.points)
+        problem = refine.problems.build(view, maps, chosen, start, POINTS)
     network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 

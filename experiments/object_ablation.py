@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from experiments.objects import finder_of, rank_of_right, ranks_of
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
-from objconnect.network.connect import ConnectOptions, Connector
+from objconnect.network.connect import Connector
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
@@ -33,7 +33,6 @@ from objconnect.network.constellation_training import (
 )
 from objconnect.network.detector import Detections, DetectorMaps
 from objconnect.network.finder import headings_around
-from objconnect.network.landmarks import LandmarkOptions
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -54,7 +53,7 @@ class SegmentFinder(ObjectFinder):
     def __init__(self, network: ObjConnectNet, kind: str) -> None:
         assert network.detector is not None
         extract = MapExtractor(network, LONGEST, "float32")
-        super().__init__(extract, network.detector, LandmarkOptions())
+        super().__init__(extract, network.detector)
         self._stride = network.detector.config.stride
         self._config = ObjConnectNetConfig.model_validate({"segmentation": kind, **SEGMENTS})
 
@@ -88,10 +87,9 @@ def main() -> None:
     network, _ = read_network(given.weights)
     for kind in given.kinds:
         finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
-        same_m = ConstellationTraining().same_m
-        taught = [lesson(Scene.open(path), finder, same_m) for path in given.scenes]
+        taught = [lesson(Scene.open(path), finder) for path in given.scenes]
         scenes = [Scene.open(path) for path in given.report]
-        asked = [lesson(scene, finder, same_m) for scene in scenes]
+        asked = [lesson(scene, finder) for scene in scenes]
         for layers in (each for name, each in VARIANTS if name == kind):
             for seed in range(given.seeds):
                 assert network.detector is not None
@@ -121,7 +119,7 @@ def _starts(
 ) -> Sequence[int]:
     """Return the rank of the first right start of each query, 99 for none."""
     sparse_map = scene.sparse_map()
-    connect = Connector(graph, of.landmarks, map_ground(sparse_map), ConnectOptions())  # type: ignore[arg-type]
+    connect = Connector(graph, of.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
     frames, ranks = scene.frames(session), []
     for row, name in enumerate(frames.names):

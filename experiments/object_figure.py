@@ -23,10 +23,10 @@ from PIL import Image
 
 from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.connect import ConnectOptions, Connector
+from objconnect.network.connect import Connector
 from objconnect.network.constellation_training import LONGEST
 from objconnect.network.finder import headings_around
-from objconnect.network.landmarks import LandmarkOptions, merged, on_ground
+from objconnect.network.landmarks import merged, on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -42,18 +42,18 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     """Draw it."""
     network, _ = read_network(SHIPPED)
     assert network.detector is not None and network.constellation is not None
-    extract, options = MapExtractor(network, LONGEST, "float32"), LandmarkOptions()
-    finder = ObjectFinder(extract, network.detector, options)
+    extract = MapExtractor(network, LONGEST, "float32")
+    finder = ObjectFinder(extract, network.detector)
     scene = Scene.open(path)
     sparse_map, frames = scene.sparse_map(), scene.frames(session)
     ground = map_ground(sparse_map)
     with opened(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merged(finder.views(kept), options)
+        landmarks, tracks = merged(finder.views(kept))
     name, camera = frames.names[row], frames.cameras[row]
     rgb = read_rgb(scene.images_root / name)
     found = finder(rgb, camera)
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
-    connect = Connector(network.constellation, landmarks, ground, ConnectOptions())
+    connect = Connector(network.constellation, landmarks, ground)
     place = connect(found, camera, *headings_around(None, heights))[0]
     true = Pose.from_matrix(frames.cam_from_world[row])
     apart = float(torch.linalg.norm(place.pose.centre() - true.centre()))

@@ -28,7 +28,7 @@ from objconnect.learning.training.instances import LARGEST_M, LINES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
-from objconnect.network.connect import ConnectOptions, Connector, described_landmarks
+from objconnect.network.connect import Connector, described_landmarks
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
@@ -38,7 +38,6 @@ from objconnect.network.constellation_training import (
     train_graph,
 )
 from objconnect.network.finder import headings_around
-from objconnect.network.landmarks import LandmarkOptions
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -78,7 +77,7 @@ def finder_of(network: ObjConnectNet) -> ObjectFinder:
     """Return what finds objects with a network."""
     assert network.detector is not None, "these weights have no detector"
     extract = MapExtractor(network, LONGEST, "float32")
-    return ObjectFinder(extract, network.detector, LandmarkOptions())
+    return ObjectFinder(extract, network.detector)
 
 
 # ---- segments
@@ -237,8 +236,8 @@ def found_in_both(
 
 def lessons_of(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[Lesson]:
     """Find the objects of scenes."""
-    finder, same_m = finder_of(network), ConstellationTraining().same_m
-    return [lesson(scene, finder, same_m) for scene in scenes]
+    finder = finder_of(network)
+    return [lesson(scene, finder) for scene in scenes]
 
 
 def matching(
@@ -305,7 +304,7 @@ def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> Non
         sparse_map = scene.sparse_map()
         landmarks = finder.landmarks(sparse_map, scene.images_root)
         ground = map_ground(sparse_map)
-        connect = Connector(network.constellation, landmarks, ground, ConnectOptions())
+        connect = Connector(network.constellation, landmarks, ground)
         heights = [sparse_map.height_above(c) for c in sparse_map.centres]
         rows, columns = ground.shape
         megabytes = landmarks_bytes(landmarks) / 1e6

@@ -37,6 +37,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import moved_prior
 from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.featuremetric.references import POINTS
 from objconnect.network.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -134,7 +135,7 @@ def made(method: str, ground: Ground) -> Run:
     else:
         path, network = ground.kept / "full.safetensors", official.ours()
         write_weights(path, network, network.config.model_dump())
-        localizer = PixlocLocalizer(PixlocConfig(weights=path, iterations=_ITERATIONS))
+        localizer = PixlocLocalizer(PixlocConfig(weights=path))
     localizer.prepare(ground.sparse_map, ground.images, ground.kept)
 
     def run() -> object:
@@ -192,7 +193,7 @@ def _authors(ground: Ground) -> Run:
         for name in references:
             rows = sparse_map.images[name].point_rows
             order = np.random.default_rng(0).permutation(rows[rows >= 0])
-            for row in order[: PixlocConfig().points // len(references)]:
+            for row in order[: POINTS // len(references)]:
                 seen.setdefault(int(row), set()).add(numbers[name])
         return seen
 

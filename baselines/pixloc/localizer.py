@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from pydantic import Field
-
 from objconnect.learning.checkpoint import shipped
 from objconnect.learning.folding import fold
 from objconnect.learning.pixloc_net import read_network
+from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchingConfig
+from objconnect.scene.config import with_default
 from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
@@ -24,7 +24,7 @@ class PixlocConfig(FeaturemetricConfig):
     ``weights`` may be a checkpoint of the authors.
     """
 
-    corners: int = Field(0, ge=0)
+    corners: CornerOptions | None = with_default(FeaturemetricConfig, "corners", None)
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
@@ -38,7 +38,7 @@ class PixlocLocalizer(FeaturemetricLocalizer):
         network, digest = read_network(config.weights or shipped(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
-        super().__init__("pixloc", network, digest, config.accepting())
+        super().__init__("pixloc", network, digest, config)
 
 
 class PixlocSearchConfig(SearchingConfig):
@@ -60,4 +60,4 @@ class PixlocSearchLocalizer(FeaturemetricLocalizer):
         network, digest = read_network(config.weights or shipped(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
-        super().__init__("pixloc-search", network, digest, config.accepting())
+        super().__init__("pixloc-search", network, digest, config)

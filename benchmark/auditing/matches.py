@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.matching.retrieval import RetrievalOptions, VladIndex
+from objconnect.localization.matching.retrieval import VladIndex
 from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.sift import SiftExtractor
 from objconnect.scene.errors import InputError
@@ -120,7 +120,7 @@ def _candidates(seen: dict[int, _Seen]) -> list[tuple[int, int]]:
     if len(rows) < 2:
         return []
     described = [seen[row].unit.numpy() for row in rows]
-    index = VladIndex.build(described, RetrievalOptions())
+    index = VladIndex.build(described)
     wanted = set()
     for k in range(len(rows)):
         successors = range(k + 1, min(k + 1 + _SUCCESSORS, len(rows)))

@@ -19,7 +19,7 @@ _MIN_POINTS: Final = 10
 # Sine of the least angle below the horizon. A camera that looks more flatly, as from a car, sees
 # near and far things side by side: its picture has no one resolution.
 _LEAST_DOWN: Final = math.sin(math.radians(20))
-DEFAULT_SAME_RESOLUTION: Final = 1.25
+SAME_RESOLUTION: Final = 1.25
 """Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and
 street-level views have no single resolution."""
 
@@ -74,7 +74,7 @@ def observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
 
 
 def scale_to(
-    wanted: float, own: float, largest: float, same_resolution: float = DEFAULT_SAME_RESOLUTION
+    wanted: float, own: float, largest: float, same_resolution: float = SAME_RESOLUTION
 ) -> float:
     """Return the scale at which to look at a photograph so that it has a wanted resolution.
 

@@ -9,50 +9,25 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import north_angle
 from objconnect.scene.localizer import By, Prior
 from objconnect.scene.maps.sparse_map import SparseMap
 
-
-class StartOptions(Config):
-    """Which starting poses are tried where the prior leaves altitude or attitude open."""
-
-    unknown_altitude_share: float = Field(
-        0.2,
-        gt=0,
-        description="An altitude whose sigma exceeds this share of the height above ground counts "
-        "as unknown.",
-    )
-    same_height_ratio: float = Field(
-        1.15,
-        gt=1,
-        description="Heights above ground whose ratio is below this share one starting altitude.",
-    )
-    same_heading_deg: float = Field(
-        45.0,
-        gt=0,
-        description="Photographs turned less than this against each other share one heading.",
-    )
-    same_place_m: float | None = Field(
-        None,
-        gt=0,
-        description="Where nothing is known, photographs farther apart than this (metres) are "
-        "starts of their own, though they share a heading; None for never.",
-    )
-
-
-_DEFAULTS: Final = StartOptions()
+# An altitude whose sigma exceeds this share of the height above ground counts as unknown.
+_UNKNOWN_ALTITUDE_SHARE: Final = 0.2
+# Heights above ground whose ratio is below this share one starting altitude.
+_SAME_HEIGHT_RATIO: Final = 1.15
+# Photographs turned less than this against each other share one heading.
+_SAME_HEADING_DEG: Final = 45.0
 
 
 def starts(
     prior: Prior | None,
     sparse_map: SparseMap,
     chosen: NDArray[np.int64],
-    options: StartOptions = _DEFAULTS,
+    same_place_m: float | None = None,
 ) -> list[Pose]:
     """Return poses (``cam_from_world``, float64) at which a query may be, the likeliest first.
 
@@ -65,12 +40,13 @@ def starts(
         prior: of the query, finite.
         sparse_map: the map.
         chosen: rows of ``sparse_map.names`` to take it from, best first; one at least.
-        options: what counts as unknown, and as the same.
+        same_place_m: where nothing is known, photographs farther apart than this (metres) are
+            starts of their own, though they share a heading; None for never.
     """
     posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
     if prior is None or not (prior.has_position or prior.has_heading):
-        return _distinct_headings(posed, options, options.same_place_m)
-    rotations = [pose.rotation for pose in _distinct_headings(posed, options)]
+        return _distinct_headings(posed, same_place_m)
+    rotations = [pose.rotation for pose in _distinct_headings(posed)]
     if prior.has_heading:
         rotations = [torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))]
     if not prior.has_position:
@@ -78,10 +54,10 @@ def starts(
     position = np.array(prior.position, np.float64)
     beside = [pose.centre().numpy() for pose in posed]
     altitudes = [position[2]]
-    unknown = options.unknown_altitude_share * sparse_map.height_above(beside[0])
+    unknown = _UNKNOWN_ALTITUDE_SHARE * sparse_map.height_above(beside[0])
     if prior.position_sigma is not None and prior.position_sigma[2] > unknown:
         heights = [sparse_map.height_above(centre) for centre in beside]
-        rows = _distinct_heights(heights, options.same_height_ratio)
+        rows = _distinct_heights(heights)
         altitudes = [beside[row][2] for row in rows]
     centres = [
         torch.tensor([*position[:2], altitude], dtype=torch.float64) for altitude in altitudes
@@ -94,21 +70,19 @@ def start_of(prior: Prior | None) -> By:
     return By.PRIOR if prior is not None and prior.has_position else By.RETRIEVAL
 
 
-def _distinct_heights(heights: Sequence[float], same_ratio: float) -> list[int]:
+def _distinct_heights(heights: Sequence[float]) -> list[int]:
     """Return the rows from whose height the ground looks larger or smaller than from all before."""
     kept: list[int] = []
     for row, height in enumerate(heights):
         ratios = (height / max(heights[other], 1e-9) for other in kept)
-        if all(not 1 / same_ratio < ratio < same_ratio for ratio in ratios):
+        if all(not 1 / _SAME_HEIGHT_RATIO < ratio < _SAME_HEIGHT_RATIO for ratio in ratios):
             kept.append(row)
     return kept
 
 
-def _distinct_headings(
-    posed: Sequence[Pose], options: StartOptions, same_place_m: float | None = None
-) -> list[Pose]:
+def _distinct_headings(posed: Sequence[Pose], same_place_m: float | None = None) -> list[Pose]:
     """Return the poses whose heading differs from that of all kept before, within a distance."""
-    same_heading = math.radians(options.same_heading_deg)
+    same_heading = math.radians(_SAME_HEADING_DEG)
     same_place = math.inf if same_place_m is None else same_place_m
     kept: list[Pose] = []
     for pose in posed:

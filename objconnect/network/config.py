@@ -2,118 +2,126 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from objconnect.learning.unet import Channels, check_levels
 from objconnect.scene.config import Config
 
-
-class SegmentOptions(Config):
-    """The segmentation of an image into objects.
-
-    Attributes:
-        long_side: images are segmented at half their size and with at most this many pixels on the
-            long side. 192 is finer than the levels with objects of an image of 512 pixels. At 256,
-            SLIC takes twice the time.
-        slic_iterations: number of iterations of SLIC. It has converged after 5; 10 take twice the
-            time.
-        slic_compactness: weight of distances relative to colours in SLIC.
-        felzenszwalb_scale: k of Felzenszwalb and Huttenlocher, for colours in 0..1; segments grow
-            with it.
-        felzenszwalb_blur: standard deviation of their blur, cells.
-        learned_score: probability from which a learned object is one.
-        learned_stride: pixels per cell of the label maps of learned objects.
-    """
-
-    long_side: int = Field(192, ge=8)
-    slic_iterations: int = Field(5, ge=1)
-    slic_compactness: float = Field(10.0, gt=0)
-    felzenszwalb_scale: float = Field(100.0, gt=0)
-    felzenszwalb_blur: float = Field(0.8, ge=0)
-    learned_score: float = Field(0.35, ge=0, le=1)
-    learned_stride: int = Field(2, ge=1)
+# Options of earlier versions that weights record, with the only values that there are now.
+_FIXED: Final[Mapping[str, object]] = {
+    "finest_object_stride": 4,
+    "segmenter": {
+        "long_side": 192,
+        "slic_iterations": 5,
+        "slic_compactness": 10.0,
+        "felzenszwalb_scale": 100.0,
+        "felzenszwalb_blur": 0.8,
+        "learned_score": 0.35,
+        "learned_stride": 2,
+    },
+}
 
 
 class DetectorConfig(Config):
-    """The configuration of a detector of objects.
+    """The configuration of a detector of objects."""
 
-    Attributes:
-        stride: pixels per cell of its maps; one of the strides of the network's levels.
-        size: number of channels of its convolutions.
-        vector: number of channels of the vector of an object.
-    """
-
-    stride: int = Field(4, ge=1)
-    size: int = Field(64, ge=4)
-    vector: int = Field(32, ge=2)
+    stride: int = Field(
+        4,
+        ge=1,
+        description="Pixels per cell of its maps; one of the strides of the network's levels.",
+    )
+    size: int = Field(64, ge=4, description="Number of channels of its convolutions.")
+    vector: int = Field(32, ge=2, description="Number of channels of the vector of an object.")
 
 
 class ConstellationConfig(Config):
-    """The configuration of the graph over objects.
+    """The configuration of the graph over objects."""
 
-    Attributes:
-        vector: number of channels of the objects' vectors.
-        size: number of channels of the nodes.
-        out: number of channels of the vectors that are compared.
-        layers: number of times that nodes hear of their neighbours; 0 for no graph.
-        neighbours: number of neighbours that a node hears of.
-    """
-
-    vector: int = Field(32, ge=2)
-    size: int = Field(64, ge=4)
-    out: int = Field(32, ge=2)
-    layers: int = Field(2, ge=0)
-    neighbours: int = Field(12, ge=1)
+    vector: int = Field(32, ge=2, description="Number of channels of the objects' vectors.")
+    size: int = Field(64, ge=4, description="Number of channels of the nodes.")
+    out: int = Field(32, ge=2, description="Number of channels of the vectors that are compared.")
+    layers: int = Field(
+        2, ge=0, description="Times that nodes hear of their neighbours; 0 for no graph."
+    )
+    neighbours: int = Field(12, ge=1, description="Number of neighbours that a node hears of.")
 
 
 class ObjConnectNetConfig(Config):
     """The configuration of the network. Each block of the method can be switched off.
 
     Levels run from coarse to fine.
-
-    Attributes:
-        width: number of channels of the encoder as a share of VGG16's.
-        decoder: decoder that combines coarse and fine features: ``fpn`` is the paper's feature
-            pyramid and ``unet`` that of PixLoc.
-        pyramid: number of channels of the feature pyramid.
-        steps: numbers of channels of the U-Net, from stride 8 to stride 1.
-        strides: strides of the levels, pixels of the image per cell.
-        dims: numbers of channels of the features of each level.
-        segmentation: method that makes the objects. ``slic`` and ``felzenszwalb`` segment the
-            image, ``grid`` makes squares that do not depend on it, ``learned`` takes the objects of
-            the detector, ``given`` expects label maps, and ``none`` makes no objects.
-        segments: largest number N of objects of an image.
-        segment_side: typical side of an object, pixels; images too small for N objects of this side
-            have fewer.
-        segmenter: options of the segmentation.
-        finest_object_stride: finest stride of levels with objects, pixels per cell. On finer levels
-            the object blocks would cost as much as the rest of the network and add nothing, because
-            nearly all neighbouring cells share an object.
-        attention: switches equations (1) to (3), which add features of the object to each cell.
-        object_graph: switches equations (4) and (5), a graph over the points of each object.
-        scene_graph: switches a graph over all objects.
-        detector: detector of learned objects; None for none.
-        constellation: graph over the learned objects of a photograph or a map; None for none.
     """
 
-    width: float = Field(1.0, gt=0, le=2)
-    decoder: Literal["fpn", "unet"] = "unet"
-    pyramid: int = Field(64, ge=8, le=2048)
-    steps: tuple[Channels, Channels, Channels, Channels] = (64, 64, 64, 32)
-    strides: tuple[int, ...] = Field((16, 4, 2), min_length=1)
-    dims: tuple[Channels, ...] = Field((128, 128, 32), min_length=1)
-    segmentation: Literal["slic", "felzenszwalb", "grid", "learned", "given", "none"] = "slic"
-    segments: int = Field(128, ge=1, le=1024)
-    segment_side: float = Field(32.0, ge=4)
-    segmenter: SegmentOptions = SegmentOptions()
-    finest_object_stride: int = Field(4, ge=1)
-    attention: bool = True
-    object_graph: bool = True
-    scene_graph: bool = True
-    detector: DetectorConfig | None = None
-    constellation: ConstellationConfig | None = None
+    width: float = Field(
+        1.0, gt=0, le=2, description="Number of channels of the encoder as a share of VGG16's."
+    )
+    decoder: Literal["fpn", "unet"] = Field(
+        "unet",
+        description="Decoder that combines coarse and fine features: ``fpn`` is the paper's "
+        "feature pyramid and ``unet`` that of PixLoc.",
+    )
+    pyramid: int = Field(
+        64, ge=8, le=2048, description="Number of channels of the feature pyramid."
+    )
+    steps: tuple[Channels, Channels, Channels, Channels] = Field(
+        (64, 64, 64, 32),
+        description="Numbers of channels of the U-Net, from stride 8 to stride 1.",
+    )
+    strides: tuple[int, ...] = Field(
+        (16, 4, 2),
+        min_length=1,
+        description="Strides of the levels, pixels of the image per cell.",
+    )
+    dims: tuple[Channels, ...] = Field(
+        (128, 128, 32),
+        min_length=1,
+        description="Numbers of channels of the features of each level.",
+    )
+    segmentation: Literal["slic", "felzenszwalb", "grid", "learned", "given", "none"] = Field(
+        "slic",
+        description="Method that makes the objects. ``slic`` and ``felzenszwalb`` segment the "
+        "image, ``grid`` makes squares that do not depend on it, ``learned`` takes the objects of "
+        "the detector, ``given`` expects label maps, and ``none`` makes no objects.",
+    )
+    segments: int = Field(
+        128, ge=1, le=1024, description="Largest number N of objects of an image."
+    )
+    segment_side: float = Field(
+        32.0,
+        ge=4,
+        description="Typical side of an object, pixels; images too small for N objects of this "
+        "side have fewer.",
+    )
+    attention: bool = Field(
+        True,
+        description="Switches equations (1) to (3), which add features of the object to each cell.",
+    )
+    object_graph: bool = Field(
+        True,
+        description="Switches equations (4) and (5), a graph over the points of each object.",
+    )
+    scene_graph: bool = Field(True, description="Switches a graph over all objects.")
+    detector: DetectorConfig | None = Field(
+        None, description="Detector of learned objects; None for none."
+    )
+    constellation: ConstellationConfig | None = Field(
+        None,
+        description="Graph over the learned objects of a photograph or a map; None for none.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier(cls, values: Any) -> Any:
+        """Leave out what were options when weights were written, where it is what holds now."""
+        if not isinstance(values, Mapping):
+            return values
+        for name, fixed in _FIXED.items():
+            if name in values and values[name] != fixed:
+                raise ValueError(f"{name} is {values[name]} in these weights, and {fixed} here")
+        return {name: value for name, value in values.items() if name not in _FIXED}
 
     @model_validator(mode="after")
     def _levels(self) -> Self:

@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.coarse.grid import GroundGrid
@@ -24,11 +23,12 @@ from objconnect.localization.coarse.search import Candidate
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.detector import Detections
 from objconnect.network.landmarks import Landmarks, object_rays
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+CANDIDATES: Final = 5
+"""Poses that a photograph's objects may have, at most."""
 # Numerical guard: flatter rays meet level ground too far away.
 _FLATTEST: Final = 0.35
 # Likenesses of objects and landmarks computed at once, and assumptions, which bounds memory.
@@ -36,41 +36,28 @@ _AT_ONCE: Final = 8_000_000
 _BATCH: Final = 28
 # Cells to either side of the origin, more than any map has.
 _CELLS: Final = 1 << 20
+# Landmarks that an object votes with, and that it may be in the refinement, the most likely ones.
+_MATCHES: Final = 6
+_CONSIDERED: Final = 16
+# Side of the cells of the votes, metres: what an object's place is unsure by.
+_CELL_M: Final = 4.0
+# Places with most votes that are refined, which bounds time, and rounds of the refinement.
+_REFINED: Final = 40
+_REFINEMENTS: Final = 2
+# Standard deviation of a landmark's distance from where an object should lie, metres, and the
+# weight of a match, 1 at most, below which it pulls nothing.
+_NEAR_M: Final = 2.0
+_LEAST_WEIGHT: Final = 0.05
+# Candidates of the same heading are farther apart than this, and those at one place differ more.
+_APART_M: Final = 8.0
+_APART: Final = math.radians(17)
+# How far a refined heading may be from the assumed one, and the ratio of their heights: as far as
+# the next assumptions and half as far again.
+_MOST_TURN: Final = math.radians(23)
+_MOST_STRETCH: Final = 1.25
+# A photograph with fewer objects connects with nothing: three fit anything.
+_LEAST_OBJECTS: Final = 4
 _Vector = NDArray[np.float64]
-
-
-class ConnectOptions(Config):
-    """Options of the connection of objects.
-
-    Attributes:
-        candidates: poses to return at most.
-        matches: landmarks that an object votes with.
-        considered: landmarks that an object may be in the refinement, the most likely ones.
-        cell_m: side of the cells of the votes, metres.
-        refined: places with most votes that are refined.
-        rounds: of the refinement.
-        near_m: standard deviation of a landmark's distance from where an object should lie, metres.
-        least_weight: matches of a lower weight, 1 at most, pull nothing.
-        apart_m: candidates of the same heading are farther apart than this.
-        apart_deg: candidates at one place differ more in heading than this.
-        most_turn_deg: a refined heading is no farther from the assumed one.
-        most_stretch: a refined height differs by no larger ratio from the assumed one.
-        least_objects: a photograph with fewer objects connects with nothing.
-    """
-
-    candidates: int = Field(5, ge=1)
-    matches: int = Field(6, ge=1)
-    considered: int = Field(16, ge=1)
-    cell_m: float = Field(4.0, gt=0)
-    refined: int = Field(40, ge=1)
-    rounds: int = Field(2, ge=1)
-    near_m: float = Field(2.0, gt=0)
-    least_weight: float = Field(0.05, ge=0, le=1)
-    apart_m: float = Field(8.0, ge=0)
-    apart_deg: float = Field(17.0, ge=0)
-    most_turn_deg: float = Field(23.0, gt=0)
-    most_stretch: float = Field(1.25, gt=1)
-    least_objects: int = Field(4, ge=3)
 
 
 @dataclass(frozen=True)
@@ -126,7 +113,7 @@ class Connector:
         graph: describes objects among their neighbours.
         landmarks: of the map.
         ground: of the map.
-        options: of the search.
+        candidates: poses to return at most.
     """
 
     def __init__(
@@ -134,10 +121,10 @@ class Connector:
         graph: ConstellationGraph,
         landmarks: Landmarks,
         ground: GroundGrid,
-        options: ConnectOptions,
+        candidates: int = CANDIDATES,
     ) -> None:
         self._graph, self._landmarks, self._ground = graph, landmarks, ground
-        self._options = options
+        self._candidates = candidates
         self._xy = landmarks.xyz[:, :2]
         with torch.inference_mode():
             self._described = described_landmarks(graph, landmarks)
@@ -161,7 +148,7 @@ class Connector:
             heights: above the ground to try, metres.
         """
         laid = laid_out(found, camera, base)
-        if len(laid) < self._options.least_objects or not len(self._landmarks):
+        if len(laid) < _LEAST_OBJECTS or not len(self._landmarks):
             return []
         assumed = [(heading, height) for heading in headings for height in heights]
         starts = self._voted(laid, np.array(assumed))
@@ -170,14 +157,14 @@ class Connector:
         for row in np.argsort(-scores, kind="stable").tolist():
             if all(self._apart(refined[row], other) for _, other in kept):
                 kept.append((float(scores[row]), refined[row]))
-            if len(kept) == self._options.candidates:
+            if len(kept) == self._candidates:
                 break
         return [Candidate(self._pose(base, each), score) for score, each in kept]
 
     def _apart(self, one: _Pose2, other: _Pose2) -> bool:
-        far = float(np.linalg.norm(one.place - other.place)) > self._options.apart_m
+        far = float(np.linalg.norm(one.place - other.place)) > _APART_M
         turn = abs(_wrapped(one.heading - other.heading))
-        return far or turn > math.radians(self._options.apart_deg)
+        return far or turn > _APART
 
     def _pose(self, base: Tensor, found: _Pose2) -> Pose:
         rotation = base @ so3_exp(found.heading * _UP)
@@ -227,11 +214,10 @@ class Connector:
 
     def _voted(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
         """Return the places with most votes, each with the matches that voted for it."""
-        options = self._options
-        where, weight, row_ = self._likely(laid, assumed, options.matches)
+        where, weight, row_ = self._likely(laid, assumed, _MATCHES)
         place = self._xy[row_] - where[:, :, None]
         # Each vote counts in the four cells around it, by how near their middles are.
-        at = place / options.cell_m - 0.5
+        at = place / _CELL_M - 0.5
         corner = np.floor(at).astype(np.int64)
         number = np.arange(len(assumed))[:, None, None]
         keys, votes = [], []
@@ -243,11 +229,11 @@ class Connector:
         key, cells = np.unique(np.concatenate([k.ravel() for k in keys]), return_inverse=True)
         total = np.bincount(cells, np.concatenate([v.ravel() for v in votes]))
         found = []
-        for best_key in key[np.argsort(-total, kind="stable")[: options.refined]].tolist():
+        for best_key in key[np.argsort(-total, kind="stable")[:_REFINED]].tolist():
             rest, north = divmod(best_key, 2 * _CELLS)
             one, east = divmod(rest, 2 * _CELLS)
-            middle = (np.array([east, north]) - _CELLS + 0.5) * options.cell_m
-            near = np.linalg.norm(place[one] - middle, axis=-1) < 1.5 * options.cell_m
+            middle = (np.array([east, north]) - _CELLS + 0.5) * _CELL_M
+            near = np.linalg.norm(place[one] - middle, axis=-1) < 1.5 * _CELL_M
             objects, _ = np.nonzero(near)
             matches = _Matches(objects, row_[one][near], weight[one][near])
             heading, height = assumed[one].tolist()
@@ -258,20 +244,19 @@ class Connector:
         self, laid: LaidOut, starts: Sequence[tuple[_Pose2, _Matches]]
     ) -> tuple[list[_Pose2], _Vector]:
         """Refine poses; return them with the scores that they had before the last step."""
-        options = self._options
         poses = [self._fitted(laid, start, start, matches) for start, matches in starts]
         scores = np.zeros(len(poses))
-        for _ in range(options.rounds):
+        for _ in range(_REFINEMENTS):
             assumed = np.array([(pose.heading, pose.height) for pose in poses])
-            where, some, row = self._likely(laid, assumed, options.considered)
+            where, some, row = self._likely(laid, assumed, _CONSIDERED)
             there = np.array([pose.place for pose in poses])[:, None] + where
             squared = np.square(self._xy[row] - there[:, :, None]).sum(-1)
-            weight = some * np.exp(-squared / (2 * options.near_m**2))
+            weight = some * np.exp(-squared / (2 * _NEAR_M**2))
             best = weight.argmax(-1)[..., None]
             weight = np.take_along_axis(weight, best, -1)[..., 0]
             landmark = np.take_along_axis(row, best, -1)[..., 0]
             scores = weight.sum(1) / math.sqrt(len(laid))
-            pulls = weight > options.least_weight
+            pulls = weight > _LEAST_WEIGHT
             poses = [
                 self._fitted(
                     laid,
@@ -289,7 +274,6 @@ class Connector:
         It is the similarity of least squares between the objects, laid out from a height of one,
         and their landmarks, in complex numbers.
         """
-        options = self._options
         if len(set(matches.objects.tolist())) < 3:
             return pose
         x, y = laid.offset[matches.objects].T
@@ -305,14 +289,12 @@ class Connector:
         heading = start.heading + float(
             np.clip(
                 _wrapped(-float(np.angle(turn)) - start.heading),
-                -math.radians(options.most_turn_deg),
-                math.radians(options.most_turn_deg),
+                -_MOST_TURN,
+                _MOST_TURN,
             )
         )
         height = float(
-            np.clip(
-                abs(turn), start.height / options.most_stretch, start.height * options.most_stretch
-            )
+            np.clip(abs(turn), start.height / _MOST_STRETCH, start.height * _MOST_STRETCH)
         )
         there = middle_there - height * np.exp(-1j * heading) * middle
         return _Pose2(heading, height, np.array([there.real, there.imag]))

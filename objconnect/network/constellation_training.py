@@ -28,7 +28,7 @@ from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig
 from objconnect.network.connect import LaidOut, described_landmarks, laid_out
 from objconnect.network.constellation import ConstellationGraph
-from objconnect.network.landmarks import LandmarkOptions, Landmarks, on_ground
+from objconnect.network.landmarks import Landmarks, on_ground
 from objconnect.network.network import read_network, start_from
 from objconnect.network.object_map import ObjectFinder, map_ground
 from objconnect.scene.bundle.scene import Scene
@@ -44,34 +44,36 @@ from objconnect.scene.storage.images import read_rgb
 LONGEST: Final = 1024
 
 
+SAME_M: Final = 1.5
+"""An object this near to a landmark is the same, metres."""
+# Photographs in a step, of one scene; highest learning rate and weight decay.
+_QUERIES: Final = 4
+_RATE: Final = 2e-3
+_DECAY: Final = 1e-3
+# Largest share of the landmarks that are left out of a step.
+_MISSING_LANDMARKS: Final = 0.25
+
+
 class ConstellationTraining(Config):
-    """The training of the graph.
+    """The training of the graph: how long, and how wrong queries are made."""
 
-    Attributes:
-        steps: number of steps of the optimizer.
-        queries: photographs in a step, of one scene.
-        rate: highest learning rate.
-        decay: weight decay.
-        turn_deg: standard deviation of the error of the heading.
-        stretch: standard deviation of the logarithm of the error of the height.
-        moved_m: standard deviation of the error of a centre.
-        missing: largest share of a photograph's objects that are left out of a step.
-        missing_landmarks: the same of the landmarks.
-        same_m: an object this near to a landmark is the same.
-        seed: of all random numbers.
-    """
-
-    steps: int = Field(1500, ge=1)
-    queries: int = Field(4, ge=1)
-    rate: float = Field(2e-3, gt=0)
-    decay: float = Field(1e-3, ge=0)
-    turn_deg: float = Field(6.0, ge=0)
-    stretch: float = Field(0.08, ge=0)
-    moved_m: float = Field(0.4, ge=0)
-    missing: float = Field(0.4, ge=0, lt=1)
-    missing_landmarks: float = Field(0.25, ge=0, lt=1)
-    same_m: float = Field(1.5, gt=0)
-    seed: int = 0
+    steps: int = Field(1500, ge=1, description="Number of steps of the optimizer.")
+    turn_deg: float = Field(
+        6.0, ge=0, description="Standard deviation of the error of the heading, degrees."
+    )
+    stretch: float = Field(
+        0.08, ge=0, description="Standard deviation of the logarithm of the error of the height."
+    )
+    moved_m: float = Field(
+        0.4, ge=0, description="Standard deviation of the error of a centre, metres."
+    )
+    missing: float = Field(
+        0.4,
+        ge=0,
+        lt=1,
+        description="Largest share of a photograph's objects that are left out of a step.",
+    )
+    seed: int = Field(0, description="Seed of all random numbers.")
 
 
 class LessonQuery(NamedTuple):
@@ -102,7 +104,7 @@ class Lesson(NamedTuple):
     queries: list[LessonQuery]
 
 
-def lesson(scene: Scene, finder: ObjectFinder, same_m: float) -> Lesson:
+def lesson(scene: Scene, finder: ObjectFinder) -> Lesson:
     """Find the objects of a scene's map and of those of its queries that look down.
 
     Raises:
@@ -133,14 +135,12 @@ def lesson(scene: Scene, finder: ObjectFinder, same_m: float) -> Lesson:
                 xyz = placed[laid.rows]
                 centre = pose.centre().numpy()
                 height = float(centre[2]) - ground.height_at(centre[0], centre[1])
-                same = _same(xyz, landmarks.xyz, same_m)
+                same = _same(xyz, landmarks.xyz)
                 queries.append(LessonQuery(name, session, laid, height, same, xyz))
     return Lesson(scene.name, landmarks, queries)
 
 
-def _same(
-    xyz: NDArray[np.float64], landmarks: NDArray[np.float64], same_m: float
-) -> NDArray[np.int64]:
+def _same(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the row of the landmark that lies where each object does, -1 for none, each once."""
     if not len(landmarks):
         return np.full(len(xyz), -1)
@@ -148,7 +148,7 @@ def _same(
     away = np.where(np.isfinite(away), away, np.inf)
     nearest = away.argmin(1)
     mutual = away.argmin(0)[nearest] == np.arange(len(xyz))
-    return np.where(mutual & (away[np.arange(len(xyz)), nearest] < same_m), nearest, -1)
+    return np.where(mutual & (away[np.arange(len(xyz)), nearest] < SAME_M), nearest, -1)
 
 
 def describe_query(
@@ -199,10 +199,8 @@ def train_graph(
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
     graph = ConstellationGraph(config).to(device)
-    optimizer = torch.optim.AdamW(graph.parameters(), options.rate, weight_decay=options.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, options.rate, options.steps, pct_start=0.05
-    )
+    optimizer = torch.optim.AdamW(graph.parameters(), _RATE, weight_decay=_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, options.steps, pct_start=0.05)
     usable = [(of, [q for q in of.queries if (q.landmark >= 0).any()]) for of in lessons]
     usable = [(of, queries) for of, queries in usable if queries]
     if not usable:
@@ -210,13 +208,13 @@ def train_graph(
     with progress_bar("graph over objects", options.steps) as advance:
         for step in range(options.steps):
             of, queries = usable[rng.integers(len(usable))]
-            left_out = rng.uniform(0, options.missing_landmarks)
+            left_out = rng.uniform(0, _MISSING_LANDMARKS)
             kept = np.flatnonzero(rng.random(len(of.landmarks)) >= left_out)
             number = np.full(len(of.landmarks) + 1, -1)
             number[kept] = np.arange(len(kept))
             theirs = described_landmarks(graph, of.landmarks.some(kept))
             losses = []
-            for _ in range(options.queries):
+            for _ in range(_QUERIES):
                 query = queries[rng.integers(len(queries))]
                 loss = _query_loss(graph, query, theirs, number, rng, options)
                 if loss is not None:
@@ -275,9 +273,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if network.detector is None:
             raise InputError(f"{given.weights} has no detector of objects")
         extract = MapExtractor(network, LONGEST, "float32")
-        finder = ObjectFinder(extract, network.detector, LandmarkOptions())
+        finder = ObjectFinder(extract, network.detector)
         options = ConstellationTraining(seed=given.seed)
-        lessons = [lesson(Scene.open(path), finder, options.same_m) for path in given.scenes]
+        lessons = [lesson(Scene.open(path), finder) for path in given.scenes]
         config = ConstellationConfig(vector=network.detector.config.vector)
         graph = train_graph(lessons, config, options, device)
         whole = start_from(given.weights, {"constellation": config.model_dump()})

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.coarse.headings import possible_headings
+from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import ReferenceSource
-from objconnect.network.connect import ConnectOptions, Connector
-from objconnect.network.landmarks import LandmarkOptions
+from objconnect.network.connect import Connector
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
 from objconnect.scene.config import Config
@@ -23,30 +23,28 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.runtime.progress import progress_within
 
+# Headings tried over the full turn: within half a step, neighbours look alike.
+_HEADINGS: Final = 24
+# Angles between the camera's axis and the plumb line, tried where gravity is not known, one after
+# the other.
+_TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
+# The other tilts are not tried where the best place of the first has so many times the score of the
+# second.
+_CLEAR_RATIO: Final = 2.0
+
 
 class ObjectPlaceOptions(Config):
-    """Options of starts from objects.
+    """Options of starts from objects."""
 
-    Attributes:
-        landmarks: how objects of photographs become those of the map.
-        connect: how objects of a query connect with them.
-        headings: tried over the full turn.
-        heights: above ground, tried where none is known, in parts of that of the map's photographs.
-        tilts_deg: angles between the camera's axis and the plumb line, tried where gravity is not
-            known, one after the other.
-        clear_ratio: the other tilts are not tried where the best place of the first has so many
-            times the score of the second.
-        most_landmarks: in a map with more of them the place search is asked first. Its time grows
-            less with the map, and more things look alike.
-    """
-
-    landmarks: LandmarkOptions = LandmarkOptions()
-    connect: ConnectOptions = ConnectOptions()
-    headings: int = Field(24, ge=1)
-    heights: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-    tilts_deg: tuple[float, ...] = Field((0.0, 15.0, 30.0, 45.0, 60.0), min_length=1)
-    clear_ratio: float = Field(2.0, ge=1)
-    most_landmarks: int = Field(5000, ge=0)
+    candidates: int = Field(
+        12, ge=1, description="Places to return at most, before those of the place search."
+    )
+    most_landmarks: int = Field(
+        5000,
+        ge=0,
+        description="In a map with more of them the place search is asked first. Its time grows "
+        "less with the map, and more things look alike.",
+    )
 
 
 class ObjectPlaceFinder:
@@ -67,7 +65,7 @@ class ObjectPlaceFinder:
     ) -> None:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
-        self._find = ObjectFinder(extract, network.detector, options.landmarks)
+        self._find = ObjectFinder(extract, network.detector)
         self._connect: Connector | None = None
         self._watched: MapObjects | None = None
         self.is_first = True
@@ -95,7 +93,7 @@ class ObjectPlaceFinder:
         # Photographs of a street look over the ground, and show no object from above.
         self._connect = None
         if len(landmarks):
-            self._connect = Connector(self._graph, landmarks, ground, self._options.connect)
+            self._connect = Connector(self._graph, landmarks, ground, self._options.candidates)
         self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
         self.is_first = len(landmarks) <= self._options.most_landmarks
 
@@ -104,33 +102,29 @@ class ObjectPlaceFinder:
         if self._connect is None:
             return []
         found = self._find(query.image, query.camera)
-        options = self._options
-        base, *rest = headings_around(query.prior, self._heights, options.headings, options.heights)
+        base, *rest = headings_around(query.prior, self._heights)
         if query.prior is not None and query.prior.cam_from_world_rotation is not None:
             return self._connect(found, query.camera, base, *rest)
         connect = self._connect
         places: list[Candidate] = []
-        with progress_within("objects, tilts of camera", len(options.tilts_deg)) as advance:
-            for done, degrees in enumerate(options.tilts_deg, 1):
+        with progress_within("objects, tilts of camera", len(_TILTS_DEG)) as advance:
+            for done, degrees in enumerate(_TILTS_DEG, 1):
                 # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
                 up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
                 places += connect(found, query.camera, up @ base, *rest)
                 advance(done)
-                if done == 1 and (not places or _is_clear(places, options.clear_ratio)):
+                if done == 1 and (not places or _is_clear(places)):
                     break
-        return sorted(places, key=lambda place: -place.score)[: options.connect.candidates]
+        return sorted(places, key=lambda place: -place.score)[: self._options.candidates]
 
 
-def _is_clear(places: Sequence[Candidate], ratio: float) -> bool:
+def _is_clear(places: Sequence[Candidate]) -> bool:
     """Return whether the first of some places stands out."""
-    return len(places) == 1 or places[0].score > ratio * places[1].score
+    return len(places) == 1 or places[0].score > _CLEAR_RATIO * places[1].score
 
 
 def headings_around(
-    prior: Prior | None,
-    heights: Sequence[float],
-    headings: int = ObjectPlaceOptions().headings,
-    parts: Sequence[float] = ObjectPlaceOptions().heights,
+    prior: Prior | None, heights: Sequence[float], headings: int = _HEADINGS
 ) -> tuple[Tensor, list[float], list[float]]:
     """Return what may be: the attitude at a heading of 0, headings (rad) and heights (m).
 
@@ -138,7 +132,6 @@ def headings_around(
         prior: what is known; without an attitude the camera is taken to look straight down.
         heights: of the map's photographs above the ground.
         headings: tried over the full turn.
-        parts: heights tried, in parts of the median one.
     """
     base, turns = possible_headings(prior, headings)
-    return base, turns, [part * float(np.median(heights)) for part in parts]
+    return base, turns, [part * float(np.median(heights)) for part in ALTITUDES]

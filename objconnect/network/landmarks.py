@@ -13,12 +13,10 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.nearest import Nearest
 from objconnect.scene.geometry.pose import Pose
@@ -29,28 +27,20 @@ _FLATTEST: Final = 0.2
 _ROUNDS: Final = 3
 
 
-class LandmarkOptions(Config):
-    """How the objects of a map's photographs become landmarks.
-
-    Attributes:
-        count: most objects of a photograph.
-        least_score: objects of a lower probability are left out.
-        radius_m: centres this near may be one landmark.
-        radius_share: the same, as a share of the object's side, for large ones.
-        least_cosine: vectors that differ more are not of one landmark.
-        crowd: nearest objects of all photographs among which one looks for those of a landmark.
-        least_views: photographs that must show a landmark, where more than one shows its place.
-        least_share: share of the photographs of its place that must show it.
-    """
-
-    count: int = Field(256, ge=1)
-    least_score: float = Field(0.2, ge=0, le=1)
-    radius_m: float = Field(1.0, gt=0)
-    radius_share: float = Field(0.35, ge=0)
-    least_cosine: float = Field(0.4, ge=-1, le=1)
-    crowd: int = Field(64, ge=1)
-    least_views: int = Field(2, ge=1)
-    least_share: float = Field(0.3, ge=0, le=1)
+COUNT: Final = 256
+"""Most objects of a photograph, which bounds time."""
+LEAST_SCORE: Final = 0.2
+"""Objects of a lower probability are left out."""
+# Centres this near may be one landmark: metres, and a share of the side of large objects.
+_RADIUS_M: Final = 1.0
+_RADIUS_SHARE: Final = 0.35
+# Vectors that differ more are not of one landmark.
+_LEAST_COSINE: Final = 0.4
+# Nearest objects of all photographs among which one looks for those of a landmark.
+_CROWD: Final = 64
+# Photographs that must show a landmark, where more than one shows its place, and their share.
+_LEAST_VIEWS: Final = 2
+_LEAST_SHARE: Final = 0.3
 
 
 class Placed(NamedTuple):
@@ -192,7 +182,7 @@ class Tracks(NamedTuple):
     xy: NDArray[np.float64]
 
 
-def merged(views: Sequence[View], options: LandmarkOptions) -> tuple[Landmarks, Tracks]:
+def merged(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     """Return the landmarks that the objects of several photographs are of, and their tracks.
 
     The surest object takes those of other photographs that lie near and look alike; then the next.
@@ -209,13 +199,13 @@ def merged(views: Sequence[View], options: LandmarkOptions) -> tuple[Landmarks, 
     scores = joined(lambda view: view.found.score.numpy())
     sides, rises = joined(lambda view: view.placed.sides), joined(lambda view: view.placed.rises)
     photograph = np.repeat(np.arange(len(views)), [len(kept) for kept in rows])
-    groups = _groups(xyz, vectors, scores, sides, photograph, options)
+    groups = _groups(xyz, vectors, scores, sides, photograph)
     centres = np.array([np.median(xyz[group], 0) for group in groups]).reshape(-1, 3)
     looks = np.array([vectors[group].mean(0) for group in groups]).reshape(-1, size)
     looks /= np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-9)
     number = np.array([len(group) for group in groups], np.int32)
     shown = np.sum([_shows(view, centres) for view in views], 0) if views else number
-    enough = (number >= options.least_views) & (number >= options.least_share * shown)
+    enough = (number >= _LEAST_VIEWS) & (number >= _LEAST_SHARE * shown)
     kept = enough | (shown <= 1)
 
     def middle(values: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -243,21 +233,20 @@ def _groups(
     scores: NDArray[np.float64],
     sides: NDArray[np.float64],
     photograph: NDArray[np.int64],
-    options: LandmarkOptions,
 ) -> list[list[int]]:
     """Return the rows of the objects of each landmark, one of a photograph at most."""
     if not len(xyz):
         return []
     taken = np.zeros(len(xyz), bool)
-    reach = np.maximum(options.radius_m, options.radius_share * sides)
+    reach = np.maximum(_RADIUS_M, _RADIUS_SHARE * sides)
     nearest = Nearest(xyz[:, :2])
     groups = []
     for first in np.argsort(-scores, kind="stable").tolist():
         if taken[first]:
             continue
-        near = nearest(xyz[first, :2], options.crowd)
+        near = nearest(xyz[first, :2], _CROWD)
         away = np.linalg.norm(xyz[near, :2] - xyz[first, :2], axis=1)
-        alike = vectors[near] @ vectors[first] > options.least_cosine
+        alike = vectors[near] @ vectors[first] > _LEAST_COSINE
         near = near[~taken[near] & (away <= reach[first]) & alike]
         taken[near] = taken[first] = True
         _, once = np.unique(photograph[near], return_index=True)

@@ -12,7 +12,6 @@ from objconnect.learning.folding import fold
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import SearchingConfig
-from objconnect.network.connect import ConnectOptions
 from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions
 from objconnect.network.network import read_network
 from objconnect.scene.runtime.device import torch_device
@@ -25,7 +24,7 @@ class ObjConnectConfig(SearchingConfig):
     """Options of the objconnect localizer."""
 
     objects: ObjectPlaceOptions | None = Field(
-        ObjectPlaceOptions(connect=ConnectOptions(candidates=12)),
+        ObjectPlaceOptions(),
         description="Starts from objects where no prior gives them, before the place search; None "
         "for none.",
     )
@@ -46,4 +45,4 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)
             objects = ObjectPlaceFinder(network, extract, config.objects)
-        super().__init__("objconnect", network, digest, config.accepting(), objects)
+        super().__init__("objconnect", network, digest, config, objects)

@@ -38,6 +38,12 @@ from objconnect.scene.errors import InputError
 _ENCODER: Final = "encoder."
 # A key that only configurations of this network have.
 _OURS: Final = "segmentation"
+# Finest stride of levels with objects. On finer levels the object blocks would cost as much as the
+# rest of the network and add nothing: nearly all neighbouring cells share an object.
+_FINEST_OBJECT_STRIDE: Final = 4
+# Probability from which a learned object is one, and pixels per cell of the label maps of these.
+_LEARNED_SCORE: Final = 0.35
+_LEARNED_STRIDE: Final = 2
 
 Level = unet.Level
 
@@ -93,7 +99,7 @@ class ObjConnectNet(nn.Module):
             else unet.Decoder(config.width, config.steps, config.strides)
         )
         sizes = self.decoder.sizes
-        levels = [stride for stride in config.strides if stride >= config.finest_object_stride]
+        levels = [stride for stride in config.strides if stride >= _FINEST_OBJECT_STRIDE]
         self._with_objects = 0 if config.segmentation == "none" else len(levels)
         with_objects = sizes[: self._with_objects]
         self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in with_objects)
@@ -235,7 +241,7 @@ class ObjConnectNet(nn.Module):
     def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
         detected = self._detected(decoded)
         assert self.detector is not None
-        stride, cell = self.detector.config.stride, self.config.segmenter.learned_stride
+        stride, cell = self.detector.config.stride, _LEARNED_STRIDE
         return torch.stack([label_map(maps, found, stride, cell) for maps, found in detected])
 
     def _detected(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
@@ -244,7 +250,7 @@ class ObjConnectNet(nn.Module):
         # It sees the features without objects, as it did in training.
         with torch.no_grad():
             maps = self.detector([self._level(*each) for each in enumerate(decoded)])
-        count, least = self.config.segments, self.config.segmenter.learned_score
+        count, least = self.config.segments, _LEARNED_SCORE
         stride = self.detector.config.stride
         single = [
             DetectorMaps(each[number : number + 1] for each in maps)

@@ -18,7 +18,7 @@ from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, detections
-from objconnect.network.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
+from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merged, on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -44,13 +44,10 @@ class ObjectFinder:
     Args:
         extract: of the feature maps that the detector sees.
         detector: of objects.
-        options: of the objects that are kept.
     """
 
-    def __init__(
-        self, extract: MapExtractor, detector: ObjectDetector, options: LandmarkOptions
-    ) -> None:
-        self._extract, self._detector, self._options = extract, detector, options
+    def __init__(self, extract: MapExtractor, detector: ObjectDetector) -> None:
+        self._extract, self._detector = extract, detector
 
     def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
         """Return the objects of a photograph (H, W, 3), in its own pixels."""
@@ -77,8 +74,8 @@ class ObjectFinder:
 
         They are on the processor, whatever device the maps are on.
         """
-        options, stride = self._options, self._detector.config.stride
-        return detections(maps, stride, options.count, options.least_score).on_processor()
+        stride = self._detector.config.stride
+        return detections(maps, stride, COUNT, LEAST_SCORE).on_processor()
 
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
         """Return the objects that the photographs of a map show from above.
@@ -87,7 +84,7 @@ class ObjectFinder:
             InputError: a photograph is missing or broken.
         """
         with opened(sparse_map, images, None) as kept:
-            return merged(self.views(kept), self._options)[0]
+            return merged(self.views(kept))[0]
 
     def views(self, kept: MapCache) -> list[View]:
         """Return the photographs of a map that look down, each with its objects.
@@ -118,7 +115,7 @@ class ObjectFinder:
 
         def rows(_: Earlier) -> Rows:
             found = watched or MapObjects(self, source)
-            landmarks = merged(list(found.views()), self._options)[0]
+            landmarks = merged(list(found.views()))[0]
             found.write()
             yield "", landmarks.arrays()
 
@@ -127,12 +124,7 @@ class ObjectFinder:
 
     def _map_made_of(self, source: ReferenceSource) -> tuple[object, ...]:
         """Return all that decides the objects of a map beside its photographs."""
-        same = source.options.same_resolution
-        return _FORMAT, source.extractor_key, same, self._options.model_dump_json()
-
-    def made_of(self) -> str:
-        """Return the options that decide what is found in a photograph, as text."""
-        return f"{_FORMAT} {self._options.count} {self._options.least_score}"
+        return _FORMAT, source.extractor_key
 
 
 class MapObjects:
@@ -157,7 +149,7 @@ class MapObjects:
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
         if image.name not in self._found:
-            found = self._earlier(digest_of(key, self._find.made_of()), _ARRAYS)
+            found = self._earlier(digest_of(key, _FORMAT), _ARRAYS)
             if found is not None:
                 self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
         return image.name not in self._found
@@ -194,16 +186,15 @@ class MapObjects:
             InputError: a photograph changed meanwhile.
             WriteError: the folder cannot be written, or the disk is full.
         """
-        made_of = self._find.made_of()
 
         def rows(_: Earlier) -> Rows:
             for image in self._down():
                 found = self._found[image.name]
                 arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
-                yield digest_of(self._see.key(image), made_of), arrays
+                yield digest_of(self._see.key(image), _FORMAT), arrays
 
         kept, seen_by = self._source.kept, self._source.extractor_key
-        kept.store(_DETECTIONS, _FORMAT, seen_by, made_of, rows=rows)
+        kept.store(_DETECTIONS, _FORMAT, seen_by, rows=rows)
 
     def _down(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""

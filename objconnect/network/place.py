@@ -10,7 +10,7 @@ from pydantic import Field
 from objconnect.learning.checkpoint import shipped
 from objconnect.learning.folding import Precision, fold
 from objconnect.localization.cache.map_cache import opened
-from objconnect.localization.coarse.finder import PlaceFinder, PlaceOptions
+from objconnect.localization.coarse.finder import LONGEST, PlaceFinder, PlaceOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
@@ -21,19 +21,18 @@ from objconnect.scene.runtime.device import AUTO, Device, torch_device
 
 
 class PlaceConfig(Config):
-    """Options of the method ``place``.
+    """Options of the method ``place``."""
 
-    Attributes:
-        weights: file of an object-connect network; None is the one that comes with the project.
-        device: of the network and the search.
-        precision: of the convolutions.
-        search: options of the search.
-    """
-
-    weights: Path | None = None
+    weights: Path | None = Field(
+        None,
+        description="File of an object-connect network; None is the one that comes with the "
+        "project.",
+    )
     device: Device = AUTO
-    precision: Precision = Field("auto", validate_default=True)
-    search: PlaceOptions = Field(default_factory=PlaceOptions)
+    precision: Precision = Field(
+        "auto", validate_default=True, description="Precision of the convolutions."
+    )
+    place: PlaceOptions = Field(PlaceOptions(), description="Search of the map.")
 
 
 class PlaceLocalizer:
@@ -50,8 +49,8 @@ class PlaceLocalizer:
         network.to(torch_device(config.device))
         fold(network, config.precision)
         self.weights_sha256: str | None = digest
-        extract = MapExtractor(network, 2 * config.search.longest, config.precision)
-        self._finder = PlaceFinder(extract, config.search)
+        extract = MapExtractor(network, 2 * LONGEST, config.precision)
+        self._finder = PlaceFinder(extract, config.place)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""

@@ -15,7 +15,7 @@ import numpy as np
 from objconnect.learning.checkpoint import shipped
 from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.landmarks import LandmarkOptions, Landmarks, Tracks, merged
+from objconnect.network.landmarks import Landmarks, Tracks, merged
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig
 from objconnect.network.network import read_network
 from objconnect.network.object_map import ObjectFinder
@@ -93,11 +93,10 @@ def find_landmarks(
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()
     config = ObjConnectConfig()
-    options = LandmarkOptions()
     extract = MapExtractor(network, config.longest, config.precision)
-    finder = ObjectFinder(extract, network.detector, options)
+    finder = ObjectFinder(extract, network.detector)
     with opened(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merged(finder.views(kept), options)
+        landmarks, tracks = merged(finder.views(kept))
     with write_lock(path):
         remove_partial(path)
         _write(path / LANDMARKS, landmarks, tracks, sparse_map)

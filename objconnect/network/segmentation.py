@@ -13,12 +13,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from objconnect.network.config import ObjConnectNetConfig, SegmentOptions
+from objconnect.network.config import ObjConnectNetConfig
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.tuning import worker_threads
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
+# Long side (pixels) at which images are segmented: finer than the levels with objects of an image
+# of 512 pixels. At 256, SLIC takes twice the time.
+_LONG_SIDE: Final = 192
+# SLIC has converged after 5 iterations; 10 take twice the time. Compactness is the weight of
+# distances relative to colours, which its authors recommend.
+_SLIC_ITERATIONS: Final = 5
+_SLIC_COMPACTNESS: Final = 10.0
+# k of Felzenszwalb and Huttenlocher for colours in 0..1, by which segments grow, and the standard
+# deviation of their blur, cells.
+_FELZENSZWALB_SCALE: Final = 100.0
+_FELZENSZWALB_BLUR: Final = 0.8
 
 Labels = NDArray[np.int64]
 Picture = NDArray[np.float32]
@@ -29,12 +40,11 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
 
     Args:
         images: images (B, 3, H, W), RGB in 0..1.
-        config: configuration, of which ``segmentation``, ``segments``, ``segment_side`` and
-            ``segmenter`` count.
+        config: configuration, of which ``segmentation``, ``segments`` and ``segment_side`` count.
 
     Returns:
         Labels (B, h, w) int64 on the device of the images, 0 to N - 1 or ``NOTHING``. The label
-        maps have at most ``segmenter.long_side`` cells a side and cover the images.
+        maps have at most 192 cells a side and cover the images.
 
     Raises:
         InputError: the configuration expects given label maps or learned ones, or has no objects.
@@ -45,7 +55,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
             "felzenszwalb or grid"
         )
     height, width = images.shape[-2:]
-    size = reduced_size(height, width, config.segmenter.long_side)
+    size = reduced_size(height, width)
     count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
     if config.segmentation == "grid":
         return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
@@ -54,7 +64,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     pictures = small.permute(0, 2, 3, 1).cpu().numpy()
 
     def one(picture: Picture) -> Labels:
-        return keep_largest(find(picture, count, config.segmenter), count)
+        return keep_largest(find(picture, count), count)
 
     # A segmentation runs in one thread and releases the interpreter's lock most of the time.
     with worker_threads() as pool:
@@ -62,9 +72,9 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
-def reduced_size(height: int, width: int, long_side: int) -> tuple[int, int]:
-    """Return the height and width of segmentation: half the image's, at most ``long_side``."""
-    factor = min(0.5, long_side / max(height, width))
+def reduced_size(height: int, width: int) -> tuple[int, int]:
+    """Return the height and width of segmentation: half the image's, with a bounded long side."""
+    factor = min(0.5, _LONG_SIDE / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
@@ -117,27 +127,27 @@ def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
     return labels.flatten(1).gather(1, row * width + column)
 
 
-def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
+def _slic(picture: Picture, count: int) -> Labels:
     """Segment by SLIC (Achanta et al., "SLIC superpixels", PAMI 2012)."""
     algorithm: Callable[..., Labels] = skimage.segmentation.slic
     return algorithm(
         picture,
         n_segments=count,
-        compactness=options.slic_compactness,
-        max_num_iter=options.slic_iterations,
+        compactness=_SLIC_COMPACTNESS,
+        max_num_iter=_SLIC_ITERATIONS,
         start_label=0,
         channel_axis=-1,
     )
 
 
-def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labels:
+def _felzenszwalb(picture: Picture, count: int) -> Labels:
     """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
     algorithm: Callable[..., Labels] = skimage.segmentation.felzenszwalb
     return algorithm(
         picture,
-        scale=options.felzenszwalb_scale,
-        sigma=options.felzenszwalb_blur,
+        scale=_FELZENSZWALB_SCALE,
+        sigma=_FELZENSZWALB_BLUR,
         min_size=least,
         channel_axis=-1,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -41,6 +42,22 @@ class Config(Record):
             for item in value:
                 cls._not_huge(item)
         return value
+
+
+def with_default(model: type[BaseModel], name: str, default: object) -> Any:
+    """Return a field of a configuration with another default, for one that is derived from it.
+
+    Example:
+        >>> class Options(Config):
+        ...     steps: int = Field(1000, ge=1, description="Steps of the optimizer.")
+        >>> class Quick(Options):
+        ...     steps: int = with_default(Options, "steps", 10)
+        >>> Quick(), Quick.model_fields["steps"].description
+        (Quick(steps=10), 'Steps of the optimizer.')
+    """
+    field = copy(model.model_fields[name])
+    field.default = default
+    return field
 
 
 M = TypeVar("M", bound=BaseModel)

@@ -13,7 +13,6 @@ from experiments.acceptance import Record, Told, _plain, fit, read
 from objconnect.localization.featuremetric.acceptance import (
     AcceptanceModel,
     log_odds_of,
-    read_acceptance,
 )
 from objconnect.localization.featuremetric.evidence import Evidence
 from objconnect.scene.config import load_config
@@ -45,4 +44,4 @@ def test_records_give_a_model(tmp_path: Path, files: int, inliers: int) -> None:
     if inliers:
         assert model.of_matches(100) > 0 > model.of_matches(10)
     else:
-        assert model.matched == read_acceptance(None).matched
+        assert model.matched == AcceptanceModel.beside(None).matched

@@ -11,6 +11,7 @@ from typing import Final
 
 import pytest
 
+from objconnect.localization.featuremetric.localizer import _RETURN_FREED_MB
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
 
 ROOT: Final = Path(__file__).parents[2]
@@ -42,5 +43,5 @@ def test_memory_is_flat_over_64_queries_told_nothing(tmp_path: Path) -> None:
     assert used[-1] - used[WARM - 1] <= FLAT_MB, used
     resident = [float(row[1]) for row in rows]
     config = FeaturemetricConfig()
-    assert resident[-1] - resident[WARM - 1] <= config.return_freed_mb, resident
+    assert resident[-1] - resident[WARM - 1] <= _RETURN_FREED_MB, resident
     assert max(float(row[2]) for row in rows) <= config.memory_mb

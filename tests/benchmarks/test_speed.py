@@ -20,9 +20,9 @@ from objconnect.learning.quantization import largest_values, quantized
 from objconnect.localization.align.residuals import Level, LevelCost
 from objconnect.localization.align.sampling import CellTable, stencil
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
-from objconnect.localization.depth.sweep import SweepOptions
+from objconnect.localization.depth.sweep import window
 from objconnect.localization.depth.window_sweep import WindowSweep
-from objconnect.localization.featuremetric.quantized import QuantizationOptions
+from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
 from objconnect.scene.bundle.scene import Scene
@@ -193,7 +193,7 @@ def test_windows_ours(
     benchmark: BenchmarkFixture, photographs: tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]
 ) -> None:
     here, other, xy = photographs
-    sweep = WindowSweep(here, xy, SweepOptions().window(), 8.0)
+    sweep = WindowSweep(here, xy, window(), 8.0)
     depths = torch.linspace(1 / 85, 1 / 75, 11).expand(2000, -1)
     found = benchmark(sweep, depths, other)
     assert found.shape == (2000, 11) and (found > -1).mean() > 0.5
@@ -223,7 +223,7 @@ def test_network(benchmark: BenchmarkFixture, way: str) -> None:
             pytest.skip("the processor has no units for integers (VNNI)")
         with torch.inference_mode(), largest_values(network) as largest:
             network(image)
-        network = quantized(network, QuantizationOptions().scales(largest), network.config.strides)
+        network = quantized(network, channel_scales(largest), network.config.strides)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=half):
         assert len(benchmark(network, image)) == 3
 

@@ -143,8 +143,8 @@ MUTANTS: Final = (
     Mutant(
         "photographs that share no points are never neighbours",
         "objconnect/localization/depth/neighbours.py",
-        "        if len(chosen) < options.neighbours:\n",
-        "        if chosen and len(chosen) < options.neighbours:\n",
+        "        if len(chosen) < self._options.neighbours:\n",
+        "        if chosen and len(chosen) < self._options.neighbours:\n",
         (
             f"{_NEIGHBOURS}::test_photographs_that_share_no_points_are_beside_each_other_by_their_poses",
         ),
@@ -168,8 +168,8 @@ MUTANTS: Final = (
     Mutant(
         "objconnect is shipped to try one start",
         "objconnect/localization/featuremetric/options.py",
-        "multistart: bool = True",
-        "multistart: bool = False",
+        '"multistart", True',
+        '"multistart", False',
         (f"{_LOCALIZER}::test_a_start_beyond_the_reach_of_one_alignment",),
     ),
     Mutant(

@@ -11,7 +11,6 @@ from torch import Tensor
 from objconnect.localization.align.covariance import covariance
 from objconnect.localization.align.descent import descend, is_finite
 from objconnect.localization.align.local import Local
-from objconnect.localization.align.options import SolverOptions
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Linearisation
 from objconnect.localization.align.trees import tree_map
@@ -129,7 +128,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(_covariance(last, unknown, options)),
+        covariance=unflattened(_covariance(last, unknown)),
         cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflattened(iterations),
         seen=unflattened(seen),
@@ -137,9 +136,9 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     )
 
 
-def _covariance(around: Linearisation, unknown: Tensor, options: SolverOptions) -> Tensor:
+def _covariance(around: Linearisation, unknown: Tensor) -> Tensor:
     """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where unknown (M,)."""
     nothing = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
     if bool(unknown.all()):
         return nothing.expand(len(unknown), 6, 6)
-    return torch.where(unknown[:, None, None], nothing, covariance(around, options))
+    return torch.where(unknown[:, None, None], nothing, covariance(around))

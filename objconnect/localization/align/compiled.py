@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.align import kernels, records
-from objconnect.localization.align.damping import FLOOR, LEAST_FACTOR, MOST_FACTOR
+from objconnect.localization.align.damping import CHANGE, FLOOR, LEAST_FACTOR, MOST_FACTOR
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.state import State
@@ -67,7 +67,7 @@ def descended(
     )
     rules = records.Rules(
         damping=axes,
-        change=options.damping_change,
+        change=CHANGE,
         least=LEAST_FACTOR,
         most=MOST_FACTOR,
         floor=FLOOR,

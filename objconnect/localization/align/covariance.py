@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -11,7 +12,6 @@ from torch import Tensor
 from objconnect.localization.align.damping import moved
 from objconnect.localization.align.linearise import linearise
 from objconnect.localization.align.local import Local
-from objconnect.localization.align.options import SolverOptions
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.trees import rows
@@ -21,9 +21,21 @@ from objconnect.scene.geometry.pose import Pose
 _POSE_IN_PATCHES = 3
 # A rotation variance (rad^2) as large as this means that nothing is known of the rotation.
 _ANY_TURN = math.pi**2
+# Side of the square patches of a level (cells) whose points count as dependent.
+_PATCH_CELLS: Final = 24.0
+# How far the scatter of the patches' pulls is drawn to that of independent residuals.
+_SHRINKAGE: Final = 0.6
+# Standard deviations from a pose at which the curvature of its cost is measured: nearer, noise of
+# the features decides; farther, the cost is no parabola.
+_CURVATURE_SIGMAS: Final = 3.6
+# Least curvature assumed in any direction, as a share of Gauss and Newton's: no direction in which
+# points pull is quite unknown.
+_LEAST_SHARE: Final = 0.05
 
 
-def covariance(around: Linearisation, options: SolverOptions) -> Tensor:
+def covariance(
+    around: Linearisation, patch_cells: float = _PATCH_CELLS, shrinkage: float = _SHRINKAGE
+) -> Tensor:
     """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
     Huber's sandwich H^-1 S H^-1, with S the sum of p p^T and p the pull of each patch of the
@@ -35,15 +47,14 @@ def covariance(around: Linearisation, options: SolverOptions) -> Tensor:
 
     Args:
         around: the cost at the M poses.
-        options: how large patches are (``covariance_patch_cells``), and how far S is drawn to
-            what independent residuals would give (``covariance_shrinkage``).
+        patch_cells: side of the patches, cells.
+        shrinkage: how far S is drawn to what independent residuals would give, 0 to 1.
     """
-    scatter, count = _scatter(_grids(around, options.covariance_patch_cells))
-    hessian = around.hessian.detach().double()
-    return _sandwich(hessian, scatter, count, options.covariance_shrinkage)
+    scatter, count = _scatter(_grids(around, patch_cells))
+    return _sandwich(around.hessian.detach().double(), scatter, count, shrinkage)
 
 
-def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float) -> Tensor:
+def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHRINKAGE) -> Tensor:
     """Return covariances (M, 6, 6) as ``covariance`` does.
 
     Few patches tell six directions apart badly: of their scatter the largest axes are too large and
@@ -117,28 +128,28 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         problem: what was aligned.
         aligned: ``cam_from_world`` at the minimum.
     """
-    options, local = problem.options, Local.of(problem.starting_at(aligned))
-    cost = local.cost(problem.levels[-1], options)
+    local = Local.of(problem.starting_at(aligned))
+    cost = local.cost(problem.levels[-1], problem.options)
     around = linearise(cost, local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)
-    grids = _grids(around, options.covariance_patch_cells)
+    grids = _grids(around, _PATCH_CELLS)
     scatter, patches = _scatter(grids)
-    hessian, shrinkage = around.hessian.detach().double(), options.covariance_shrinkage
-    first = _sandwich(hessian, scatter, patches, shrinkage)
+    hessian = around.hessian.detach().double()
+    first = _sandwich(hessian, scatter, patches)
     known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
     eye = torch.eye(6, dtype=first.dtype, device=first.device)
     lower = torch.linalg.cholesky(torch.where(known, hessian, eye))
     axes = torch.linalg.inv(lower)  # a row for each direction
     variance = lower.transpose(-1, -2) @ torch.where(known, first, eye) @ lower
-    length = options.curvature_sigmas * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+    length = _CURVATURE_SIGMAS * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     steps = length[:, None, None] * axes
     slopes = _gradients(cost, local.start, steps) - _gradients(cost, local.start, -steps)
     share = (slopes / (2 * length[:, None, None])) @ axes.transpose(-1, -2)
     values, vectors = torch.linalg.eigh(0.5 * (share + share.transpose(-1, -2)).nan_to_num())
-    values = values.clamp(options.least_curvature, 1)
+    values = values.clamp(_LEAST_SHARE, 1)
     root = lower @ vectors * values.sqrt()[:, None]
-    measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches, shrinkage)
+    measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches)
     level = (axes @ scatter @ axes.transpose(-1, -2)).diagonal(dim1=-2, dim2=-1).mean(-1)
     determined = known[:, 0, 0]
     return Spread(

@@ -9,7 +9,9 @@ from objconnect.scene.geometry.pose import Pose, so3_exp
 
 # Numerical guard: the least value added to the diagonal of the Hessian, in its units.
 FLOOR = 1e-6
-# Numerical bounds of the factor on the damping.
+# A rejected step multiplies the factor on the damping by this; an accepted one divides it.
+CHANGE = 10.0
+# Numerical bounds of that factor.
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e8
 
 

@@ -7,7 +7,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from objconnect.localization.align.damping import LEAST_FACTOR, MOST_FACTOR, damped_step, moved
+from objconnect.localization.align.damping import (
+    CHANGE,
+    LEAST_FACTOR,
+    MOST_FACTOR,
+    damped_step,
+    moved,
+)
 from objconnect.localization.align.linearise import can_be_compiled, linearise
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
@@ -56,8 +62,7 @@ def descend(
         if options.careful:
             better = _falls(state.around, trial.around, options.min_points)
             state = choose(better, trial, state)
-            change = options.damping_change
-            factor = torch.where(better, 1 / change, change)[:, None]
+            factor = torch.where(better, 1 / CHANGE, CHANGE)[:, None]
             state = replace(
                 state, damping=(state.damping * factor).clamp(LEAST_FACTOR, MOST_FACTOR)
             )

@@ -20,23 +20,35 @@ from torch.nn.functional import grid_sample
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.damping import moved
 from objconnect.localization.align.local import Local
-from objconnect.localization.align.options import HypothesisOptions, SearchRadius
+from objconnect.localization.align.options import WIDTH, SearchRadius, Width
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level, robust_cost
 from objconnect.localization.align.sampling import per_axis
 from objconnect.localization.align.trees import tree_map
 from objconnect.scene.geometry.pose import Pose
 
-_DEFAULTS: Final = HypothesisOptions()
+# Cells of the coarsest level between neighbouring picture shifts: features guide so far.
+_SPACING_CELLS: Final = 1.7
+# Degrees between neighbouring turns about the camera's axis, by which its corners move as far.
+_TURN_SPACING_DEG: Final = 6.0
+# Most shifts along either axis of the picture, which bounds time.
+_MAX_SHIFTS: Final = 17
+# Factor on the joint shift by errors of position and attitude, which may point in different
+# directions.
+_SHIFT_MARGIN: Final = 1.2
+# Largest turn about the camera's axis, as a share of the radius: errors have two more axes.
+_TURN_SHARE: Final = 0.6
+# Steps after which hypotheses that have met continue as one: those that meet have met by then.
+_MERGE_ITERATIONS: Final = 4
+# Factor on the step lengths that end a hypothesis on the coarsest level; finer ones follow.
+_ROUGH_CONVERGENCE: Final = 8.0
+# Poses whose points lie closer than this on average (cells) count as one.
+_SAME_POSE_CELLS: Final = 0.5
+# Cells of a level that the cost by chance is taken from; its mean is known well from these.
+_CHANCE_CELLS: Final = 256
 
 
-def around(
-    start: Pose,
-    distance: Tensor,
-    radius: SearchRadius,
-    spacing_deg: float,
-    options: HypothesisOptions,
-) -> Pose:
+def around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg: float) -> Pose:
     """Place poses on a grid around others, which stand in its middle: (B) -> (B, K).
 
     Args:
@@ -44,16 +56,15 @@ def around(
         distance: (B,) metres to the points.
         radius: how far to look.
         spacing_deg: degrees between neighbouring shifts of the picture.
-        options: size and spacing of the grid.
     """
     turn = math.radians(radius.degrees)
     aside = torch.atan(radius.metres / distance.double())
     # Errors of position and attitude have directions of their own, and shift the picture together.
-    shift = options.shift_margin * torch.hypot(aside, torch.full_like(aside, turn))
+    shift = _SHIFT_MARGIN * torch.hypot(aside, torch.full_like(aside, turn))
     steps = math.ceil(math.degrees(float(shift.max())) / spacing_deg)
-    shifts = min(2 * steps + 1, options.max_shifts)
-    heading = options.turn_share * radius.degrees
-    yaws = 2 * math.ceil(heading / options.turn_spacing_deg) + 1
+    shifts = min(2 * steps + 1, _MAX_SHIFTS)
+    heading = _TURN_SHARE * radius.degrees
+    yaws = 2 * math.ceil(heading / _TURN_SPACING_DEG) + 1
     ranged = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
     unit, yaw = ranged(shifts), math.radians(heading) * ranged(yaws)
     x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, yaw, indexing="ij"))
@@ -97,11 +108,7 @@ def gain_over_chance(level: Level, local: Local, poses: Pose, robust_scale: floa
     return sampled.view(B, -1, K).sum(1)
 
 
-def align_from_many(
-    problem: Problem,
-    radius: SearchRadius,
-    options: HypothesisOptions = _DEFAULTS,
-) -> Alignment:
+def align_from_many(problem: Problem, radius: SearchRadius, width: Width = WIDTH) -> Alignment:
     """Align queries from priors (B) that may be far off.
 
     The best hypotheses and the prior are refined on the coarsest level, the best of these on the
@@ -111,29 +118,27 @@ def align_from_many(
     Args:
         problem: B queries with one start each, the prior.
         radius: how far from the prior to look.
-        options: how hypotheses are placed and compared.
+        width: how many hypotheses are compared and refined.
     """
     if problem.points.shape[1] < problem.options.min_points:
         return align(problem)
     local, scale = Local.of(problem), problem.options.robust_scale
-    coarsest = problem.coarsest().first_points(options.coarse_points)
-    aligned, iterations = _refined_on_coarsest(coarsest, radius, options)
+    coarsest = problem.coarsest().first_points(width.coarse_points)
+    aligned, iterations = _refined_on_coarsest(coarsest, radius, width)
     if problem.levels[1:]:
-        finalists = _best(
-            aligned, coarsest.levels[0], scale, options.finalists, options.chance_cells
-        )
-        finalists = _distinct(finalists, local, problem.levels[1], options.same_pose_cells)
+        finalists = _best(aligned, coarsest.levels[0], scale, width.finalists)
+        finalists = _distinct(finalists, local, problem.levels[1])
         aligned = align(problem.finer().starting_at(finalists.pose), with_covariance=False)
         iterations = iterations + aligned.iterations.sum(-1)
         failure = torch.where(finalists.failed, finalists.failure, aligned.failure)
         aligned = replace(aligned, failure=failure, by_level=finalists.by_level + aligned.by_level)
     last = problem.levels[-1] if problem.levels[1:] else coarsest.levels[-1]
-    winner = _best(aligned, last, scale, 1, options.chance_cells)
+    winner = _best(aligned, last, scale, 1)
     return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
 
 
 def _refined_on_coarsest(
-    coarsest: Problem, radius: SearchRadius, options: HypothesisOptions
+    coarsest: Problem, radius: SearchRadius, width: Width
 ) -> tuple[Alignment, Tensor]:
     """Refine the prior and the best hypotheses of a grid on the coarsest level.
 
@@ -144,36 +149,35 @@ def _refined_on_coarsest(
         Alignments (B, K), the best start first, and the steps tried for each query (B,).
     """
     level, solver, local = coarsest.levels[0], coarsest.options, Local.of(coarsest)
-    grid = _grid(level, local, radius, options)
+    grid = _grid(level, local, radius)
     gains = gain_over_chance(level, local, grid, solver.robust_scale)
-    best = gains.topk(min(options.refined, gains.shape[1])).indices
+    best = gains.topk(min(width.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
     starts = local.in_world(tree_map(with_prior, local.start, grid))
-    rough = solver.rougher(options.rough_convergence)
-    first_steps = min(options.merge_iterations, solver.iterations)
-    short = coarsest.with_options(rough.model_copy(update={"iterations": first_steps}))
+    rough = solver.rougher(_ROUGH_CONVERGENCE)
+    first_steps = min(_MERGE_ITERATIONS, solver.iterations)
+    short = coarsest.with_options(replace(rough, iterations=first_steps))
 
     def begin(some: slice) -> Alignment:
         chosen = tree_map(lambda t: t[:, some], starts)
         return align(short.starting_at(chosen), with_covariance=False)
 
     def ranked(begun: Alignment) -> Alignment:
-        count = begun.seen.shape[1]
-        return _best(begun, level, solver.robust_scale, count, options.chance_cells)
+        return _best(begun, level, solver.robust_scale, begun.seen.shape[1])
 
-    first = options.first_refined
+    first = width.first_refined
     begun = ranked(begin(slice(first)))
     iterations = begun.iterations.sum(-1)
-    met = _same(begun, local, level, options.same_pose_cells)[:, 0].sum(-1) > 1
+    met = _same(begun, local, level)[:, 0].sum(-1) > 1
     if starts.translation.shape[1] > first and not bool(met.all()):
         others = begin(slice(first, None))
         iterations = iterations + others.iterations.sum(-1)
         begun = ranked(_joined(begun, others))
-    begun = _distinct(begun, local, level, options.same_pose_cells)
+    begun = _distinct(begun, local, level)
     aligned = align(coarsest.starting_at(begun.pose).with_options(rough), with_covariance=False)
     return aligned, iterations + aligned.iterations.sum(-1)
 
@@ -183,18 +187,16 @@ def _joined(some: Alignment, others: Alignment) -> Alignment:
     return tree_map(lambda *parts: torch.cat(parts, 1), some, others)
 
 
-def _grid(level: Level, local: Local, radius: SearchRadius, options: HypothesisOptions) -> Pose:
+def _grid(level: Level, local: Local, radius: SearchRadius) -> Pose:
     """Return the poses (B, K) around priors (B) that are compared on a level."""
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
     focal, stride = local.intrinsics.focal, per_axis(level.stride, local.points)
-    spacing = torch.rad2deg(torch.atan(options.spacing_cells * (stride / focal).min()))
-    return around(local.start, depth.nan_to_num(1.0), radius, float(spacing), options)
+    spacing = torch.rad2deg(torch.atan(_SPACING_CELLS * (stride / focal).min()))
+    return around(local.start, depth.nan_to_num(1.0), radius, float(spacing))
 
 
-def _best(
-    aligned: Alignment, level: Level, robust_scale: float, count: int, chance_cells: int
-) -> Alignment:
+def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> Alignment:
     """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
     Failures come last, and of equal ones the first comes first.
@@ -204,9 +206,8 @@ def _best(
         level: level of the queries.
         robust_scale: scale of the robust cost.
         count: number of alignments to keep for each query.
-        chance_cells: cells of the level from which the cost by chance is taken.
     """
-    chance = _cost_by_chance(level, robust_scale, chance_cells)
+    chance = _cost_by_chance(level, robust_scale)
     gain = aligned.seen * (chance[:, None] - aligned.cost)
     gain = torch.where(aligned.failed, -torch.inf, gain)
     kept = gain.argsort(dim=1, descending=True, stable=True)[:, :count]
@@ -214,12 +215,12 @@ def _best(
     return tree_map(lambda t: t[query, kept], aligned)
 
 
-def _distinct(aligned: Alignment, local: Local, level: Level, same_pose_cells: float) -> Alignment:
+def _distinct(aligned: Alignment, local: Local, level: Level) -> Alignment:
     """Drop alignments (B, K) that are the same pose as a better one.
 
     Alignments come best first. As many are left of every query as of the one with most.
     """
-    same = _same(aligned, local, level, same_pose_cells)
+    same = _same(aligned, local, level)
     kept = torch.ones_like(same[..., 0])
     for k in range(1, kept.shape[1]):
         kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
@@ -229,7 +230,7 @@ def _distinct(aligned: Alignment, local: Local, level: Level, same_pose_cells: f
     return tree_map(lambda t: t[query, order], aligned)
 
 
-def _same(aligned: Alignment, local: Local, level: Level, same_pose_cells: float) -> Tensor:
+def _same(aligned: Alignment, local: Local, level: Level) -> Tensor:
     """Return which alignments (B, K) project the points where which others do, (B, K, K).
 
     Distances are in cells of the level that they go on to.
@@ -239,7 +240,7 @@ def _same(aligned: Alignment, local: Local, level: Level, same_pose_cells: float
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
     # NaN, hence not the same, where no point is in both pictures.
-    same: Tensor = apart < same_pose_cells
+    same: Tensor = apart < _SAME_POSE_CELLS
     return same
 
 
@@ -252,10 +253,10 @@ def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
     return projected.xy, projected.valid & local.usable[:, None]
 
 
-def _cost_by_chance(level: Level, robust_scale: float, chance_cells: int) -> Tensor:
+def _cost_by_chance(level: Level, robust_scale: float) -> Tensor:
     """Return the mean cost (B,) of points at places that are not theirs."""
     cells = level.features.flatten(2)
-    some = slice(None, None, max(1, cells.shape[-1] // chance_cells))
+    some = slice(None, None, max(1, cells.shape[-1] // _CHANCE_CELLS))
     cost = _costs(cells[..., some], level.reference, robust_scale).mean(-2)
     if level.confidence is None:
         return cost.mean(-1)

@@ -14,7 +14,7 @@ from torch import Tensor
 from objconnect.localization.cache.map_cache import Earlier, MapCache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import possible_headings
+from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import Candidate, Hypotheses, PlaceSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
@@ -35,37 +35,31 @@ _FLATTEST: Final = 0.3
 _KNOWN_ALTITUDE: Final = 0.1
 
 
+# Headings at which the network looks at a query, spread over the full turn, and headings tried with
+# each look, between it and the next: features tolerate a few degrees.
+_HEADINGS: Final = 12
+_TURNS: Final = 5
+# Side of a cell of the mosaic, pixels of a photograph: that of the coarsest cells of features.
+_CELL_PX: Final = 16
+# Principal components of the features that the mosaic keeps, which bound time and memory.
+_CHANNELS: Final = 32
+LONGEST: Final = 256
+"""Photographs are looked at with a longer side of about so many pixels: it shows what is large."""
+# A query that looks flatter than this is seen as by a camera that is turned down to it, as nearly
+# all photographs of a map look down.
+_MOST_TILT: Final = math.radians(45)
+
+
 class PlaceOptions(Config):
-    """Options of the search for a place.
+    """Options of the search for a place."""
 
-    Attributes:
-        candidates: places to return at most; 0 for no search.
-        headings: at which the network looks at the query, spread over the full turn.
-        turns: headings tried with each look of the network, between one look and the next.
-        altitudes: heights above ground tried where none is known, in parts of the height from
-            which the map's photographs were taken.
-        cell_px: side of a cell of the mosaic, pixels of a photograph.
-        channels: principal components of the features that the mosaic keeps.
-        longest: photographs are looked at with a longer side of about so many pixels.
-        least_overlap: share of the query, by confidence, that must lie on known ground.
-        farthest: ground farther away than so many heights above it is left out.
-        most_tilt_deg: a query that looks flatter than this is seen as by a camera that is turned
-            down to it, as nearly all photographs of a map look down.
-        reach_sigmas: places are looked for within so many standard deviations of a position that
-            is not sure, and two cells.
-    """
-
-    candidates: int = Field(16, ge=0)
-    headings: int = Field(12, ge=1)
-    turns: int = Field(5, ge=1)
-    altitudes: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-    cell_px: int = Field(16, ge=4)
-    channels: int = Field(32, ge=1)
-    longest: int = Field(256, ge=64)
-    least_overlap: float = Field(0.3, gt=0, le=1)
-    farthest: float = Field(2.0, gt=0)
-    most_tilt_deg: float = Field(45.0, ge=0)
-    reach_sigmas: float = Field(3.0, gt=0)
+    candidates: int = Field(16, ge=0, description="Places to return at most; 0 for no search.")
+    reach_sigmas: float = Field(
+        3.0,
+        gt=0,
+        description="Places are looked for within so many standard deviations of a position that "
+        "is not sure, and two cells.",
+    )
 
 
 class PlaceFinder:
@@ -90,24 +84,23 @@ class PlaceFinder:
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
-        options, sparse_map = self._options, kept.sparse_map
+        sparse_map = kept.sparse_map
         posed = [sparse_map.images[name] for name in sparse_map.names]
         sharpest = of_map(sparse_map, self._extract.largest_scale)
         sides = [
             max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
             for image in posed
         ]
-        self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)
+        self._resolution = sharpest * max(1.0, float(np.median(sides)) / LONGEST)
         heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
         self._height = float(np.median(heights))
 
         def rows(_: Earlier) -> Rows:
             yield "", self._make(sparse_map, kept.images).arrays()
 
-        made_of = (_FORMAT, key, options.cell_px, options.channels, options.longest)
-        store = kept.store("mosaic", *made_of, rows=rows)
+        store = kept.store("mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGEST, rows=rows)
         self._mosaic = store.made(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
-        self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
+        self._search = PlaceSearch(self._mosaic)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
@@ -121,9 +114,9 @@ class PlaceFinder:
 
         if not math.isfinite(self._resolution):
             return empty_mosaic(ground_grid(sparse_map.xyz[:1], 1.0))
-        grid = ground_grid(sparse_map.xyz, self._options.cell_px * self._resolution)
+        grid = ground_grid(sparse_map.xyz, _CELL_PX * self._resolution)
         with progress_bar("mosaic of the map", len(sparse_map.names)) as advance:
-            return make_mosaic(sparse_map, grid, self._options.channels, look, advance)
+            return make_mosaic(sparse_map, grid, _CHANNELS, look, advance)
 
     def find(self, query: Query) -> list[Candidate]:
         """Return places where the query may be, best first; none where the map was not seen from
@@ -133,9 +126,8 @@ class PlaceFinder:
 
         def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
             rotation, turn = pose.rotation.numpy(), None
-            least = math.radians(self._options.most_tilt_deg)
-            if tilt(rotation) > least:
-                turn = levelled(rotation, least) @ rotation.T
+            if tilt(rotation) > _MOST_TILT:
+                turn = levelled(rotation, _MOST_TILT) @ rotation.T
             axis = rotation[2] if turn is None else turn[2] @ rotation
             down = max(_FLATTEST, -float(axis[2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
@@ -162,11 +154,11 @@ def hypotheses(
         grid: of the ground.
         height: of the map's photographs above ground, metres.
     """
-    step = math.tau / options.headings
-    turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
-    base, headings = possible_headings(prior, options.headings)
+    step = math.tau / _HEADINGS
+    turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]
+    base, headings = possible_headings(prior, _HEADINGS)
     passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
-    altitudes = [part * height for part in options.altitudes]
+    altitudes = [part * height for part in ALTITUDES]
     within = None
     if prior is not None and prior.position_sigma is not None:
         east, north_, up = (float(each) for each in prior.position)

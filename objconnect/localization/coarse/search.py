@@ -25,6 +25,10 @@ _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 _PEAKS: Final = 3
 # Cells by which the side of a query on the ground grows.
 _PATCH: Final = 16
+# Share of a query, by confidence, that must lie on known ground.
+_LEAST_OVERLAP: Final = 0.3
+# Ground farther away than so many heights above it is left out: it is seen in few pixels.
+_FARTHEST: Final = 2.0
 # Memory for transforms of the mosaic, one for each size of a query on the ground.
 _SPECTRA_MB: Final = 128
 # Numerical guard: a query of less confidence, summed over cells, shows nothing.
@@ -103,21 +107,11 @@ class PlaceSearch:
 
     Args:
         mosaic: of the map.
-        least_overlap: share of the query, by confidence, that must lie on known ground.
-        farthest: cells farther away than so many heights above ground are left out.
         separation: metres between candidates.
     """
 
-    def __init__(
-        self,
-        mosaic: Mosaic,
-        least_overlap: float = 0.3,
-        farthest: float = 2.0,
-        separation: float = 12.0,
-    ) -> None:
+    def __init__(self, mosaic: Mosaic, separation: float = 12.0) -> None:
         self._mosaic = mosaic
-        self._overlap = least_overlap
-        self._farthest = farthest
         self._separation = separation
         self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
 
@@ -188,7 +182,7 @@ class PlaceSearch:
         correlation, overlap = torch.fft.irfft2(product, s=size)
         total = weight.sum((1, 2)).clamp_min(_LEAST_WEIGHT)[:, None, None]
         scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
-        scores[overlap < self._overlap * total] = -1.0
+        scores[overlap < _LEAST_OVERLAP * total] = -1.0
         score, turn = scores.max(0)
         # Shifts beyond the grid are those to the south and west.
         north = torch.arange(size[0], device=score.device)
@@ -243,7 +237,7 @@ class PlaceSearch:
         x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
         # To the next multiple, so that few sizes of the transform occur.
         rows, columns = (_PATCH * math.ceil(side / _PATCH) for side in (rows, columns))
-        near = np.hypot(x, y) <= self._farthest * altitude
+        near = np.hypot(x, y) <= _FARTHEST * altitude
         ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
         place = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
         turn = torch.from_numpy(view.view_from_camera)
@@ -291,7 +285,7 @@ class PlaceSearch:
         flat = np.hypot(directions[:, 0], directions[:, 1])
         down = -directions[:, 2]
         length = np.where(down > 1e-6, flat / np.maximum(down, 1e-6), np.inf)
-        length = np.minimum(length, self._farthest)
+        length = np.minimum(length, _FARTHEST)
         ground = directions[:, :2] / np.maximum(flat, 1e-9)[:, None] * length[:, None]
         return np.stack([ground.min(0), ground.max(0)])
 

@@ -23,6 +23,16 @@ from objconnect.scene.maps.sparse_map import SparseMap
 # Pixels along each side of a photograph, and depths of each, that are looked for in another one.
 _PIXELS: Final = 8
 _DEPTHS: Final = 5
+# Neighbours share at least this many points of the map: few may be wrong ones.
+_MIN_SHARED_POINTS: Final = 20
+# Angle between rays at which neighbours are preferred (degrees): flatter ones say little of depth,
+# steeper ones look different.
+_BEST_ANGLE_DEG: Final = 15.0
+# Photographs, of the best angles, of which it is found out how much they have in view; it bounds
+# time.
+_ASKED: Final = 24
+# Depths are tried beyond those of the map's own points by this share.
+_DEPTH_MARGIN: Final = 0.1
 # What a photograph on the same side as one that was chosen is worth, of one across.
 _ALONG: Final = 0.1
 
@@ -33,16 +43,6 @@ class NeighbourOptions(Config):
     neighbours: int = Field(
         4, ge=2, description="Most photographs that each photograph is compared with."
     )
-    min_shared_points: int = Field(
-        20, ge=1, description="Neighbours share at least this many map points."
-    )
-    best_angle_deg: float = Field(
-        15.0,
-        gt=0,
-        lt=90,
-        description="Angle between rays at which neighbours are preferred: flatter ones say little "
-        "of depth, steeper ones look different.",
-    )
     min_shared_view: float = Field(
         0.2,
         gt=0,
@@ -50,20 +50,11 @@ class NeighbourOptions(Config):
         "have at least this share of a photograph in view, at the depths of the place; above 1 for "
         "none.",
     )
-    asked: int = Field(
-        24, ge=2, description="Photographs, of the best angles, of which this is found out."
-    )
     least_depths: int = Field(
         100,
         ge=1,
         description="A photograph that observes fewer map points also takes the depths of the "
         "photographs nearest to it, until there are so many.",
-    )
-    depth_margin: float = Field(
-        0.1,
-        ge=0,
-        lt=1,
-        description="Depths are tried beyond those of the map's own points by this share.",
     )
     nearest_depth: float = Field(
         0.3,
@@ -100,16 +91,16 @@ class Neighbours:
     def __call__(self, name: str) -> list[str]:
         """Choose photographs of the same place whose rays cross this one's at a good angle, from
         different sides: those that share points, then those that have it in view."""
-        options, row = self._options, self._row_of[name]
+        row = self._row_of[name]
         here = self._rows[row]
         shared = self._shared(here)
         shared[row] = 0
-        enough = np.flatnonzero(shared >= options.min_shared_points)
+        enough = np.flatnonzero(shared >= _MIN_SHARED_POINTS)
         middle = np.median(self._map.xyz[here], axis=0) if len(here) else self._centres[row]
         distance = float(np.linalg.norm(middle - self._centres[row]))
         worth = shared * self._angled(row, distance)
         chosen = self._spread(row, enough, worth[enough], [])
-        if len(chosen) < options.neighbours:
+        if len(chosen) < self._options.neighbours:
             chosen = self._spread(row, *self._in_view(row, chosen), chosen)
         return [self._map.names[other] for other in chosen]
 
@@ -133,7 +124,7 @@ class Neighbours:
         if not len(z):
             return math.inf, math.inf
         near, far = z.quantile(z.new_tensor([0.005, 0.995])).tolist()
-        near, far = near * (1 - options.depth_margin), far * (1 + options.depth_margin)
+        near, far = near * (1 - _DEPTH_MARGIN), far * (1 + _DEPTH_MARGIN)
         return min(near, options.nearest_depth * float(z.median())) if few else near, far
 
     def _observed(self, row: int) -> Tensor:
@@ -156,7 +147,7 @@ class Neighbours:
         distance, and less for others."""
         away = np.linalg.norm(self._centres - self._centres[row], axis=1)
         angle = np.arctan2(away, max(distance, 1e-9)).clip(min=1e-6)
-        best = math.radians(self._options.best_angle_deg)
+        best = math.radians(_BEST_ANGLE_DEG)
         return np.asarray(np.exp(-(np.log(angle / best) ** 2)))
 
     def _in_view(
@@ -174,7 +165,7 @@ class Neighbours:
         inverse = np.linspace(1 / far, 1 / near, _DEPTHS)
         angled = self._angled(row, float(1 / np.median(inverse)))
         angled[[row, *but]] = 0
-        asked = np.argsort(-angled, kind="stable")[: options.asked]
+        asked = np.argsort(-angled, kind="stable")[:_ASKED]
         world = self._places(name, inverse)
         share = np.array([self._share(world, self._map.names[other]) for other in asked])
         fine = (share >= options.min_shared_view) & (angled[asked] > 0)

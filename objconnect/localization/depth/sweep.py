@@ -35,27 +35,31 @@ from objconnect.scene.storage.lru_cache import LruCache
 _CACHED: Final = 12
 # Pixels placed at a time.
 _CHUNK: Final = 1024
+# Values of the window to either side of its middle, and pixels between them: 9 pixels show enough
+# texture, and of few of them depth does not change much.
+_WINDOW_REACH: Final = 3
+_WINDOW_STEP_PX: Final = 1.5
+BORDER_PX: Final = 8.0
+"""Pixels at the edge of a photograph in which nothing is compared: lenses are least known there."""
+# Correlation by which any other depth must fall behind the best, and how many steps away a depth is
+# another one.
+_RIVAL_MARGIN: Final = 0.05
+_RIVAL_STEPS: Final = 2
+# Photographs are not made smaller than this on their shorter side.
+_LEAST_SIDE_PX: Final = 64
+# Side of the window in smaller photographs, how far apart depths are that are swept in them, their
+# pixels, and how many depths are tried afterwards to either side of the one found.
+_SHRUNK_WINDOW: Final = 5
+_PLANE_STEP_PX: Final = 1.5
+_NEAR_STEPS: Final = 5
 
 
 class SweepOptions(NeighbourOptions):
     """Options of the plane sweep."""
 
     max_depths: int = Field(256, ge=8, description="Most depths tried for a pixel.")
-    window_samples: int = Field(
-        7, ge=1, description="Values along each side of the window that is compared."
-    )
-    window_step_px: float = Field(1.5, gt=0, description="Pixels between values of the window.")
-    border_px: float = Field(
-        8.0, ge=0, description="Pixels at the edge of a neighbour that are not compared."
-    )
     min_correlation: float = Field(
         0.75, description="Correlation that the second-best neighbour must exceed."
-    )
-    rival_margin: float = Field(
-        0.05, ge=0, description="Correlation by which any other depth must fall behind the best."
-    )
-    rival_steps: int = Field(
-        2, ge=0, description="Depths no more steps than this away are no other depth."
     )
     shrink: int = Field(
         4,
@@ -63,30 +67,19 @@ class SweepOptions(NeighbourOptions):
         description="Pixels are swept in photographs made smaller by this factor first, and then "
         "near the depth found there; 1 sweeps all depths in the photographs as they are.",
     )
-    least_side_px: int = Field(
-        64, ge=8, description="Photographs are not made smaller than this on their shorter side."
-    )
-    shrunk_window: int = Field(
-        5, ge=3, description="Side of the window in the smaller photographs, pixels."
-    )
-    plane_step_px: float = Field(
-        1.5, gt=0, description="Depths swept in them are this far apart, their pixels."
-    )
     shrunk_correlation: float = Field(
         0.4, description="Correlation that the second-best neighbour must exceed there."
     )
-    near_steps: int = Field(
-        5, ge=1, description="Depths tried to either side of the one found in them."
-    )
-
-    def window(self) -> Tensor:
-        """Return the offsets of the window's values from its middle, (P, 2) pixels."""
-        count = self.window_samples
-        unit = (torch.arange(count, dtype=torch.float64) - count // 2) * self.window_step_px
-        return torch.stack(torch.meshgrid(unit, unit, indexing="xy"), -1).flatten(0, 1)
 
 
-_DEFAULTS: Final = SweepOptions()
+SWEEP: Final = SweepOptions()
+"""The sweep of a map's corners."""
+
+
+def window() -> Tensor:
+    """Return the offsets of the window's values from its middle, (P, 2) pixels."""
+    unit = _WINDOW_STEP_PX * torch.arange(-_WINDOW_REACH, _WINDOW_REACH + 1, dtype=torch.float64)
+    return torch.stack(torch.meshgrid(unit, unit, indexing="xy"), -1).flatten(0, 1)
 
 
 @dataclass(frozen=True)
@@ -119,13 +112,13 @@ class Sweeper:
         sparse_map: SparseMap,
         images: Path,
         longest: float = math.inf,
-        options: SweepOptions = _DEFAULTS,
+        options: SweepOptions = SWEEP,
     ) -> None:
         self._map = sparse_map
         self._images = images
         self._longest = longest
         self._options = options
-        self._window = options.window()
+        self._window = window()
         cameras = {image.camera for image in sparse_map.images.values()}
         sizes = (c.width * c.height * self._scale(c) ** 2 for c in cameras)
         largest = max(sizes, default=0.0) * np.dtype(np.float32).itemsize
@@ -158,7 +151,7 @@ class Sweeper:
         others = [self.photograph(each) for each in neighbours]
         placed = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (here, *others))
-        shrink = min(self._options.shrink, smallest // self._options.least_side_px)
+        shrink = min(self._options.shrink, smallest // _LEAST_SIDE_PX)
         if depths is None and shrink > 1:
             tried, clear = self._near(here, xy, others, tried, shrink)
             placed = np.flatnonzero(clear)
@@ -208,22 +201,21 @@ class Sweeper:
             Those of the inverse depths (N, K) that are near the best there, and whether two
             neighbours agree on it and no depth farther away fits nearly as well (N,).
         """
-        options = self._options
         small, *beside = (each.shrunk(shrink) for each in (here, *others))
-        sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
-        hop = max(1, round(shrink * options.plane_step_px))
+        sweep = PlaneSweep(small, _SHRUNK_WINDOW, BORDER_PX / shrink)
+        hop = max(1, round(shrink * _PLANE_STEP_PX))
         planes = tried[0, ::hop]
         first, second = _best_two([sweep(xy / shrink, planes, other) for other in beside])
         score = 0.5 * (first + second)
         best = score.argmax(1)
-        apart = np.abs(np.arange(len(planes)) - best[:, None]) > options.rival_steps
+        apart = np.abs(np.arange(len(planes)) - best[:, None]) > _RIVAL_STEPS
         rival = np.where(apart, score, -1.0).max(1)
         row = np.arange(len(best))
-        clear = score[row, best] > rival + options.rival_margin
-        clear &= second[row, best] > options.shrunk_correlation
-        count = min(2 * options.near_steps + 1, tried.shape[1])
+        clear = score[row, best] > rival + _RIVAL_MARGIN
+        clear &= second[row, best] > self._options.shrunk_correlation
+        count = min(2 * _NEAR_STEPS + 1, tried.shape[1])
         middle = np.round(hop * _peak(score, best)).astype(int)
-        begin = np.clip(middle - options.near_steps, 0, tried.shape[1] - count)
+        begin = np.clip(middle - _NEAR_STEPS, 0, tried.shape[1] - count)
         return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
@@ -248,7 +240,6 @@ class Sweeper:
         bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
     ) -> Tensor:
         """Return inverse depths to try, (N, D), a pixel apart in the neighbour farthest away."""
-        options = self._options
         if bounds is None:
             near, far = self._neighbours.depths(name)
             nearest, farthest = torch.tensor([[near], [far]], dtype=torch.float64).expand(2, count)
@@ -258,7 +249,9 @@ class Sweeper:
         centre = self._map.images[name].pose.centre()
         reach = max(float((self._map.images[n].pose.centre() - centre).norm()) for n in neighbours)
         steps = math.ceil(max(camera.focal) * reach * float((high - low).max())) + 1
-        share = torch.linspace(0, 1, min(max(steps, 8), options.max_depths), dtype=torch.float64)
+        share = torch.linspace(
+            0, 1, min(max(steps, 8), self._options.max_depths), dtype=torch.float64
+        )
         tried: Tensor = low[:, None] + (high - low)[:, None] * share
         return tried
 
@@ -274,19 +267,18 @@ class Sweeper:
         Returns:
             World points (N, 3), which of them are sure (N,), and their correlation (N,).
         """
-        options = self._options
-        sweep = WindowSweep(here, xy, self._window, options.border_px)
+        sweep = WindowSweep(here, xy, self._window, BORDER_PX)
         first, second = _best_two([sweep(depths, other) for other in others])
         # The better half: the others may not see it.
         score = 0.5 * (first + second)
         index = score.argmax(1)
         row = np.arange(len(index))
-        apart = np.abs(np.arange(depths.shape[1]) - index[:, None]) > options.rival_steps
+        apart = np.abs(np.arange(depths.shape[1]) - index[:, None]) > _RIVAL_STEPS
         rival = np.where(apart, score, -1.0).max(1)
         inner = index.clip(1, depths.shape[1] - 2)
         agreed = second[row, inner]
-        sure = agreed > options.min_correlation
-        sure &= score[row, index] > rival + options.rival_margin
+        sure = agreed > self._options.min_correlation
+        sure &= score[row, index] > rival + _RIVAL_MARGIN
         sure &= (index == inner) & sweep.usable.numpy()
         step = depths[:, 1] - depths[:, 0]
         inverse = depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step

@@ -12,16 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
+from pydantic import Field
+
+from objconnect.localization.featuremetric.beside_weights import BesideWeights
 from objconnect.localization.featuremetric.evidence import Evidence
-from objconnect.scene.config import Config, load_config
+from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Status
 
-SHIPPED: Final = Path(__file__).with_name("acceptance.yaml")
-"""The model of the networks that come with the project; it serves both of them."""
 RIGHT_M: Final = 5.0
 """A pose is right that is wrong by less, metres."""
 RIGHT_DEG: Final = 10.0
@@ -31,43 +31,30 @@ _MOST_LOG_ODDS: Final = 20.0
 
 
 class AlignedModel(Config):
-    """Logistic regression of aligned poses: weights of the fields of ``Evidence.terms``.
+    """Logistic regression of aligned poses: weights of the fields of ``Evidence.terms``."""
 
-    Attributes:
-        bias: log odds where all terms are zero.
-        peak: weight of the logarithm of the peak's height.
-        halves: weight of the logarithm of the distance between the halves' poses.
-        curvature: weight of the logarithm of the curvature.
-    """
-
-    bias: float
-    peak: float
-    halves: float
-    curvature: float
+    bias: float = Field(description="Log odds where all terms are zero.")
+    peak: float = Field(description="Weight of the logarithm of the peak's height.")
+    halves: float = Field(
+        description="Weight of the logarithm of the distance between the halves' poses."
+    )
+    curvature: float = Field(description="Weight of the logarithm of the curvature.")
 
 
 class MatchedModel(Config):
-    """Logistic regression of poses by matches.
+    """Logistic regression of poses by matches."""
 
-    Attributes:
-        bias: log odds of a pose of one inlier.
-        inliers: weight of the logarithm of their number.
-    """
-
-    bias: float
-    inliers: float
+    bias: float = Field(description="Log odds of a pose of one inlier.")
+    inliers: float = Field(description="Weight of the logarithm of the number of inliers.")
 
 
-class AcceptanceModel(Config):
-    """The probability of poses of one network.
+class AcceptanceModel(BesideWeights):
+    """The probability of poses of one network. ``python -m experiments.acceptance`` finds it."""
 
-    Attributes:
-        aligned: model of aligned poses.
-        matched: model of poses by matches.
-    """
+    kind = "acceptance"
 
-    aligned: AlignedModel
-    matched: MatchedModel
+    aligned: AlignedModel = Field(description="Model of aligned poses.")
+    matched: MatchedModel = Field(description="Model of poses by matches.")
 
     def of_alignment(self, evidence: Evidence) -> float:
         """Return the log odds of an aligned pose."""
@@ -102,24 +89,6 @@ def _probability(log_odds: float) -> float:
 
 def _bounded(log_odds: float) -> float:
     return min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
-
-
-def acceptance_file(weights: Path) -> Path:
-    """Return the file of the model that stands beside weights."""
-    return weights.with_suffix(".acceptance.yaml")
-
-
-def read_acceptance(weights: Path | None) -> AcceptanceModel:
-    """Read the model beside weights; that of all networks where there is none.
-
-    Args:
-        weights: of a user; None for those that come with a method.
-
-    Raises:
-        InputError: the file is no such model.
-    """
-    own = None if weights is None else acceptance_file(weights)
-    return load_config(AcceptanceModel, own if own is not None and own.exists() else SHIPPED, {})
 
 
 def best_probability(

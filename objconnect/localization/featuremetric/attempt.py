@@ -14,7 +14,7 @@ from objconnect.localization.align.aligner import Alignment
 from objconnect.localization.align.covariance import Spread, spread
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.acceptance import best_probability
-from objconnect.localization.featuremetric.calibration import CovarianceNumbers, calibrated
+from objconnect.localization.featuremetric.calibration import calibrated
 from objconnect.localization.featuremetric.evidence import Evidence, evidence
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.problem import fit
@@ -77,14 +77,14 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
 
     Args:
         found: what was aligned.
-        options: how evidence is measured, and the model that gives the odds.
+        options: with the model that gives the odds.
     """
     assert options.acceptance is not None
     view, problem, alignment = found.view, found.problem, found.alignment
     if alignment.failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
     around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
-    told = evidence(problem, alignment.pose, float(around.curvature[0]), options.evidence)
+    told = evidence(problem, alignment.pose, float(around.curvature[0]))
     return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
 
 
@@ -180,7 +180,8 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
     """
     if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
-    of_view = calibrated(attempt.spread, attempt.fit, CovarianceNumbers.of(options))
+    assert options.covariance is not None
+    of_view = calibrated(attempt.spread, attempt.fit, options.covariance)
     return attempt.view.photograph_covariance(of_view[0])
 
 

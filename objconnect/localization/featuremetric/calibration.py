@@ -2,33 +2,64 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.align.covariance import Spread
-from objconnect.localization.featuremetric.options import SearchOptions
+from objconnect.localization.featuremetric.beside_weights import BesideWeights
 
 
-class CovarianceNumbers(NamedTuple):
-    """The options of ``SearchOptions`` of the same names, without ``covariance_``."""
+class CovarianceNumbers(BesideWeights):
+    """The numbers of the covariance of one network's poses, as ``calibrated`` uses them.
 
-    factor: float
-    patches_power: float
-    level: float
-    level_patches: float
-    floor: float
-    unchanged_fit: float
-    view_fit: float
-    changed_fit: float
+    ``python -m experiments.covariance`` finds them.
+    """
 
-    @staticmethod
-    def of(options: SearchOptions) -> CovarianceNumbers:
-        """Return what options say."""
-        names = (f"covariance_{name}" for name in CovarianceNumbers._fields)
-        return CovarianceNumbers(*(getattr(options, name) for name in names))
+    kind = "covariance"
+
+    factor: float = Field(
+        gt=0,
+        description="Factor on the covariance that the alignment measures where the fit is that of "
+        "the map's season, from 100 patches of the query.",
+    )
+    patches_power: float = Field(
+        ge=0,
+        description="Power of the number of patches, as a share of 100, by which the covariance is "
+        "divided: it is measured too small from few of them.",
+    )
+    level: float = Field(
+        gt=0,
+        description="Level of the scatter of the patches' pulls, as a share of the curvature of "
+        "the cost, that queries have in general.",
+    )
+    level_patches: float = Field(
+        ge=0,
+        description="Number of equal patches of a query as which this level counts beside what "
+        "the query's own patches show: their level is not known well from few of them.",
+    )
+    floor: float = Field(
+        ge=0,
+        description="Standard deviation, per axis, of what moves all points alike, as shadows do "
+        "when the sun moves: radians, and metres per metre to the points.",
+    )
+    unchanged_fit: float = Field(
+        gt=0,
+        description="Fit of the points by how much they tell of the pose, below which light and "
+        "season are the map's and nothing is added to the covariance, for a query that sees the "
+        "points from where the map's photographs do.",
+    )
+    view_fit: float = Field(
+        ge=0,
+        description="How much that fit grows with 1 less the mean cosine of the angle between the "
+        "directions in which the query and the map's photographs see the points.",
+    )
+    changed_fit: float = Field(
+        gt=0,
+        description="Share by which the fit is worse than in the map's season where the whole of "
+        "floor is added; below, the variance that is added grows in proportion.",
+    )
 
 
 def calibrated(

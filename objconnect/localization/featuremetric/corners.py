@@ -19,8 +19,7 @@ from torch import Tensor
 
 from objconnect.localization.cache.map_cache import Earlier, MapCache
 from objconnect.localization.cache.store import Row, Rows
-from objconnect.localization.depth.sweep import Sweeper, SweepOptions
-from objconnect.scene.config import Config
+from objconnect.localization.depth.sweep import BORDER_PX, Sweeper, SweepOptions
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.runtime.threads import in_threads
@@ -29,23 +28,19 @@ from objconnect.scene.storage.digests import digest_of
 _FORMAT: Final = 5
 
 
-class CornerOptions(Config):
-    """How corners of a map's photographs are found and placed."""
+class CornerOptions(SweepOptions):
+    """How many corners of a map's photographs are looked for, and how they are placed."""
 
-    apart_px: float = Field(4.0, ge=0, description="Least distance between corners (px).")
-    quality: float = Field(
-        1e-3, gt=0, lt=1, description="Least strength of a corner, as a share of the strongest."
-    )
-    blur_px: float = Field(1.0, gt=0, description="Sigma of the blur before corners are found.")
-    border_px: float = Field(
-        8.0, ge=0, description="Pixels at the edge of a photograph in which no corner counts."
-    )
-    sweep: SweepOptions = Field(
-        SweepOptions(), description="How corners are placed by neighbouring photographs."
-    )
+    count: int = Field(2500, ge=1, description="Most corners of a photograph.")
 
 
-_DEFAULTS: Final = CornerOptions()
+_CORNERS: Final = CornerOptions()
+# Least distance between corners (px), that of neighbouring cells of the features.
+_APART_PX: Final = 4.0
+# Least strength of a corner, as a share of the strongest: their number decides, not this.
+_QUALITY: Final = 1e-3
+# Sigma of the blur before corners are found, which takes the noise of the sensor.
+_BLUR_PX: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,22 +62,19 @@ class CornerFinder:
     Args:
         sparse_map: the map; its points tell which photographs see the same.
         images: folder of the photographs.
-        most: most corners of a photograph.
         longest: photographs with a longer side (px) are made smaller.
-        options: how corners are found and placed.
+        options: how many there are, and how they are placed.
     """
 
     def __init__(
         self,
         sparse_map: SparseMap,
         images: Path,
-        most: int,
         longest: int,
-        options: CornerOptions = _DEFAULTS,
+        options: CornerOptions = _CORNERS,
     ) -> None:
-        self._most = most
-        self._options = options
-        self._sweep = Sweeper(sparse_map, images, longest, options.sweep)
+        self._most = options.count
+        self._sweep = Sweeper(sparse_map, images, longest, options)
 
     def __call__(self, name: str) -> Corners:
         """Find the corners of one photograph; none where it has too few neighbours.
@@ -91,7 +83,7 @@ class CornerFinder:
             InputError: a photograph is missing or damaged.
         """
         photograph = self._sweep.photograph(name)
-        xy = _corners(photograph.grey, self._most, self._options)
+        xy = _corners(photograph.grey, self._most)
         swept = self._sweep(name, xy)
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
@@ -132,13 +124,13 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
     return [store.read(row, "xyz") for row in range(len(store))]
 
 
-def _corners(grey: Tensor, most: int, options: CornerOptions) -> NDArray[np.float64]:
+def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:
     """Find Shi and Tomasi's corners, (N, 2) pixels, the strongest first."""
-    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), options.blur_px)
-    corners = cv2.goodFeaturesToTrack(smooth, most, options.quality, options.apart_px)
+    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), _BLUR_PX)
+    corners = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _APART_PX)
     if corners is None:
         return np.empty((0, 2))
     # OpenCV counts from the first pixel's centre.
     xy = corners[:, 0].astype(np.float64) + 0.5
-    size, border = np.array(grey.shape[::-1]), options.border_px
-    return np.asarray(xy[((xy >= border) & (xy <= size - border)).all(1)])
+    size = np.array(grey.shape[::-1])
+    return np.asarray(xy[((xy >= BORDER_PX) & (xy <= size - BORDER_PX)).all(1)])

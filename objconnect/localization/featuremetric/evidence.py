@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
-from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
@@ -21,7 +20,6 @@ from objconnect.localization.align.aligner import align
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level
 from objconnect.localization.align.sampling import per_axis
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 
 # Bounds of the terms: beyond them a pose is no surer, and no worse.
@@ -31,28 +29,18 @@ _LEAST_CELLS: Final = 0.02
 _MOST_CELLS: Final = 20.0
 # Fewer points, or fewer shifts to compare with, tell nothing.
 _FEWEST: Final = 10
-
-
-class EvidenceOptions(Config):
-    """How a pose is compared with the same picture shifted aside, and how it is halved."""
-
-    points: int = Field(256, ge=10, description="Points that are compared, spread over the image.")
-    reach_cells: float = Field(
-        24.0,
-        gt=0,
-        le=100,
-        description="Farthest shift along an axis, cells of the middle level.",
-    )
-    step_cells: float = Field(3.0, ge=0.5, description="Cells between neighbouring shifts.")
-    core_cells: float = Field(
-        4.0, gt=0, description="Shifts shorter than this belong to the peak of the pose itself."
-    )
-    least_share: float = Field(
-        0.3, gt=0, le=1, description="Share of the points that a shift must leave in the picture."
-    )
-    fields: int = Field(
-        6, ge=2, description="Fields along either axis of the chessboard that halves the picture."
-    )
+# Points that are compared, spread over the image, which bounds time.
+_POINTS: Final = 256
+# Cells of the middle level between neighbouring shifts, and shifts to either side along an axis:
+# the picture is compared with itself up to 24 cells aside.
+_STEP_CELLS: Final = 3.0
+_SHIFTS: Final = 8
+# Shifts shorter than this (cells) belong to the peak of the pose itself.
+_CORE_CELLS: Final = 4.0
+# Share of the points that a shift must leave in the picture.
+_LEAST_SHARE: Final = 0.3
+# Fields along either axis of the chessboard that halves the picture.
+_FIELDS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -85,32 +73,29 @@ class Evidence:
         )
 
 
-def evidence(problem: Problem, pose: Pose, curvature: float, options: EvidenceOptions) -> Evidence:
+def evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
     """Measure what a query says of an aligned pose.
 
     Args:
         problem: what was aligned, of one image.
         pose: ``cam_from_world``, batched (1).
         curvature: of the cost around it.
-        options: how it is measured.
     """
-    height = _height(problem, pose, options)
-    return Evidence(height, _between_halves(problem, pose, options.fields), curvature)
+    return Evidence(_height(problem, pose), _between_halves(problem, pose), curvature)
 
 
-def _height(problem: Problem, pose: Pose, options: EvidenceOptions) -> float:
+def _height(problem: Problem, pose: Pose) -> float:
     """Return the height of the peak, as in ``Evidence``, on the middle level."""
-    few = problem.first_points(options.points)
+    few = problem.first_points(_POINTS)
     level = few.levels[len(few.levels) // 2]
     projected = few.intrinsics.project(pose.transform(few.points))
     cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
-    most = int(options.reach_cells / options.step_cells + 1e-6)
-    side = options.step_cells * torch.arange(-most, most + 1, device=cells.device).float()
+    side = _STEP_CELLS * torch.arange(-_SHIFTS, _SHIFTS + 1, device=cells.device).float()
     shifts = torch.cartesian_prod(side, side)
     gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
     length = shifts.norm(dim=-1)
     here = int(length.argmin())
-    aside = (length >= options.core_cells) & (share >= options.least_share * share[here])
+    aside = (length >= _CORE_CELLS) & (share >= _LEAST_SHARE * share[here])
     others = gain[aside]
     if len(others) < _FEWEST or share[here] < _FEWEST:
         return 0.0
@@ -158,7 +143,7 @@ def _shifted_gains(
     return gains / trusted.clamp_min(1e-12), seen.sum(0)
 
 
-def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:
+def _between_halves(problem: Problem, pose: Pose) -> float:
     """Return the distance between the halves' poses, as in ``Evidence``.
 
     The halves are the black and the white fields of a chessboard: both see all of the picture, and
@@ -169,7 +154,7 @@ def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:
     size = stride.new_tensor(finest.features.shape[:1:-1]) * stride
     projected = problem.intrinsics.project(pose.transform(problem.points))
     seen = projected.valid & (projected.xy > 0).all(-1) & (projected.xy < size).all(-1)
-    black = (projected.xy / size * fields).floor().sum(-1) % 2 == 0
+    black = (projected.xy / size * _FIELDS).floor().sum(-1) % 2 == 0
     begin = problem.finer() if len(problem.levels) > 2 else problem.at_levels(slice(-1, None))
     at = []
     for half in (black, ~black):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Final, Protocol
 
 from objconnect.localization.align.options import SearchRadius
 from objconnect.localization.coarse.finder import PlaceFinder
@@ -30,6 +30,10 @@ from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
+# Places of objects, and of the place search, that are tried before further places of either.
+_FIRST_PLACES: Final = 4
+# How far to look around a pose from matches.
+_NEAR_MATCHES: Final = SearchRadius(1.0, 1.0)
 _Find = Callable[[Query, Stopwatch], list[Candidate]]
 
 
@@ -115,8 +119,8 @@ class GlobalSearch:
         further: list[Candidate] = []
         for find in self._finders(query):
             places = find(query, clock)
-            yield places[: self.refine.config.search.first_places]
-            further += places[self.refine.config.search.first_places :]
+            yield places[:_FIRST_PLACES]
+            further += places[_FIRST_PLACES:]
         yield further
 
     def _finders(self, query: Query) -> Sequence[_Find]:
@@ -147,9 +151,8 @@ class GlobalSearch:
             clock: takes the time.
         """
         options = self.refine.config.search
-        around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
         start, _ = rivals[0]
-        attempt = self.refine.near(query, start, clock, around)
+        attempt = self.refine.near(query, start, clock, _NEAR_MATCHES)
         best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
         same = is_same(attempt.pose, start)
         if (same or best == 0) and is_answered([attempt], options, rivals):
@@ -163,8 +166,7 @@ class GlobalSearch:
         assert self.other is not None
         with clock.stage("objects"):
             places = self.other.find(query)
-        options = self.refine.config.search
-        return [place for place in places if may_be_at(query.prior, place.pose, options)]
+        return [place for place in places if may_be_at(query.prior, place.pose)]
 
     def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the starts of the place search, or of the photographs that look most like it."""
@@ -177,6 +179,6 @@ class GlobalSearch:
             return places
         with clock.stage("retrieval"):
             chosen = self.refine.photographs(query)
-            begin = starts(query.prior, self.sparse_map, chosen, config.starts)
+            begin = starts(query.prior, self.sparse_map, chosen, config.same_place_m)
         by = start_of(query.prior)
         return [Candidate(pose, 0.0, by) for pose in begin[: config.place.candidates]]

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -52,6 +53,12 @@ from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.runtime.tuning import return_freed, return_freed_above, spare_collector
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
+# Steps per level that are tried: of queries that end well, nearly all take fewer.
+_SOLVER: Final = Options(iterations=100)
+# A query that begins with so much more memory (MB) than the map took gives back what the queries
+# before it freed; a pass that takes it again is a tenth slower.
+_RETURN_FREED_MB: Final = 290
+
 
 class FeaturemetricLocalizer:
     """Localizes images by alignment. Implements ``objconnect.scene.localizer.Localizer``.
@@ -60,11 +67,12 @@ class FeaturemetricLocalizer:
         name: of the method.
         network: the trained network.
         weights_sha256: digest of its weights.
-        config: options of the method; its ``search.acceptance`` is not None.
+        config: options of the method.
         other: finds places too, before the search or after it.
 
     Raises:
-        InputError: the network is to be quantized, and cannot be here.
+        InputError: the network is to be quantized, and cannot be here; or a file of numbers beside
+            the weights is damaged.
     """
 
     def __init__(
@@ -78,6 +86,7 @@ class FeaturemetricLocalizer:
         if config.quantized:
             assert isinstance(network, nn.Module)
             require_quantizable(network)
+        config = config.calibrated()
         assert config.search.acceptance is not None
         self.name = name
         self.weights_sha256: str | None = weights_sha256
@@ -128,15 +137,13 @@ class FeaturemetricLocalizer:
         observations = references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
-            extract = quantized_extractor(source, config.quantization)
-        solver = Options(**config.solver.model_dump(), iterations=config.iterations)
+            extract = quantized_extractor(source)
         problems = ProblemBuilder(
             extract,
             observations,
             sparse_map.centres,
             self._damping,
-            solver,
-            config.reference,
+            _SOLVER,
             Levelling.of(sparse_map, config.most_tilt_deg),
         )
         options = config.tracking
@@ -144,7 +151,7 @@ class FeaturemetricLocalizer:
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
         described = OnDemand(observations.coarse, len(observations))
-        retrieval = References.build(sparse_map, described, config.retrieval)
+        retrieval = References.build(sparse_map, described)
         refine = Refiner(
             config,
             extract,
@@ -167,7 +174,7 @@ class FeaturemetricLocalizer:
         """Give back what preparing took, and note what memory queries begin with."""
         spare_collector()
         return_freed()
-        self._most_bytes = resident_bytes() + self.config.return_freed_mb * MEGABYTE
+        self._most_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``PreparesParts``."""
@@ -186,10 +193,7 @@ class FeaturemetricLocalizer:
             self._extract,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             self.name,
-            config.points,
-            config.corners,
-            config.reference,
-            config.corner,
+            corners=config.corners,
         )
 
     @torch.inference_mode()
@@ -211,7 +215,7 @@ class FeaturemetricLocalizer:
             chosen = refine.photographs(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            begin = starts(query.prior, self._map, chosen, self.config.starts)
+            begin = starts(query.prior, self._map, chosen, self.config.same_place_m)
         attempts = self._attempts(refine, query, chosen, begin, clock)
         return estimated(attempts, begin, start_of(query.prior), self.config.search, clock)
 
@@ -262,7 +266,7 @@ class FeaturemetricLocalizer:
         enough = not self.config.multistart or options.again == 1
         if enough or is_answered(attempts, options):
             return attempts
-        thorough = refine.searching(options.times(options.again))
+        thorough = refine.wider(options.again)
         if says_all(query.prior):
             return attempts + self._tried(thorough, query, chosen, begin, clock)
         best, probability = best_of(attempts)
@@ -291,8 +295,7 @@ class FeaturemetricLocalizer:
         Where there were several starts, or no position is known, the image is then aligned once
         more from the best pose: seen from there it is turned and scaled better.
         """
-        options = self.config.search
-        radius = search_radius(query.prior, options)
+        options, radius = self.config.search, search_radius(query.prior)
         attempts: list[Attempt] = []
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         with progress_within("starts aligned", len(begin)) as advance:

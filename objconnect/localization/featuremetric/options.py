@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field
 
 from objconnect.learning.folding import Precision
-from objconnect.localization.align.options import HypothesisOptions, SolverOptions
 from objconnect.localization.coarse.finder import PlaceOptions
-from objconnect.localization.featuremetric.acceptance import AcceptanceModel, read_acceptance
+from objconnect.localization.featuremetric.acceptance import AcceptanceModel
+from objconnect.localization.featuremetric.calibration import CovarianceNumbers
 from objconnect.localization.featuremetric.corners import CornerOptions
-from objconnect.localization.featuremetric.evidence import EvidenceOptions
-from objconnect.localization.featuremetric.quantized import QuantizationOptions
-from objconnect.localization.featuremetric.references import ReferenceOptions
-from objconnect.localization.matching.retrieval import RetrievalOptions
 from objconnect.localization.matching.structure import StructureConfig
-from objconnect.localization.starts import StartOptions
-from objconnect.scene.config import Config
+from objconnect.scene.config import Config, with_default
 from objconnect.scene.runtime.device import AUTO, Device
 
 
 class SearchOptions(Config):
-    """Which starts are tried in turn, and when a pose is believed."""
+    """When a pose is believed, and what a search does until then."""
 
     risk: float = Field(
         0.05,
@@ -46,14 +41,11 @@ class SearchOptions(Config):
         "is that of the networks that come with the project. "
         "python -m experiments.acceptance finds it.",
     )
-    evidence: EvidenceOptions = Field(
-        EvidenceOptions(), description="How a pose is compared with others of the same query."
-    )
-    first_places: int = Field(
-        4,
-        ge=1,
-        description="Places of objects, and of the place search, that are tried before further "
-        "places of either.",
+    covariance: CovarianceNumbers | None = Field(
+        None,
+        description="How covariances of poses are calibrated. None reads it from the file beside "
+        "weights of your own (own.covariance.yaml beside own.safetensors); without one it is that "
+        "of the networks that come with the project. python -m experiments.covariance finds it.",
     )
     matched_answer_inliers: int = Field(
         100,
@@ -61,108 +53,12 @@ class SearchOptions(Config):
         description="A pose from matches of so many inliers is the answer. On the validation "
         "scenes such poses were off by 0.02 m in the median, and by 0.04 m after an alignment.",
     )
-    matched_radius_m: float = Field(
-        1.0, gt=0, description="Distance to look around a pose from matches, metres."
-    )
-    matched_radius_deg: float = Field(
-        1.0, gt=0, description="Angle to look around a pose from matches."
-    )
-    covariance_factor: float = Field(
-        1.28,
-        gt=0,
-        description="Factor on the covariance that the alignment measures where the fit is that of "
-        "the map's season, from 100 patches of the query. python -m experiments.covariance "
-        "finds this and the next seven.",
-    )
-    covariance_patches_power: float = Field(
-        0.205,
-        ge=0,
-        description="Power of the number of patches, as a share of 100, by which the covariance is "
-        "divided: it is measured too small from few of them.",
-    )
-    covariance_level: float = Field(
-        3.71e-4,
-        gt=0,
-        description="Level of the scatter of the patches' pulls, as a share of the curvature of "
-        "the cost, that queries have in general.",
-    )
-    covariance_level_patches: float = Field(
-        2.82,
-        ge=0,
-        description="Number of equal patches of a query as which this level counts beside what "
-        "the query's own patches show: their level is not known well from few of them.",
-    )
-    covariance_floor: float = Field(
-        8.59e-5,
-        ge=0,
-        description="Standard deviation, per axis, of what moves all points alike, as shadows do "
-        "when the sun moves: radians, and metres per metre to the points.",
-    )
-    covariance_unchanged_fit: float = Field(
-        0.548,
-        gt=0,
-        description="Fit of the points by how much they tell of the pose, below which light and "
-        "season are the map's and nothing is added to the covariance, for a query that sees the "
-        "points from where the map's photographs do.",
-    )
-    covariance_view_fit: float = Field(
-        0.413,
-        ge=0,
-        description="How much that fit grows with 1 less the mean cosine of the angle between the "
-        "directions in which the query and the map's photographs see the points.",
-    )
-    covariance_changed_fit: float = Field(
-        0.316,
-        gt=0,
-        description="Share by which the fit is worse than in the map's season where the whole of "
-        "covariance_floor is added; below, the variance that is added grows in proportion.",
-    )
-    compared_points: int = Field(
-        512,
-        ge=10,
-        description="Points by which several starts are compared; the best is aligned to all.",
-    )
-    compared_levels: int = Field(
-        2,
-        ge=1,
-        description="Levels, from the coarsest, on which starts are compared.",
-    )
-    radius_m: float = Field(8.0, gt=0, description="Least distance to look around a start, metres.")
-    radius_deg: float = Field(10.0, gt=0, description="Least angle to look around a start.")
-    max_radius_m: float = Field(
-        40.0,
-        gt=0,
-        description="Largest distance to look around a start, metres: a wider grid has gaps.",
-    )
-    max_radius_deg: float = Field(30.0, gt=0, description="Largest angle to look around a start.")
-    prior_sigmas: float = Field(
-        2.0, gt=0, description="Standard deviations of the prior that the search reaches."
-    )
-    place_sigmas: float = Field(
-        3.0,
-        gt=0,
-        description="Standard deviations of the prior's position within which a place of objects "
-        "may be.",
-    )
-    hypotheses: HypothesisOptions = Field(
-        HypothesisOptions(), description="How poses around a start are placed and refined."
-    )
     again: int = Field(
         2,
         ge=1,
         description="Where no pose around a prior, or from photographs that a query names, is "
-        "believed, the search begins again with so many times the hypotheses and compared points; "
-        "1 for not.",
+        "believed, the search begins again with so many times the starts and points; 1 for not.",
     )
-
-    def times(self, factor: int) -> SearchOptions:
-        """Return options of a search with so many times the hypotheses and compared points."""
-        return self.model_copy(
-            update={
-                "compared_points": factor * self.compared_points,
-                "hypotheses": self.hypotheses.times(factor),
-            }
-        )
 
 
 class TrackingOptions(Config):
@@ -185,19 +81,6 @@ class TrackingOptions(Config):
         4, ge=1, description="Photographs of the map that the image is aligned to, together."
     )
     points: int = Field(2048, ge=10, description="Most points, shared by the references.")
-    rough_points: int = Field(
-        512, ge=10, description="Most points on levels before the finest, spread over the image."
-    )
-    reach_cells: float = Field(
-        3.0,
-        gt=0,
-        description="Alignment begins on the finest level of which so many cells are more than the "
-        "prediction is unsure by (one standard deviation); where none has such cells, the image "
-        "is not followed.",
-    )
-    rough_convergence: float = Field(
-        4.0, ge=1, description="Factor on the step lengths that end a level before the finest."
-    )
 
 
 class FeaturemetricConfig(Config):
@@ -210,15 +93,12 @@ class FeaturemetricConfig(Config):
     references: int = Field(
         5, ge=1, description="Photographs of the map that the query is aligned to, together."
     )
-    points: int = Field(2048, ge=10, description="Most points, shared by the references.")
-    corners: int = Field(
-        2500,
-        ge=0,
-        description="Corners of each photograph that become points beside the map's own; 0 for "
-        "none.",
+    corners: CornerOptions | None = Field(
+        CornerOptions(),
+        description="Corners of the map's photographs that become points beside the map's own; "
+        "None for none.",
     )
     longest: int = Field(1024, ge=64, description="Larger images are resized to this side (px).")
-    iterations: int = Field(100, ge=1, description="Most steps per level.")
     max_magnification: float = Field(
         1.0,
         ge=1,
@@ -229,15 +109,9 @@ class FeaturemetricConfig(Config):
         False,
         description="Look around the start too, for priors beyond the reach of the features.",
     )
-    most_tilt_deg: float | None = Field(
-        None,
-        ge=0,
-        description="An image that looks at the ground more flatly than the photographs it is "
-        "aligned to, by more than this, is seen as by a camera that is turned down so far; None "
-        "leaves it as it is.",
-    )
     precision: Precision = Field(
         "float32",
+        validate_default=True,
         description="Precision of the convolutions; auto is bfloat16 where the processor has "
         "matrix units for it, else float32.",
     )
@@ -246,20 +120,11 @@ class FeaturemetricConfig(Config):
         description="The network sees images in 8-bit integers, twice as fast as in bfloat16, and "
         "the map as ``precision`` says. It needs a processor with VNNI.",
     )
-    quantization: QuantizationOptions = Field(
-        QuantizationOptions(), description="How the scales of these integers are chosen."
-    )
     memory_mb: int = Field(
         1060,
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it beside a pass of the network.",
-    )
-    return_freed_mb: int = Field(
-        290,
-        ge=0,
-        description="A query that begins with so much more memory than the map took gives back "
-        "what the queries before it freed; a pass that takes it again is a tenth slower.",
     )
     place: PlaceOptions = Field(
         PlaceOptions(candidates=0),
@@ -271,51 +136,45 @@ class FeaturemetricConfig(Config):
         description="Matches of SIFT features, which are tried before the search; None for none.",
     )
     search: SearchOptions = Field(
-        SearchOptions(), description="Which starts are tried, and when a pose is believed."
-    )
-    starts: StartOptions = Field(
-        StartOptions(), description="Which starting poses an incomplete prior gives."
+        SearchOptions(), description="When a pose is believed, and how far the search goes."
     )
     tracking: TrackingOptions | None = Field(
         TrackingOptions(),
         description="How an image of a sequence is followed; where the track is not confirmed, and "
         "with None, it is localized as any other image near its prior.",
     )
-    solver: SolverOptions = Field(
-        SolverOptions(), description="How the cost of a level is minimised."
-    )
-    reference: ReferenceOptions = Field(
-        ReferenceOptions(), description="Which points are kept of each photograph of the map."
-    )
-    corner: CornerOptions = Field(
-        CornerOptions(), description="How corners of the map's photographs are found and placed."
-    )
-    retrieval: RetrievalOptions = Field(
-        RetrievalOptions(), description="How photographs are chosen where there is no prior."
-    )
+    most_tilt_deg: ClassVar[float | None] = None
+    """An image that looks at the ground more flatly than the photographs it is aligned to, by more
+    than this, is seen as by a camera that is turned down so far; None leaves it as it is."""
+    same_place_m: ClassVar[float | None] = None
+    """Where nothing is known of a query, photographs farther apart than this (metres) are starts of
+    their own, though they share a heading; None for never."""
 
-    def accepting(self) -> Self:
-        """Return the options with the acceptance model of their weights.
+    def calibrated(self) -> Self:
+        """Return the options with the acceptance model and the covariance of their weights.
 
         Raises:
-            InputError: the file of the model is damaged.
+            InputError: a file beside the weights is damaged.
         """
-        if self.search.acceptance is not None:
-            return self
-        model = read_acceptance(self.weights)
-        search = self.search.model_copy(update={"acceptance": model})
-        return self.model_copy(update={"search": search})
+        search = self.search
+        read = {
+            "acceptance": search.acceptance or AcceptanceModel.beside(self.weights),
+            "covariance": search.covariance or CovarianceNumbers.beside(self.weights),
+        }
+        return self.model_copy(update={"search": search.model_copy(update=read)})
 
 
 class SearchingConfig(FeaturemetricConfig):
     """Options of a localizer that looks around its start and finds starts itself where no prior
     gives them. It aligns to more photographs: what snow hides in one may be seen in another."""
 
-    references: int = Field(8, ge=1)
-    precision: Precision = Field("auto", validate_default=True)
-    multistart: bool = True
-    max_magnification: float = Field(2.0, ge=1)
-    most_tilt_deg: float | None = Field(30.0, ge=0)
-    place: PlaceOptions = Field(PlaceOptions())
-    matches: StructureConfig | None = Field(StructureConfig())
-    starts: StartOptions = Field(StartOptions(same_place_m=3.0))
+    references: int = with_default(FeaturemetricConfig, "references", 8)
+    precision: Precision = with_default(FeaturemetricConfig, "precision", "auto")
+    multistart: bool = with_default(FeaturemetricConfig, "multistart", True)
+    max_magnification: float = with_default(FeaturemetricConfig, "max_magnification", 2.0)
+    place: PlaceOptions = with_default(FeaturemetricConfig, "place", PlaceOptions())
+    matches: StructureConfig | None = with_default(
+        FeaturemetricConfig, "matches", StructureConfig()
+    )
+    most_tilt_deg: ClassVar[float | None] = 30.0
+    same_place_m: ClassVar[float | None] = 3.0

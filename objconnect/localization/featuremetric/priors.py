@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import torch
 
 from objconnect.localization.align.options import SearchRadius
-from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior
+
+AROUND: Final = SearchRadius(8.0, 10.0)
+"""How far to look around a start of which no uncertainty is known."""
+# The farthest to look around a start: a wider grid has gaps.
+_FARTHEST: Final = SearchRadius(40.0, 30.0)
+# Standard deviations of a prior that a search reaches.
+_PRIOR_SIGMAS: Final = 2.0
+# Standard deviations of a prior's position within which a place of objects may be.
+_PLACE_SIGMAS: Final = 3.0
 
 
 def known_pose(pose: Pose) -> Prior:
@@ -34,27 +44,22 @@ def says_all(prior: Prior | None) -> bool:
     return prior is not None and prior.has_position and prior.has_heading
 
 
-def may_be_at(prior: Prior | None, pose: Pose, options: SearchOptions) -> bool:
+def may_be_at(prior: Prior | None, pose: Pose) -> bool:
     """Return whether a prior's position, as far as it is sure, allows a pose."""
     if prior is None or prior.horizontal_sigma is None:
         return True
     away = np.linalg.norm(pose.centre().numpy()[:2] - prior.position[:2])
-    return bool(away <= options.radius_m + options.place_sigmas * prior.horizontal_sigma)
+    return bool(away <= AROUND.metres + _PLACE_SIGMAS * prior.horizontal_sigma)
 
 
-def default_radius(options: SearchOptions) -> SearchRadius:
-    """Return how far to look around a start of which no uncertainty is known."""
-    return SearchRadius(options.radius_m, options.radius_deg)
-
-
-def search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
+def search_radius(prior: Prior | None) -> SearchRadius:
     """Return how far a prior may be off, by its standard deviations where they are known."""
     if prior is None:
-        return default_radius(options)
-    metres, sigmas = options.radius_m, options.prior_sigmas
+        return AROUND
+    metres = AROUND.metres
     if prior.position_sigma is not None:
         # An axis that was not measured is infinitely unsure: nothing says how far to look.
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
-        metres = max([metres, *(sigmas * float(sigma) for sigma in known)])
-    degrees = max(options.radius_deg, sigmas * (prior.attitude_sigma_deg or 0.0))
-    return SearchRadius(min(metres, options.max_radius_m), min(degrees, options.max_radius_deg))
+        metres = max([metres, *(_PRIOR_SIGMAS * float(sigma) for sigma in known)])
+    degrees = max(AROUND.degrees, _PRIOR_SIGMAS * (prior.attitude_sigma_deg or 0.0))
+    return SearchRadius(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,10 +18,9 @@ from objconnect.localization.align.sampling import per_axis
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
-    ReferenceOptions,
     spaced_order,
 )
-from objconnect.localization.resolution import metres_per_pixel, scale_to
+from objconnect.localization.resolution import SAME_RESOLUTION, metres_per_pixel, scale_to
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, levelled, north_angle, tilt
@@ -75,7 +74,6 @@ class ProblemBuilder:
         centres: (M, 3) of the photographs, world metres.
         damping: of every level.
         options: of the alignment.
-        reference: how points are spread, and which resolutions count as the same.
         levelling: of images that are tilted more than the photographs; None for no image.
     """
 
@@ -84,7 +82,6 @@ class ProblemBuilder:
     centres: NDArray[np.float64]
     damping: list[torch.Tensor]
     options: Options
-    reference: ReferenceOptions = field(default_factory=ReferenceOptions)
     levelling: Levelling | None = None
 
     def scale(
@@ -113,7 +110,7 @@ class ProblemBuilder:
         # The view must not fall below what the network needs.
         least = LEAST_SIDE / min(camera.width, camera.height)
         wanted = self.observations.metres_per_pixel
-        same = self.reference.same_resolution
+        same = SAME_RESOLUTION
         if coarser is not None:
             wanted, same = coarser * wanted, 1.0
         return max(scale_to(wanted, own, largest, same), least)
@@ -171,7 +168,7 @@ class ProblemBuilder:
         """
         turn = self._turn(chosen, start)
         scale = self.scale(query.camera, chosen, start, turn, magnification=magnification)
-        if scale < self.reference.same_resolution * view.scale:
+        if scale < SAME_RESOLUTION * view.scale:
             return None
         return self._warp(query, start, scale, turn)
 
@@ -224,7 +221,7 @@ class ProblemBuilder:
         visible = inside.numpy() & view.shows(projected.xy.numpy())
         seen = np.flatnonzero(visible)
         size = np.array([view.camera.width, view.camera.height])
-        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen], self.reference.grid)
+        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen])
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]

@@ -4,50 +4,34 @@ from __future__ import annotations
 
 from typing import Final
 
-from pydantic import Field
 from torch import nn
 
 from objconnect.learning.quantization import Channelwise, largest_values, quantized
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
-from objconnect.scene.config import Config
 
 # Numerical guard: of a layer that returns nothing but zeros.
 _SMALLEST: Final = 1e-6
+# Photographs of the map in which the largest values are looked for: more hardly raise them.
+_PHOTOGRAPHS: Final = 8
+# A channel whose largest value is less than this share of that of all channels counts as if it had
+# this one: a query may show what the photographs do not.
+_LEAST_SHARE: Final = 0.02
 
 
-class QuantizationOptions(Config):
-    """How the scales of integers are chosen."""
-
-    photographs: int = Field(
-        8, ge=1, description="Photographs of the map in which the largest values are looked for."
-    )
-    margin: float = Field(
-        1.0, gt=0, description="Values are cut off beyond this share of the largest ones."
-    )
-    least_share: float = Field(
-        0.02,
-        gt=0,
-        le=1,
-        description="A channel whose largest value is less than this share of that of all channels "
-        "counts as if it had this one.",
-    )
-
-    def scales(self, largest: Channelwise) -> Channelwise:
-        """Return what a step of each channel is worth, given the largest values."""
-        return {
-            name: values.clamp(min=max(self.least_share * float(values.max()), _SMALLEST))
-            * (self.margin / 255)
-            for name, values in largest.items()
-        }
+def channel_scales(largest: Channelwise) -> Channelwise:
+    """Return what a step of each channel is worth, given the largest values."""
+    return {
+        name: values.clamp(min=max(_LEAST_SHARE * float(values.max()), _SMALLEST)) * (1 / 255)
+        for name, values in largest.items()
+    }
 
 
-def quantized_extractor(source: ReferenceSource, options: QuantizationOptions) -> MapExtractor:
+def quantized_extractor(source: ReferenceSource) -> MapExtractor:
     """Return an extractor whose network is quantized for pictures like those of a map.
 
     Args:
         source: the map, its photographs, and the extractor in floating point.
-        options: how scales are chosen.
 
     Raises:
         InputError: a photograph is missing or broken, or the network cannot be quantized here.
@@ -57,6 +41,6 @@ def quantized_extractor(source: ReferenceSource, options: QuantizationOptions) -
     network = extract.network
     assert isinstance(network, nn.Module)
     with largest_values(network) as largest:
-        for name in names[:: -(-len(names) // options.photographs)]:
+        for name in names[:: -(-len(names) // _PHOTOGRAPHS)]:
             views(sparse_map.images[name])
-    return extract.of(quantized(network, options.scales(largest), network.config.strides))
+    return extract.of(quantized(network, channel_scales(largest), network.config.strides))

@@ -6,27 +6,24 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from objconnect.localization.cache.map_cache import Earlier, MapCache
 from objconnect.localization.cache.store import Rows, Store
 from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
-    DEFAULT_SAME_RESOLUTION,
     metres_per_pixel,
     observed,
     of_map,
     scale_to,
 )
-from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, north_angle
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -37,6 +34,14 @@ from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache, room
 
 _FORMAT: Final = 6
+# Points seen by fewer photographs are left out, as by PixLoc's authors.
+_MIN_TRACK: Final = 3
+# Photographs with fewer reliable points keep all their points.
+_MIN_POINTS: Final = 64
+POINTS: Final = 2048
+"""Points of a photograph, and of all references of a query together, which bounds time."""
+GRID: Final = 16
+"""Points are taken in turns from the cells of a grid of this many by this many over a picture."""
 
 
 class Watch(Protocol):
@@ -57,30 +62,6 @@ class Watch(Protocol):
         ...
 
 
-class ReferenceOptions(Config):
-    """Which points of the map are kept of each photograph."""
-
-    min_track: int = Field(
-        3,
-        ge=1,
-        description="Points seen by fewer photographs are left out, as by PixLoc's authors.",
-    )
-    min_points: int = Field(
-        64, ge=0, description="Photographs with fewer reliable points keep all their points."
-    )
-    grid: int = Field(
-        16,
-        ge=1,
-        description="Points are taken in turns from the cells of a grid of this many by this many "
-        "cells over the picture.",
-    )
-    same_resolution: float = Field(
-        DEFAULT_SAME_RESOLUTION,
-        gt=1,
-        description="Pictures whose ground resolutions differ by a smaller ratio are not resized.",
-    )
-
-
 @dataclass(frozen=True)
 class ReferenceSource:
     """What the observations of a map's photographs are computed from.
@@ -91,27 +72,21 @@ class ReferenceSource:
         extractor_key: identifies the network's weights and its options, for the cache.
         name: of the method, used for files and progress.
         points: most points to keep of a photograph.
-        corners: most corners of a photograph that become points; 0 for none.
-        options: which points are kept.
-        corner_options: how corners are found.
+        corners: corners of a photograph that become points; None for none.
     """
 
     kept: MapCache
     extract: MapExtractor
     extractor_key: str
     name: str
-    points: int
-    corners: int = 0
-    options: ReferenceOptions = field(default_factory=ReferenceOptions)
-    corner_options: CornerOptions = field(default_factory=CornerOptions)
+    points: int = POINTS
+    corners: CornerOptions | None = None
 
     @property
     def made_by(self) -> tuple[object, ...]:
         """Return all that decides the observations beside the map and its photographs."""
-        # Without corners, how they would be found changes nothing.
-        corner_key = self.corner_options.model_dump_json() if self.corners else ""
-        options_key = self.options.model_dump_json()
-        return _FORMAT, self.points, self.corners, corner_key, options_key, self.extractor_key
+        corners = self.corners and self.corners.model_dump_json()
+        return _FORMAT, self.points, corners, self.extractor_key
 
     @property
     def arrays(self) -> list[str]:
@@ -220,27 +195,25 @@ def _observed_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlie
         watch: sees the feature maps.
         earlier: what did not change.
     """
-    kept, options = source.kept, source.options
+    kept = source.kept
     posed = [kept.sparse_map.images[name] for name in kept.names]
     corner_points = [np.empty((0, 3))] * len(posed)
-    if source.corners:
-        longest, how = source.extract.longest, source.corner_options
-        find = CornerFinder(kept.sparse_map, kept.images, source.corners, longest, how)
-        corner_points = all_corners(find, kept, source.corners, longest, how.model_dump_json())
+    if source.corners is not None:
+        longest = source.extract.longest
+        find = CornerFinder(kept.sparse_map, kept.images, longest, source.corners)
+        corner_points = all_corners(find, kept, longest, source.corners.model_dump_json())
     views = MapViews(source)
     with progress_bar(f"{source.name} map features", len(posed)) as advance:
         for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
-            points = np.concatenate([_reliable_points(image, kept.sparse_map, options), corners])
+            points = np.concatenate([_reliable_points(image, kept.sparse_map), corners])
             seen_as = views.key(image)
-            key = digest_of(
-                _FORMAT, seen_as, image.cam_from_world, points, source.points, options.grid
-            )
+            key = digest_of(_FORMAT, seen_as, image.cam_from_world, points, source.points)
             arrays = earlier(key, source.arrays)
             if arrays is None or (watch is not None and watch.lacks(image, seen_as)):
                 view, maps = views(image)
                 if watch is not None:
                     watch(image, seen_as, view, maps)
-                seen = observe(view, maps, image.pose, points, source.points, options.grid)
+                seen = observe(view, maps, image.pose, points, source.points)
                 found: list[NDArray[Any]] = [seen.xyz, seen.confidence, *seen.features]
                 arrays = dict(zip(source.arrays, found, strict=True))
                 del view, maps
@@ -278,7 +251,7 @@ class MapViews:
         source = self._source
         own = metres_per_pixel(image.pose, image.camera, observed(image, source.kept.sparse_map))
         largest = source.extract.largest_scale(image.camera)
-        scale = scale_to(source.metres_per_pixel, own, largest, source.options.same_resolution)
+        scale = scale_to(source.metres_per_pixel, own, largest)
         return north_angle(image.cam_from_world[:3, :3]), scale
 
 
@@ -288,7 +261,6 @@ def observe(
     pose: Pose,
     xyz: NDArray[np.float64],
     points: int,
-    grid: int,
 ) -> Observations:
     """Return the features of points in a photograph, at most ``points`` of those it shows.
 
@@ -301,7 +273,6 @@ def observe(
         pose: ``cam_from_world`` of the photograph.
         xyz: (M, 3) the points.
         points: most to keep.
-        grid: see ``spaced_order``.
     """
     projected = view.camera.project(view.pose(pose).transform(torch.from_numpy(xyz)))
     inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
@@ -310,7 +281,7 @@ def observe(
     seen = np.flatnonzero(inside & (confidence > 0).all(-1).cpu().numpy())
     size = np.array([view.camera.width, view.camera.height])
     worth = confidence.log().sum(-1).cpu().numpy()[seen]
-    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth, grid)[:points]]
+    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth)[:points]]
     return Observations(
         xyz[kept],
         tuple(features[kept].to(torch.float16).cpu().numpy() for features, _ in levels),
@@ -318,16 +289,16 @@ def observe(
     )
 
 
-def _reliable_points(
-    image: MapImage, sparse_map: SparseMap, options: ReferenceOptions
-) -> NDArray[np.float64]:
+def _reliable_points(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
     """Return the reliable points that a photograph observes, (N, 3), or all where they are few."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
-    reliable = rows[sparse_map.track_length[rows] >= options.min_track]
-    return np.asarray(sparse_map.xyz[reliable if len(reliable) >= options.min_points else rows])
+    reliable = rows[sparse_map.track_length[rows] >= _MIN_TRACK]
+    return np.asarray(sparse_map.xyz[reliable if len(reliable) >= _MIN_POINTS else rows])
 
 
-def spaced_order(xy: NDArray[np.float64], worth: NDArray[Any], grid: int) -> NDArray[np.int64]:
+def spaced_order(
+    xy: NDArray[np.float64], worth: NDArray[Any], grid: int = GRID
+) -> NDArray[np.int64]:
     """Order points so that any first few of them cover the picture.
 
     The worthiest point of every cell of a grid comes first, then the second of every cell, and so

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -10,17 +11,21 @@ from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
-from objconnect.localization.align.options import SearchRadius
+from objconnect.localization.align.options import WIDTH, SearchRadius, Width
 from objconnect.localization.featuremetric.attempt import Attempt, Found, judged, photograph_pose
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
-from objconnect.localization.featuremetric.options import FeaturemetricConfig, SearchOptions
-from objconnect.localization.featuremetric.priors import default_radius, known_pose, says_where
+from objconnect.localization.featuremetric.options import FeaturemetricConfig
+from objconnect.localization.featuremetric.priors import AROUND, known_pose, says_where
 from objconnect.localization.featuremetric.problem import ProblemBuilder
+from objconnect.localization.featuremetric.references import POINTS
 from objconnect.localization.matching.retrieval import References
 from objconnect.localization.matching.structure import StructureLocalizer
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
 from objconnect.scene.runtime.tuning import return_freed_above
+
+# Levels, from the coarsest, on which starts are compared: the finest would take most of the time.
+_COMPARED_LEVELS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class Refiner:
         kept_bytes: memory above which what was freed is given back before the network sees an
             image. To take it again costs time.
         kept_magnified_bytes: the same before it sees a magnified one.
+        width: how many starts and points a search compares.
     """
 
     config: FeaturemetricConfig
@@ -46,6 +52,7 @@ class Refiner:
     matches: StructureLocalizer | None
     kept_bytes: int
     kept_magnified_bytes: int
+    width: Width = WIDTH
 
     def __call__(
         self,
@@ -65,35 +72,33 @@ class Refiner:
             radius: how far to look around the start.
         """
         return_freed_above(self.kept_bytes)
-        options, points = self.config.search, self.config.points
         with clock.stage("features"):
             view, maps = self.problems.view(query, chosen, start)
         many = self.config.multistart
-        count = min(options.compared_points, points) if many else points
+        count = min(self.width.compared_points, POINTS) if many else POINTS
         with clock.stage("points"):
             problem = self.problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if many:
-                few = problem.at_levels(slice(options.compared_levels))
-                found = Found(view, problem, align_from_many(few, radius, options.hypotheses))
+                few = problem.at_levels(slice(_COMPARED_LEVELS))
+                found = Found(view, problem, align_from_many(few, radius, self.width))
             else:
                 found = Found(view, problem, align(problem, with_covariance=False))
         if many and not found.alignment.failed[0]:
             found = self._realigned(query, maps, found, clock)
         with clock.stage("alignment"):
-            return judged(found, options)
+            return judged(found, self.config.search)
 
-    def searching(self, options: SearchOptions) -> Refiner:
-        """Return a refiner with other options of the search."""
-        return replace(self, config=self.config.model_copy(update={"search": options}))
+    def wider(self, factor: int) -> Refiner:
+        """Return a refiner whose searches compare so many times the starts and points."""
+        return replace(self, width=self.width.times(factor))
 
     def near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
     ) -> Attempt:
         """Refine a start that says more than the query's own prior."""
         near = replace(query, prior=known_pose(start))
-        radius = radius or default_radius(self.config.search)
-        return self(near, self.photographs(near), start, clock, radius)
+        return self(near, self.photographs(near), start, clock, radius or AROUND)
 
     def photographs(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of the photographs to align a query to.
@@ -128,7 +133,7 @@ class Refiner:
             with clock.stage("features"):
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):
-            after = self.problems.build(view, maps, chosen, pose, self.config.points)
+            after = self.problems.build(view, maps, chosen, pose, POINTS)
             # The coarsest level has no more to say of a pose that a finer one of it found.
             skipped = larger is None and len(after.levels) > 1
             final = align(after.finer() if skipped else after, with_covariance=False)

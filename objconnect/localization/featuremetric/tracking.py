@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -20,6 +21,14 @@ from objconnect.localization.featuremetric.options import SearchOptions, Trackin
 from objconnect.localization.featuremetric.priors import pose_of
 from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.scene.localizer import Prior, Query, Stopwatch
+
+# Alignment begins on the finest level of which so many cells are more than the prediction is unsure
+# by (one standard deviation); where none has such cells, the image is not followed.
+_REACH_CELLS: Final = 3.0
+# Points on levels before the finest, spread over the image, and the factor on the step lengths that
+# end these levels: the finest makes up for both.
+_ROUGH_POINTS: Final = 512
+_ROUGH_CONVERGENCE: Final = 4.0
 
 
 @dataclass(frozen=True)
@@ -55,10 +64,10 @@ class Tracking:
         with clock.stage("points"):
             problem = self.problems.build(view, maps, chosen, start, options.points)
         with clock.stage("alignment"):
-            first = _first_level(problem, _unsure_px(problem, prior), options.reach_cells)
+            first = _first_level(problem, _unsure_px(problem, prior))
             if first is None:
                 return None
-            found = Found(view, problem, _aligned(problem, first, options))
+            found = Found(view, problem, _aligned(problem, first))
             attempt = judged(found, self.search)
         return attempt if is_answered([attempt], self.search) else None
 
@@ -72,25 +81,25 @@ def _unsure_px(problem: Problem, prior: Prior) -> float:
     return focal * (metres / depth + radians) if depth > 0 else math.inf
 
 
-def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int | None:
+def _first_level(problem: Problem, unsure_px: float) -> int | None:
     """Return the finest level whose features reach as far as a prediction is unsure."""
     for number in reversed(range(len(problem.levels))):
         stride = problem.levels[number].stride
-        if unsure_px < reach_cells * float(np.max(stride)):
+        if unsure_px < _REACH_CELLS * float(np.max(stride)):
             return number
     return None
 
 
-def _aligned(problem: Problem, first: int, tracking: TrackingOptions) -> Alignment:
+def _aligned(problem: Problem, first: int) -> Alignment:
     """Align from a level on; before the finest only few points, until steps are rather small."""
     options = problem.options
     iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
-    rough = options.rougher(tracking.rough_convergence)
+    rough = options.rougher(_ROUGH_CONVERGENCE)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):
         level = problem.at_levels(slice(number, number + 1))
         if number < last:
-            level = level.first_points(tracking.rough_points).with_options(rough)
+            level = level.first_points(_ROUGH_POINTS).with_options(rough)
         alignment = align(level, with_covariance=False)
         iterations = iterations + alignment.iterations
         if alignment.failed[0]:

@@ -8,49 +8,22 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
-from objconnect.scene.config import Config
 from objconnect.scene.maps.sparse_map import MapImage
 
-
-class LiftingOptions(Config):
-    """Options of lifting keypoints of a map's photographs to 3D points."""
-
-    same_px: float = Field(
-        1.0,
-        gt=0,
-        description="A keypoint this close to an observation of the map (px) is that observation.",
-    )
-    neighbours: int = Field(
-        6,
-        ge=4,
-        description="Observations around a keypoint that a plane is fitted to; three fit anything.",
-    )
-    max_distance: float = Field(
-        0.1,
-        gt=0,
-        description="Largest distance of these observations, as a share of the picture's width.",
-    )
-    max_roughness: float = Field(
-        0.01,
-        gt=0,
-        description="Largest relative difference (rms) of their depths from the plane's.",
-    )
-    depth_margin: float = Field(
-        0.02,
-        ge=0,
-        lt=1,
-        description="The keypoint's depth may exceed the range of theirs by this share.",
-    )
+# A keypoint this close to an observation of the map (px) is that observation.
+_SAME_PX: Final = 1.0
+# Observations around a keypoint that a plane is fitted to; three fit anything.
+_NEIGHBOURS: Final = 6
+# Largest distance of these observations, as a share of the picture's width: planes end.
+_MAX_DISTANCE: Final = 0.1
+# Largest relative difference (rms) of their depths from the plane's.
+_MAX_ROUGHNESS: Final = 0.01
+# The keypoint's depth may exceed the range of theirs by this share.
+_DEPTH_MARGIN: Final = 0.02
 
 
-_DEFAULTS: Final = LiftingOptions()
-
-
-def observed_points(
-    xy: NDArray[np.float32], image: MapImage, options: LiftingOptions = _DEFAULTS
-) -> NDArray[np.int64]:
+def observed_points(xy: NDArray[np.float32], image: MapImage) -> NDArray[np.int64]:
     """Return the map point observed at each keypoint, (N,), -1 where the map has none there.
 
     This is for keypoints that the map was built from.
@@ -58,7 +31,6 @@ def observed_points(
     Args:
         xy: (N, 2) COLMAP pixels.
         image: the photograph they lie in.
-        options: how near an observation must be.
     """
     seen = image.point_rows >= 0
     rows = np.full(len(xy), -1, np.int64)
@@ -67,16 +39,13 @@ def observed_points(
     matcher = cv2.BFMatcher(cv2.NORM_L2)
     observed = image.xy[seen].astype(np.float32)
     for hit in matcher.match(xy, observed):
-        if hit.distance <= options.same_px:
+        if hit.distance <= _SAME_PX:
             rows[hit.queryIdx] = image.point_rows[seen][hit.trainIdx]
     return rows
 
 
 def interpolated_points(
-    xy: NDArray[np.float32],
-    image: MapImage,
-    xyz: NDArray[np.float64],
-    options: LiftingOptions = _DEFAULTS,
+    xy: NDArray[np.float32], image: MapImage, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return world points (N, 3) on the rays of keypoints, NaN where their depth is unknown.
 
@@ -88,33 +57,32 @@ def interpolated_points(
         xy: (N, 2) COLMAP pixels.
         image: the photograph they lie in.
         xyz: (M, 3) points of the map, world metres.
-        options: when the fit is refused.
     """
     points = np.full((len(xy), 3), np.nan)
     seen = image.point_rows >= 0
     local = image.pose.transform(torch.from_numpy(xyz[image.point_rows[seen]]))
     in_front = local[:, 2] > 0
     inverse = 1 / local[in_front, 2]
-    if not len(xy) or len(inverse) < options.neighbours:
+    if not len(xy) or len(inverse) < _NEIGHBOURS:
         return points
     observed = torch.from_numpy(image.xy[seen])[in_front]
     keypoints = torch.from_numpy(xy.astype(np.float64))
     rays, valid = image.camera.unproject(keypoints)
     at_observed, observed_valid = image.camera.unproject(observed)
-    distance, near = torch.cdist(keypoints, observed).topk(options.neighbours, largest=False)
+    distance, near = torch.cdist(keypoints, observed).topk(_NEIGHBOURS, largest=False)
     # Around the keypoint, so that the plane's value there is its constant.
     offset = (at_observed[near] - rays[:, None])[..., :2]
     design = torch.cat([offset, torch.ones_like(offset[..., :1])], -1)
     depths = inverse[near]
     # Nearer observations say more; the least distance keeps one of them from saying all.
-    weight = 1 / (distance + options.same_px)[..., None]
+    weight = 1 / (distance + _SAME_PX)[..., None]
     plane = torch.linalg.lstsq(weight * design, weight * depths[..., None]).solution
     residual = ((design @ plane)[..., 0] / depths - 1).square().mean(-1).sqrt()
     value = plane[:, 2, 0]
-    kept = valid & observed_valid[near].all(-1) & (residual < options.max_roughness)
-    kept &= distance[:, -1] < options.max_distance * image.camera.width
-    kept &= value > depths.amin(-1) * (1 - options.depth_margin)
-    kept &= value < depths.amax(-1) * (1 + options.depth_margin)
+    kept = valid & observed_valid[near].all(-1) & (residual < _MAX_ROUGHNESS)
+    kept &= distance[:, -1] < _MAX_DISTANCE * image.camera.width
+    kept &= value > depths.amin(-1) * (1 - _DEPTH_MARGIN)
+    kept &= value < depths.amax(-1) * (1 + _DEPTH_MARGIN)
     world = image.pose.inverse().transform(rays[kept] / value[kept, None])
     points[kept.numpy()] = world.numpy()
     return points

@@ -13,6 +13,8 @@ from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
 
 MIN_MATCHES: Final = 4
 """Matches that PnP needs."""
+# Of RANSAC.
+_SEED: Final = 0
 
 
 class PnpConfig(Config):
@@ -31,7 +33,6 @@ class PnpConfig(Config):
         "matches are alike, as far as their residuals are; covariances grow by it. 0 takes matches "
         "for independent.",
     )
-    seed: int = Field(0, description="Random seed of RANSAC.")
 
 
 def solve_pose(
@@ -64,7 +65,7 @@ def solve_pose(
             query.camera,
             config.max_error_px,
             prior,
-            config.seed,
+            _SEED,
             config.error_reach,
         )
     inliers = int(result.inliers.sum()) if result else 0

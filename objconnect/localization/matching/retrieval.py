@@ -16,9 +16,7 @@ from typing import Any, Final, Protocol
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.nearest import Nearest
 from objconnect.scene.geometry.views import upright
@@ -30,38 +28,17 @@ Matrix = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-class RetrievalOptions(Config):
-    """Options of the retrieval of map photographs for a query."""
-
-    words: int = Field(64, ge=1, description="Visual words of the global descriptor (VLAD).")
-    training_descriptors: int = Field(
-        40_000, ge=1, description="Most descriptors that the visual words are learned from."
-    )
-    landmarks: int = Field(
-        512,
-        ge=1,
-        description="Photographs whose VLADs span the space in which larger maps are described.",
-    )
-    reach_sigmas: float = Field(
-        2.0,
-        gt=0,
-        description="Standard deviations around a query's position: where more photographs than "
-        "are asked for lie within, those that look most like the query are taken, else the "
-        "nearest.",
-    )
-    min_height_m: float = Field(
-        2.0, gt=0, description="Least height above the ground that a camera is assumed to have."
-    )
-    min_drop: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Cosine from the plumb line of the flattest view that is followed to the "
-        "ground.",
-    )
-
-
-_DEFAULTS: Final = RetrievalOptions()
+# Visual words of the global descriptor (VLAD), and most descriptors that they are learned from.
+_WORDS: Final = 64
+_TRAINING_DESCRIPTORS: Final = 40_000
+# Photographs whose VLADs span the space in which larger maps are described, which bounds memory.
+_SPANNING: Final = 512
+# Standard deviations around a query's position within which photographs may show what it does.
+_REACH_SIGMAS: Final = 2.0
+# Least height above the ground that a camera is assumed to have, metres.
+_MIN_HEIGHT_M: Final = 2.0
+# Cosine from the plumb line of the flattest view that is followed to the ground.
+_MIN_DROP: Final = 0.3
 
 
 class Described(Protocol):
@@ -102,31 +79,32 @@ class VladIndex:
     vectors: NDArray[np.float32]
 
     @staticmethod
-    def build(descriptors: Described, options: RetrievalOptions = _DEFAULTS) -> VladIndex:
+    def build(descriptors: Described, words: int = _WORDS, spanning: int = _SPANNING) -> VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
             descriptors: descriptors of each photograph; those of one are in memory at a time.
-            options: size of the index.
+            words: most visual words.
+            spanning: most photographs that span the space of the descriptors.
 
         Example:
             Two photographs with two descriptors each; a query like the second finds it:
 
             >>> first = np.array([[1.0, 0.0], [0.8, 0.6]], np.float32)
             >>> second = np.array([[0.0, 1.0], [0.6, 0.8]], np.float32)
-            >>> index = VladIndex.build([first, second], RetrievalOptions(words=1))
+            >>> index = VladIndex.build([first, second], words=1)
             >>> index.rank(second, k=1).tolist()
             [1]
         """
-        some = _training_sample(descriptors, options.training_descriptors)
+        some = _training_sample(descriptors, _TRAINING_DESCRIPTORS)
         # Photographs without a single keypoint have no words, and look alike.
-        words = _cluster(some, min(options.words, len(some))) if len(some) else some
+        learned = _cluster(some, min(words, len(some))) if len(some) else some
         count = len(descriptors)
-        rows = np.linspace(0, count - 1, min(count, options.landmarks)).astype(int)
-        landmarks = np.stack([_vlad(descriptors[int(row)], words) for row in rows])
-        basis = np.asarray(np.linalg.qr(landmarks.T)[0], np.float32)
-        vectors = [_vlad(descriptors[row], words) @ basis for row in range(count)]
-        return VladIndex(words, basis, np.stack(vectors))
+        rows = np.linspace(0, count - 1, min(count, spanning)).astype(int)
+        span = np.stack([_vlad(descriptors[int(row)], learned) for row in rows])
+        basis = np.asarray(np.linalg.qr(span.T)[0], np.float32)
+        vectors = [_vlad(descriptors[row], learned) @ basis for row in range(count)]
+        return VladIndex(learned, basis, np.stack(vectors))
 
     def rank(self, descriptors: NDArray[np.float32], k: int, among: Rows | None = None) -> Rows:
         """Return the rows of the ``k`` most similar photographs, best first.
@@ -184,11 +162,9 @@ class Viewpoints:
 
     Args:
         sparse_map: the map; rows are those of its ``names``.
-        options: how views are followed to the ground.
     """
 
-    def __init__(self, sparse_map: SparseMap, options: RetrievalOptions = _DEFAULTS) -> None:
-        self._options = options
+    def __init__(self, sparse_map: SparseMap) -> None:
         self._map = sparse_map
         self._nearest = Nearest(sparse_map.centres[:, :2])
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
@@ -220,11 +196,10 @@ class Viewpoints:
             k: number of photographs.
         """
         rotation = upright(rotation)
-        height = max(self._map.height_above(position), self._options.min_height_m)
+        height = max(self._map.height_above(position), _MIN_HEIGHT_M)
         ground = position[2] - height
-        drop = self._options.min_drop
-        middles = _middle(self._map.centres, self._upright, ground, drop)
-        own = _middle(position[None], rotation[None], ground, drop)
+        middles = _middle(self._map.centres, self._upright, ground)
+        own = _middle(position[None], rotation[None], ground)
         shift = np.linalg.norm(middles - own, axis=1)
         cosine = (self._upright.reshape(-1, 9) @ rotation.ravel() - 1) / 2
         turn = np.arccos(np.clip(cosine, -1, 1))
@@ -239,15 +214,10 @@ def _least(values: NDArray[Any], k: int) -> Rows:
     return np.asarray(rows[np.argsort(values[rows], kind="stable")][:k])
 
 
-def _middle(
-    centres: NDArray[np.float64],
-    rotations: NDArray[np.float64],
-    ground: float,
-    min_drop: float,
-) -> NDArray[np.float64]:
+def _middle(centres: Vector, rotations: Matrix, ground: float) -> Vector:
     """Return where cameras look at level ground, (N, 2), and some way ahead of flat views."""
     axis = rotations[:, 2]
-    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], min_drop)
+    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _MIN_DROP)
     return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
 
 
@@ -259,23 +229,17 @@ class References:
         names: names of the photographs.
         viewpoints: where they were taken from.
         index: their global descriptors.
-        options: how they are chosen.
     """
 
     names: tuple[str, ...]
     viewpoints: Viewpoints
     index: VladIndex
-    options: RetrievalOptions = _DEFAULTS
 
     @staticmethod
-    def build(
-        sparse_map: SparseMap,
-        descriptors: Described,
-        options: RetrievalOptions = _DEFAULTS,
-    ) -> References:
+    def build(sparse_map: SparseMap, descriptors: Described) -> References:
         """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
-        index = VladIndex.build(descriptors, options)
-        return References(sparse_map.names, Viewpoints(sparse_map, options), index, options)
+        index = VladIndex.build(descriptors)
+        return References(sparse_map.names, Viewpoints(sparse_map), index)
 
     def choose(
         self,
@@ -287,9 +251,9 @@ class References:
         """Return rows of ``names``, best first.
 
         They are those the query names; else the ``k`` nearest to its prior; else the ``k`` that
-        look most like it. Of more photographs than ``k`` where an unsure prior may be
-        (``reach_sigmas``), they are those that look most like it, too: the nearest are no better
-        than the others.
+        look most like it. Of more photographs than ``k`` within two standard deviations of an
+        unsure prior, they are those that look most like it, too: the nearest are no better than the
+        others.
 
         Args:
             query: the query to choose for.
@@ -321,7 +285,7 @@ class References:
         sigma = prior.horizontal_sigma
         if sigma is None:
             return np.zeros(0, np.int64)
-        return self.viewpoints.within(prior.position, self.options.reach_sigmas * sigma)
+        return self.viewpoints.within(prior.position, _REACH_SIGMAS * sigma)
 
     @cached_property
     def _row(self) -> dict[str, int]:

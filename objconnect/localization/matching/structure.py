@@ -19,20 +19,11 @@ from pydantic import Field
 from objconnect.localization.cache.map_cache import MapCache, opened
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.matching.features import Extractor, map_features
-from objconnect.localization.matching.lifting import (
-    LiftingOptions,
-    interpolated_points,
-    observed_points,
-)
+from objconnect.localization.matching.lifting import interpolated_points, observed_points
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
-from objconnect.localization.matching.retrieval import OnDemand, References, RetrievalOptions
-from objconnect.localization.resolution import (
-    DEFAULT_SAME_RESOLUTION,
-    metres_per_pixel,
-    of_map,
-    scale_to,
-)
-from objconnect.localization.starts import StartOptions, starts
+from objconnect.localization.matching.retrieval import OnDemand, References
+from objconnect.localization.resolution import metres_per_pixel, of_map, scale_to
+from objconnect.localization.starts import starts
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import north_angle
@@ -72,20 +63,6 @@ class StructureConfig(PnpConfig):
         ge=1,
         description="Images are magnified at most this much to reach the map's resolution, for "
         "features that depend on it.",
-    )
-    same_resolution: float = Field(
-        DEFAULT_SAME_RESOLUTION,
-        gt=1,
-        description="Images whose ground resolution differs by a smaller ratio are not resized.",
-    )
-    lifting: LiftingOptions = Field(
-        LiftingOptions(), description="How keypoints of the map are given 3D points."
-    )
-    starts: StartOptions = Field(
-        StartOptions(), description="Which starting poses an incomplete prior gives."
-    )
-    retrieval: RetrievalOptions = Field(
-        RetrievalOptions(), description="How photographs are chosen where there is no prior."
     )
 
 
@@ -129,7 +106,6 @@ class StructureLocalizer:
             _FORMAT,
             *self._extractor.made_by,
             self._interpolate,
-            self.config.lifting.model_dump_json(),
             rows=lambda _: self._lift(kept, features),
         )
         self._map = sparse_map
@@ -142,9 +118,7 @@ class StructureLocalizer:
 
         self._lifted = LruCache(lifted, room(self.config.memory_mb))
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
-        self._references = References.build(
-            sparse_map, OnDemand(described, len(store)), self.config.retrieval
-        )
+        self._references = References.build(sparse_map, OnDemand(described, len(store)))
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``PreparesParts``."""
@@ -155,17 +129,17 @@ class StructureLocalizer:
 
         Points are those of the map, or one for each keypoint.
         """
-        options, sparse_map = self.config.lifting, kept.sparse_map
+        sparse_map = kept.sparse_map
         end, carried = len(sparse_map.xyz), 0
         for name in sparse_map.names:
             image, keypoints = sparse_map.images[name], features[name]
             if self._interpolate:
-                xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz, options)
+                xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz)
                 lifted = np.flatnonzero(np.isfinite(xyz).all(1))
                 points, xyz = np.arange(end, end + len(lifted)), xyz[lifted]
                 end += len(lifted)
             else:
-                rows = observed_points(keypoints.xy, image, options)
+                rows = observed_points(keypoints.xy, image)
                 lifted = np.flatnonzero(rows >= 0)
                 points, xyz = rows[lifted], sparse_map.xyz[rows[lifted]]
             carried += len(lifted)
@@ -205,7 +179,7 @@ class StructureLocalizer:
         if turned:
             return self._solved(query, as_taken(), chosen, clock)
         estimates: list[Estimate] = []
-        begin = starts(query.prior, self._map, chosen, self.config.starts)
+        begin = starts(query.prior, self._map, chosen)
         with progress_within("starts matched", len(begin)) as advance:
             for start in begin:
                 with clock.stage("features"):
@@ -223,8 +197,7 @@ class StructureLocalizer:
         """Extract features of the query, turned and scaled as a start suggests."""
         around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
         own = metres_per_pixel(start, query.camera, around)
-        config = self.config
-        scale = scale_to(self._resolution, own, config.max_magnification, config.same_resolution)
+        scale = scale_to(self._resolution, own, self.config.max_magnification)
         angle = north_angle(start.rotation.numpy())
         return self._extractor.seen(query.image, query.camera, angle, scale)
 

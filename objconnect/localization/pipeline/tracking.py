@@ -8,7 +8,7 @@ search from what else is known, and after some failures the camera counts as los
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -17,9 +17,21 @@ from objconnect.localization.pipeline.motion import Array, Motion, MotionOptions
 from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
+from objconnect.scene.storage.records import Record
 
 # A position that claims to be more exact than this, metres, counts as this exact.
-_MOST_EXACT_M = 1e-3
+_MOST_EXACT_M: Final = 1e-3
+# The camera is lost, too, when the predicted attitude is less exact than this, degrees per axis.
+_LOST_SIGMA_DEG: Final = 30.0
+# Answers in a row that agree with the motion, after which a search that contradicts it is not
+# believed.
+_SURE_AFTER: Final = 3
+# Two answers closer than this agree.
+_AGREED_M: Final = 0.5
+_AGREED_DEG: Final = 2.0
+# Sigmas per axis of a pose that states no covariance: metres, degrees.
+_UNKNOWN_SIGMA_M: Final = 1.0
+_UNKNOWN_SIGMA_DEG: Final = 2.0
 _CONTRADICTED = "what was found contradicts the motion of the camera"
 
 
@@ -42,28 +54,11 @@ class SequenceConfig(Config):
         description="The camera is lost when the predicted position is less exact than this, "
         "metres per axis.",
     )
-    lost_sigma_deg: float = Field(
-        30.0, gt=0, description="The same of the predicted attitude, degrees per axis."
-    )
-    sure_after: int = Field(
-        3,
-        ge=1,
-        description="Answers in a row that agree with the motion, after which a search that "
-        "contradicts it is not believed.",
-    )
-    agreed_m: float = Field(
-        0.5, gt=0, description="Two answers closer than this (and agreed_deg) agree, metres."
-    )
-    agreed_deg: float = Field(2.0, gt=0, description="Two answers closer than this agree.")
-    unknown_sigma_m: float = Field(
-        1.0, gt=0, description="Sigma per axis of a pose that states no covariance, metres."
-    )
-    unknown_sigma_deg: float = Field(
-        2.0, gt=0, description="Sigma per axis of an attitude that states no covariance."
-    )
 
 
-class _Settings(Config):
+class _Settings(Record):
+    """What of the settings is of a sequence and not of its method."""
+
     sequence: SequenceConfig = SequenceConfig()
 
 
@@ -116,7 +111,7 @@ class Tracker:
         if found.status is not Status.OK:
             return found
         confirmed = self._same(near, found) or self._agrees(found, moving)
-        if confirmed or self._agreed < self._config.sure_after:
+        if confirmed or self._agreed < _SURE_AFTER:
             return found
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
@@ -143,7 +138,7 @@ class Tracker:
             return None
         moving = self._motion.after(seconds, self._config.motion)
         known = moving.sigma_m < self._config.lost_sigma_m
-        return moving if known and moving.sigma_deg < self._config.lost_sigma_deg else None
+        return moving if known and moving.sigma_deg < _LOST_SIGMA_DEG else None
 
     def _near(self, query: Query, moving: Motion, tracked: bool) -> Estimate:
         """Localize an image from what the motion predicts, and there alone if ``tracked``."""
@@ -183,13 +178,12 @@ class Tracker:
         if estimate.cam_from_world is None or other.cam_from_world is None:
             return False
         metres, degrees = estimate.cam_from_world.error_to(other.cam_from_world)
-        return float(metres) < self._config.agreed_m and float(degrees) < self._config.agreed_deg
+        return float(metres) < _AGREED_M and float(degrees) < _AGREED_DEG
 
     def _covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (6, 6) of an answer's centre and attitude in the world."""
         stated = estimate.world_covariance()
         if stated is not None and np.isfinite(stated).all():
             return stated
-        config = self._config
-        sigmas = [config.unknown_sigma_m] * 3 + [np.radians(config.unknown_sigma_deg)] * 3
+        sigmas = [_UNKNOWN_SIGMA_M] * 3 + [np.radians(_UNKNOWN_SIGMA_DEG)] * 3
         return np.diag(np.square(sigmas))

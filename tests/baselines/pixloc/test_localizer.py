@@ -13,6 +13,7 @@ from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
 from objconnect.localization.coarse.finder import PlaceOptions
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.options import SearchOptions
+from objconnect.localization.featuremetric.references import POINTS
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.methods import create
 from objconnect.scene.errors import InputError
@@ -74,7 +75,7 @@ def test_finds_the_pose(localizer: PixlocLocalizer) -> None:
     metres, degrees = errors(estimate)
     assert metres < 0.1 and degrees < 0.25
     assert set(estimate.seconds) == STAGES
-    assert 100 < estimate.inliers <= localizer.config.points
+    assert 100 < estimate.inliers <= POINTS
     assert estimate.iterations > 3
     sigma = estimate.sigma_position()
     assert sigma is not None and 0 < sigma < 1

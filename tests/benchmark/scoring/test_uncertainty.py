@@ -138,8 +138,8 @@ def made_answers(
 @pytest.mark.parametrize(
     "planted",
     [
-        CovarianceNumbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
-        CovarianceNumbers(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
+        CovarianceNumbers.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)),
+        CovarianceNumbers.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
     ],
 )
 def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
@@ -153,11 +153,12 @@ def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = CovarianceNumbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
+    planted = CovarianceNumbers.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1))
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:
-        off = found._replace(factor=found.factor * wrong, floor=found.floor * wrong**0.5)
+        changed = {"factor": found.factor * wrong, "floor": found.floor * wrong**0.5}
+        off = found.model_copy(update=changed)
         nees = unseen.nees(off)
         held = 4.5 < nees.mean() < 8 and 0.93 <= np.mean(nees <= _CHI2_95) <= 0.97
         assert held == holds, wrong

@@ -13,7 +13,7 @@ from torch.nn import functional
 import objconnect.learning.quantization as quantization
 from objconnect.learning.folding import fold
 from objconnect.learning.quantization import doubled, largest_values, quantized
-from objconnect.localization.featuremetric.quantized import QuantizationOptions
+from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.methods import create
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
@@ -53,7 +53,7 @@ def test_features_are_nearly_the_same(method: str) -> None:
             network(seen[:3])
         exact = network(seen[3:])
         strides = STRIDES if method == "pixloc" else (16, 4, 2)
-        made = quantized(network, QuantizationOptions().scales(largest), strides)
+        made = quantized(network, channel_scales(largest), strides)
         ours = made(seen[3:])
         again = network(seen[3:])
         # Eight bits differ, and far less than another picture does.
@@ -77,8 +77,8 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
     with torch.inference_mode():
         with largest_values(network) as largest:
             network(seen)
-        scales = QuantizationOptions().scales(largest)
-        made = quantized(network, scales, network.config.strides)
+        steps = channel_scales(largest)
+        made = quantized(network, steps, network.config.strides)
         whole, part = (made(seen, shown=each)[-1][0] for each in (None, shown))
     torch.testing.assert_close(whole[..., 8:30, 20:50], part[..., 8:30, 20:50])
 
@@ -111,8 +111,8 @@ def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_layer_of_zeros() -> None:
-    scales = QuantizationOptions().scales({"layer": torch.zeros(4), "other": torch.ones(4)})
-    assert all(bool((each > 0).all()) for each in scales.values())
+    steps = channel_scales({"layer": torch.zeros(4), "other": torch.ones(4)})
+    assert all(bool((each > 0).all()) for each in steps.values())
 
 
 @pytest.mark.parametrize("method", ["objconnect", "pixloc", "pixloc-search"])
@@ -151,7 +151,7 @@ def test_the_network_of_the_map_is_left_alone() -> None:
     before = copy.deepcopy(network.state_dict())
     with torch.inference_mode(), largest_values(network) as largest:
         network(pictures(1))
-    quantized(network, QuantizationOptions().scales(largest), STRIDES)
+    quantized(network, channel_scales(largest), STRIDES)
     assert not any(module._forward_hooks for module in network.modules())
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, before[name], rtol=0, atol=0)

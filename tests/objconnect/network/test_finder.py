@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.cache.store import Store
+from objconnect.localization.coarse.headings import ALTITUDES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
@@ -33,10 +34,10 @@ ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
 
 
 def test_nothing_known_is_searched_all_around() -> None:
-    base, headings, heights = headings_around(None, [70.0, 80.0, 90.0], 8, [0.5, 1.0])
+    base, headings, heights = headings_around(None, [70.0, 80.0, 90.0], 8)
     assert torch.equal(base, DOWN)
     assert headings == pytest.approx([k * math.tau / 8 for k in range(8)])
-    assert heights == [40.0, 80.0]
+    assert heights == [80.0 * part for part in ALTITUDES]
 
 
 @pytest.mark.parametrize(

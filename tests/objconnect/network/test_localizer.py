@@ -74,7 +74,7 @@ def test_where_no_pose_is_believed_more_are_tried(
     refine = Refiner.__call__
 
     def watched(self: Refiner, *arguments: Any) -> Attempt:
-        numbers.append(self.config.search.hypotheses.refined)
+        numbers.append(self.width.refined)
         return refine(self, *arguments)
 
     monkeypatch.setattr(Refiner, "__call__", watched)

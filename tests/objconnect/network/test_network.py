@@ -224,3 +224,9 @@ def test_coarse_levels_alone_are_those_of_all(decoder: str) -> None:
         for (features, trust), (as_of_all, trust_of_all) in zip(some, everything, strict=False):
             torch.testing.assert_close(features, as_of_all, atol=0, rtol=0)
             torch.testing.assert_close(trust, trust_of_all, atol=0, rtol=0)
+
+
+def test_weights_may_record_what_is_no_option_any_more() -> None:
+    assert ObjConnectNetConfig(**{"finest_object_stride": 4}) == ObjConnectNetConfig()
+    with pytest.raises(ValueError, match="finest_object_stride is 8 in these weights, and 4 here"):
+        ObjConnectNetConfig(**{"finest_object_stride": 8})

@@ -445,8 +445,8 @@ def test_a_start_of_kilometres_is_scored(flight: Path, tmp_path: Path) -> None:
 
 def test_every_configuration_is_bounded() -> None:
     with pytest.raises(ValueError, match="at most"):
-        StructureConfig(seed=-(2**32))
-    assert StructureConfig(seed=2**31 - 1).seed == 2**31 - 1
+        StructureConfig(memory_mb=2**32)
+    assert StructureConfig(memory_mb=2**31 - 1).memory_mb == 2**31 - 1
 
 
 # ---- score and evaluate

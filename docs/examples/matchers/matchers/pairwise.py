@@ -11,7 +11,7 @@ from pydantic import Field
 
 from objconnect.localization.cache.map_cache import opened
 from objconnect.localization.matching.features import map_features
-from objconnect.localization.matching.lifting import LiftingOptions, interpolated_points
+from objconnect.localization.matching.lifting import interpolated_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.matching.sift import Sift
@@ -41,7 +41,6 @@ class VismatchConfig(PnpConfig):
     references: int = Field(5, ge=1, description="Photographs of the map that are matched.")
     max_features: int = Field(2048, ge=1, description="Most keypoints, of matchers that have any.")
     longest_px: int = Field(1024, ge=64, description="Larger photographs are resized to this.")
-    lifting: LiftingOptions = Field(LiftingOptions(), description="How keypoints become points.")
 
 
 class Vismatch:
@@ -109,7 +108,7 @@ class Vismatch:
         ]
         kept = np.all([view.shows(xy) for view, xy in zip(views, pixels, strict=True)], axis=0)
         xy, there = (view.in_photograph(xy[kept]) for view, xy in zip(views, pixels, strict=True))
-        xyz = interpolated_points(there, image, self._map.xyz, self.config.lifting)
+        xyz = interpolated_points(there, image, self._map.xyz)
         seen = np.isfinite(xyz).all(1)
         return xy[seen], xyz[seen]
 

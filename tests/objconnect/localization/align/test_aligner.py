@@ -33,7 +33,7 @@ def test_finds_the_pose_from_3_m_and_5_degrees() -> None:
     problems = [small(seed) for seed in SEEDS]
     all_at_once = batch(problems)
     starts = stacked([wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)])
-    for options in (Options(), PLAIN.model_copy(update={"iterations": 15})):
+    for options in (Options(), replace(PLAIN, iterations=15)):
         found = all_at_once.align(starts, options)
         assert not found.failed.any()
         metres, degrees = found.pose.error_to(all_at_once.truth)
@@ -215,7 +215,7 @@ def test_gradients_reach_features_confidence_and_damping() -> None:
                 PINHOLE.intrinsics(),
                 start,
                 [damping_factors(theta)],
-                PLAIN.model_copy(update={"iterations": 3}),
+                replace(PLAIN, iterations=3),
             )
         )
         return found.pose.centre().sum()

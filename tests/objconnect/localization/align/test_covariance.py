@@ -158,9 +158,7 @@ def test_shrunk_covariances_lie_between_the_sandwich_and_independent_residuals(
 ) -> None:
     problem, _, found, _ = cluttered
     around = linearised(problem.starting_at(found.pose), problem.options)
-    by = {
-        share: covariance(around, Options(covariance_shrinkage=share)) for share in (0.0, 0.25, 1.0)
-    }
+    by = {share: covariance(around, shrinkage=share) for share in (0.0, 0.25, 1.0)}
     torch.testing.assert_close(by[0.25], 0.75 * by[0.0] + 0.25 * by[1.0])
     # Independent residuals give a multiple of the inverse of the second derivatives.
     hessian = around.hessian.double()
@@ -177,7 +175,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     problem, _, found, _ = cluttered
     here = spread(problem, found.pose)
     around = linearised(problem.starting_at(found.pose), problem.options)
-    sandwich = covariance(around, problem.options) @ around.hessian.double()
+    sandwich = covariance(around) @ around.hessian.double()
     torch.testing.assert_close(
         here.level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
     )
@@ -188,7 +186,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
         for each in problem.levels
     ]
     scale = 3 * problem.options.robust_scale
-    options = problem.options.model_copy(update={"robust_scale": scale})
+    options = replace(problem.options, robust_scale=scale)
     scaled = spread(replace(problem, levels=levels, options=options), found.pose)
     torch.testing.assert_close(scaled.level, 9 * here.level, rtol=1e-2, atol=0)
     torch.testing.assert_close(scaled.equal_patches, here.equal_patches, rtol=1e-2, atol=0)
@@ -198,12 +196,11 @@ def test_where_the_grid_of_patches_begins_does_not_matter(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
     problem, _, found, _ = cluttered
-    options = Options(covariance_patch_cells=10.0)
-    around = linearised(problem.starting_at(found.pose), options)
-    here = covariance(around, options)
-    moved = covariance(replace(around, cells=around.cells + torch.tensor([5.0, 15.0])), options)
+    around = linearised(problem.starting_at(found.pose), Options())
+    here = covariance(around, 10.0)
+    moved = covariance(replace(around, cells=around.cells + torch.tensor([5.0, 15.0])), 10.0)
     torch.testing.assert_close(moved, here)
-    other = covariance(replace(around, cells=around.cells + torch.tensor([2.0, 3.0])), options)
+    other = covariance(replace(around, cells=around.cells + torch.tensor([2.0, 3.0])), 10.0)
     assert not torch.allclose(other, here, rtol=1e-3)
 
 

@@ -7,8 +7,13 @@ import pytest
 import torch
 
 from objconnect.localization.align.aligner import Alignment
-from objconnect.localization.align.hypotheses import _best, align_from_many, around
-from objconnect.localization.align.options import HypothesisOptions, Options, SearchRadius
+from objconnect.localization.align.hypotheses import (
+    _MERGE_ITERATIONS,
+    _best,
+    align_from_many,
+    around,
+)
+from objconnect.localization.align.options import Options, SearchRadius, Width
 from objconnect.localization.align.problem import Problem
 from objconnect.scene.geometry.pose import Pose
 from tests.objconnect.localization.align.problems import DAMPING, Small, batch, small, stacked
@@ -27,7 +32,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
         rays = PINHOLE.unproject(pixels)[0] @ truth.rotation
         ground = truth.centre() - rays * (truth.centre()[2] / rays[:, 2:])
         start = stacked([wrong(truth, 10, 10, seed)])
-        poses = around(start, torch.tensor([80.0]), reach, 5.9, HypothesisOptions())
+        poses = around(start, torch.tensor([80.0]), reach, 5.9)
         seen = PINHOLE.project(poses.transform(ground)[0])
         best.append(float((seen.xy - pixels).norm(dim=-1).mean(-1).min()))
         first = PINHOLE.project(start.transform(ground)).xy
@@ -38,9 +43,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
 def test_narrow_reach_asks_less() -> None:
     start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
     sizes = [
-        around(
-            start, distance, SearchRadius(metres, degrees), 3.5, HypothesisOptions()
-        ).translation.shape[1]
+        around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
     ]
     assert sizes == [27, 243, 17 * 17 * 5]
@@ -76,29 +79,28 @@ def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> 
         seen=torch.tensor([[12, 180, 200]]),
         failure=torch.tensor([[0, 0, 1]]),
     )
-    assert _best(ranked, level, scale, 3, 256).seen.tolist() == [[180, 12, 200]]
+    assert _best(ranked, level, scale, 3).seen.tolist() == [[180, 12, 200]]
 
 
 def test_hypotheses_that_have_met_go_on_as_one() -> None:
     """The first starts, some steps each; from there on it takes what one start does."""
-    options = HypothesisOptions()
     problem = small(0)
     start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
     found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
-    most = options.first_refined * options.merge_iterations
+    most = Width().first_refined * _MERGE_ITERATIONS
     assert found.iterations.item() <= most + alone.iterations.item()
 
 
-def many_from(problem: Small, off: float, **options: int) -> Alignment:
+def many_from(problem: Small, off: float, **width: int) -> Alignment:
     """Align a problem from a prior that is off by so many metres and degrees."""
     start = stacked([wrong(problem.truth, off, off, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
     return align_from_many(
         Problem(problem.levels, *place, DAMPING, Options()),
         SearchRadius(8, 8),
-        HypothesisOptions(**options),
+        Width(**width),
     )
 
 

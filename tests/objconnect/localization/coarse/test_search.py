@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from objconnect.localization.coarse.finder import PlaceOptions, hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
+from objconnect.localization.coarse.headings import ALTITUDES
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
 from objconnect.localization.coarse.search import Hypotheses, PlaceSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
@@ -116,7 +117,7 @@ def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radi
     assert tried.altitudes == [60.0]
     unknown = hypotheses(None, PlaceOptions(), mosaic.grid, 80.0)
     assert unknown.within is None
-    assert unknown.altitudes == [80.0 * part for part in PlaceOptions().altitudes]
+    assert unknown.altitudes == [80.0 * part for part in ALTITUDES]
 
 
 def test_candidates_are_apart(mosaic: Mosaic) -> None:

@@ -11,10 +11,8 @@ import torch
 
 from objconnect.localization.featuremetric.acceptance import (
     AcceptanceModel,
-    acceptance_file,
     best_probability,
     log_odds_of,
-    read_acceptance,
 )
 from objconnect.localization.featuremetric.evidence import Evidence
 from objconnect.scene.errors import InputError
@@ -32,7 +30,7 @@ def pose(east: float) -> Pose:
 
 
 def test_the_shipped_model_tells_right_from_wrong() -> None:
-    model = read_acceptance(None)
+    model = AcceptanceModel.beside(None)
     assert model.of_alignment(RIGHT) > model.of_alignment(CHANGED) > log_odds_of(0.95)
     assert model.of_alignment(WRONG) < log_odds_of(0.05)
     assert model.of_matches(100) > log_odds_of(0.99) > log_odds_of(0.5) > model.of_matches(4)
@@ -45,12 +43,12 @@ def test_the_shipped_model_tells_right_from_wrong() -> None:
 )
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
     told = Evidence(**{**vars(WRONG), **broken})
-    assert math.isfinite(read_acceptance(None).of_alignment(told))
+    assert math.isfinite(AcceptanceModel.beside(None).of_alignment(told))
 
 
 @pytest.mark.parametrize("field", vars(RIGHT))
 def test_evidence_that_is_no_number_is_no_evidence(field: str) -> None:
-    model = read_acceptance(None)
+    model = AcceptanceModel.beside(None)
     told = Evidence(**{**vars(RIGHT), field: math.nan})
     assert model.of_alignment(told) < model.of_alignment(CHANGED)
 
@@ -94,7 +92,7 @@ def test_certain_poses_do_not_overflow() -> None:
 
 
 def test_matches_that_found_nothing_are_not_rated() -> None:
-    model = read_acceptance(None)
+    model = AcceptanceModel.beside(None)
     lost = Estimate(Status.FALLBACK, pose(0), inliers=500)
     assert model.rated(lost).probability is None
     found = model.rated(Estimate(Status.OK, pose(0), np.eye(6), inliers=500))
@@ -103,15 +101,15 @@ def test_matches_that_found_nothing_are_not_rated() -> None:
 
 def test_weights_of_a_user_have_a_model_of_their_own(tmp_path: Path) -> None:
     weights = tmp_path / "own.safetensors"
-    shipped = read_acceptance(weights)
-    assert shipped == read_acceptance(None)
+    shipped = AcceptanceModel.beside(weights)
+    assert shipped == AcceptanceModel.beside(None)
     numbers = shipped.model_dump() | {"matched": {"bias": -1.0, "inliers": 2.0}}
-    acceptance_file(weights).write_text(str(numbers).replace("'", '"'))
-    assert read_acceptance(weights) == AcceptanceModel.model_validate(numbers)
-    acceptance_file(weights).write_text("aligned: 3")
+    AcceptanceModel.file(weights).write_text(str(numbers).replace("'", '"'))
+    assert AcceptanceModel.beside(weights) == AcceptanceModel.model_validate(numbers)
+    AcceptanceModel.file(weights).write_text("aligned: 3")
     with pytest.raises(InputError, match="aligned"):
-        read_acceptance(weights)
-    acceptance_file(weights).unlink()
-    acceptance_file(weights).mkdir()
+        AcceptanceModel.beside(weights)
+    AcceptanceModel.file(weights).unlink()
+    AcceptanceModel.file(weights).mkdir()
     with pytest.raises(InputError, match="cannot read"):
-        read_acceptance(weights)
+        AcceptanceModel.beside(weights)

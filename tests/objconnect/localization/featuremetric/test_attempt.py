@@ -12,21 +12,23 @@ from numpy.typing import NDArray
 from objconnect.localization.align.aligner import Alignment
 from objconnect.localization.align.covariance import Spread
 from objconnect.localization.featuremetric.attempt import Attempt, pose_covariance
+from objconnect.localization.featuremetric.calibration import CovarianceNumbers
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
 
-OPTIONS = SearchOptions(
-    covariance_factor=2.0,
-    covariance_patches_power=0.5,
-    covariance_level=4e-4,
-    covariance_level_patches=5.0,
-    covariance_floor=1e-3,
-    covariance_unchanged_fit=0.6,
-    covariance_view_fit=0.5,
-    covariance_changed_fit=0.2,
+NUMBERS = CovarianceNumbers(
+    factor=2.0,
+    patches_power=0.5,
+    level=4e-4,
+    level_patches=5.0,
+    floor=1e-3,
+    unchanged_fit=0.6,
+    view_fit=0.5,
+    changed_fit=0.2,
 )
+OPTIONS = SearchOptions(covariance=NUMBERS)
 CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
 EQUAL = 15.0

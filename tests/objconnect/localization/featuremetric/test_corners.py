@@ -12,7 +12,12 @@ import torch
 from PIL import Image
 
 from objconnect.localization.cache.map_cache import MapCache
-from objconnect.localization.featuremetric.corners import CornerFinder, Corners, all_corners
+from objconnect.localization.featuremetric.corners import (
+    CornerFinder,
+    CornerOptions,
+    Corners,
+    all_corners,
+)
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import height, write_map
@@ -32,7 +37,7 @@ def off_the_ground(found: Corners) -> np.ndarray:
 def test_corners_stand_on_the_ground(made: tuple[SparseMap, Path]) -> None:
     """The ground is a smooth relief of 3 m, seen from 20 m by photographs 6 m apart."""
     sparse_map, images = made
-    found = CornerFinder(sparse_map, images, 300, 1024)("2.png")
+    found = CornerFinder(sparse_map, images, 1024, CornerOptions(count=300))("2.png")
     assert len(found.xy) == len(found.xyz) > 30
     off = off_the_ground(found)
     assert np.median(off) < 0.1
@@ -54,7 +59,7 @@ def test_what_only_one_photograph_shows_is_left_out(
             noise = rng.integers(100, 150, (10, 12, 3), np.uint8)
             picture[60:110, 100:160] = cv2.resize(noise, (60, 50), interpolation=cv2.INTER_NEAREST)
         Image.fromarray(picture).save(tmp_path / path.name)
-    found = CornerFinder(sparse_map, tmp_path, 400, 1024)("2.png")
+    found = CornerFinder(sparse_map, tmp_path, 1024, CornerOptions(count=400))("2.png")
     within = ((found.xy > [104, 64]) & (found.xy < [156, 106])).all(1)
     assert len(found.xy) > 20
     assert within.sum() <= 2
@@ -63,12 +68,12 @@ def test_what_only_one_photograph_shows_is_left_out(
 def test_photographs_without_neighbours_have_none(made: tuple[SparseMap, Path]) -> None:
     sparse_map, images = made
     alone = replace(sparse_map, images={"0.png": sparse_map.images["0.png"]})
-    assert len(CornerFinder(alone, images, 300, 1024)("0.png").xy) == 0
+    assert len(CornerFinder(alone, images, 1024, CornerOptions(count=300))("0.png").xy) == 0
 
 
 def test_large_photographs_are_looked_at_smaller(made: tuple[SparseMap, Path]) -> None:
     sparse_map, images = made
-    found = CornerFinder(sparse_map, images, 300, 160)("2.png")
+    found = CornerFinder(sparse_map, images, 160, CornerOptions(count=300))("2.png")
     assert len(found.xy) > 15
     assert np.median(off_the_ground(found)) < 0.15
     # In pixels of the photograph as it is.
@@ -82,7 +87,7 @@ def test_kept_for_every_method(
 ) -> None:
     sparse_map, images = made
     kept = MapCache.of(sparse_map, images, tmp_path)
-    find = CornerFinder(sparse_map, images, 200, 1024)
+    find = CornerFinder(sparse_map, images, 1024, CornerOptions(count=200))
     first = all_corners(find, kept, 200)
     assert len(first) == len(sparse_map.names)
     np.testing.assert_array_equal(first[2], find("2.png").xyz)

@@ -15,12 +15,11 @@ from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.acceptance import log_odds_of
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.global_search import GlobalSearch
-from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
-from tests.objconnect.localization.featuremetric.test_attempt import CAMERA, attempt
+from tests.objconnect.localization.featuremetric.test_attempt import CAMERA, OPTIONS, attempt
 
 QUERY = Query("q.jpg", np.zeros((64, 64, 3), np.uint8), CAMERA)
 
@@ -52,7 +51,7 @@ def search(*attempts: Attempt) -> GlobalSearch:
     def near(*_: Any) -> Attempt:
         return next(given)
 
-    refine = SimpleNamespace(config=SimpleNamespace(search=SearchOptions()), near=near)
+    refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), near=near)
     places = SimpleNamespace(find=lambda _: [Candidate(at(80), 0.0, By.PLACE)])
     return GlobalSearch(
         cast(Refiner, refine), cast(SparseMap, None), cast(PlaceFinder, places), None

@@ -11,6 +11,7 @@ import torch
 
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
@@ -23,6 +24,8 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.images import read_rgb
 from tests.baselines.pixloc.made_map import write_map, write_network
+
+CORNERS = CornerOptions(count=50)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +66,7 @@ def test_observed_as_the_network_sees_them(
     image = sparse_map.images["2.png"]
     view, maps = extract(read_rgb(images / "2.png"), image.camera)
     rows = np.unique(image.point_rows[image.point_rows >= 0])
-    seen = observe(view, maps, image.pose, sparse_map.xyz[rows], 60, 16)
+    seen = observe(view, maps, image.pose, sparse_map.xyz[rows], 60)
     assert len(seen.xyz) == 60 == len(np.unique(seen.xyz, axis=0))
     xy = image.camera.project(image.pose.transform(torch.from_numpy(seen.xyz))).xy
     for level, map_ in enumerate(maps):
@@ -115,7 +118,7 @@ def test_other_inputs_are_other_files(
     source = ReferenceSource(kept, extract, "key", "method", 100)
     references(replace(source, kept=replace(kept, sparse_map=moved)), 2**30)
     references(replace(source, extractor_key="other"), 2**30)
-    references(replace(source, corners=50), 2**30)
+    references(replace(source, corners=CORNERS), 2**30)
     # The last has a file of corners beside it.
     assert len(list(tmp_path.iterdir())) == 5
 
@@ -129,13 +132,13 @@ def without_the_last(sparse_map: SparseMap) -> SparseMap:
     return replace(sparse_map, images=images, track_length=tracks)
 
 
-@pytest.mark.parametrize("corners", [0, 50])
+@pytest.mark.parametrize("corners", [None, CORNERS])
 def test_what_an_added_photograph_does_not_change_is_copied(
     made: tuple[SparseMap, Path],
     extract: MapExtractor,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    corners: int,
+    corners: CornerOptions | None,
 ) -> None:
     whole, images = made
     kept = MapCache.of(whole, images, tmp_path / "cache")

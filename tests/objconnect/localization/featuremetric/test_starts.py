@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from benchmark.evaluation.starts import position_prior, tilted_prior
-from objconnect.localization.featuremetric.acceptance import read_acceptance
+from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
@@ -50,7 +50,7 @@ def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str
     assert_right(localizer.localize(replace(QUERY, prior=PRIORS[told])))
 
 
-MODEL = read_acceptance(None)
+MODEL = AcceptanceModel.beside(None)
 NO_ALIGNMENT = {"bias": -20, "peak": 0, "halves": 0, "curvature": 0}
 MATCHED: dict[str, dict[str, Any]] = {
     "many": {"matched_answer_inliers": 20},

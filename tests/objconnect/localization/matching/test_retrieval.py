@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from objconnect.localization.matching.retrieval import (
     References,
-    RetrievalOptions,
     Viewpoints,
     VladIndex,
 )
@@ -81,7 +80,7 @@ def test_a_map_of_fewer_descriptors_than_words() -> None:
 
 def test_a_map_of_more_photographs_than_landmarks(photographs: list[NDArray[np.float32]]) -> None:
     """Fewer numbers a photograph, which is still found again by half of it."""
-    index = VladIndex.build(photographs, RetrievalOptions(landmarks=8))
+    index = VladIndex.build(photographs, spanning=8)
     assert index.vectors.shape == (12, 8)
     found = [int(index.rank(each[:75], 1)[0]) for each in photographs]
     assert np.mean(np.array(found) == np.arange(12)) > 0.7

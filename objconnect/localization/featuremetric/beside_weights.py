@@ -1,0 +1,62 @@
+"""Numbers that calibrate what a network answers: small YAML files beside its weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Self
+
+import yaml
+
+from objconnect.scene.config import Config, load_config
+from objconnect.scene.storage.atomic import write_text
+
+
+class BesideWeights(Config):
+    """Numbers of one network: ``own.KIND.yaml`` beside ``own.safetensors``.
+
+    The networks that come with the project share one file, ``KIND.yaml`` beside this module.
+    """
+
+    kind: ClassVar[str]
+
+    @classmethod
+    def of(cls, values: Sequence[object]) -> Self:
+        """Return the numbers with these values, in the order of the fields."""
+        return cls(**dict(zip(cls.model_fields, values, strict=True)))
+
+    @classmethod
+    def shipped(cls) -> Path:
+        """Return the file of the networks that come with the project."""
+        return Path(__file__).with_name(f"{cls.kind}.yaml")
+
+    @classmethod
+    def file(cls, weights: Path) -> Path:
+        """Return the file that stands beside weights."""
+        return weights.with_suffix(f".{cls.kind}.yaml")
+
+    @classmethod
+    def beside(cls, weights: Path | None) -> Self:
+        """Read the numbers beside weights; those of the project's networks where there are none.
+
+        Args:
+            weights: of a user; None for those that come with a method.
+
+        Raises:
+            InputError: the file holds something else.
+        """
+        own = None if weights is None else cls.file(weights)
+        return load_config(cls, own if own is not None and own.exists() else cls.shipped(), {})
+
+    def write(self, path: Path, command: str) -> None:
+        """Write the file that ``beside`` reads.
+
+        Args:
+            path: of the file.
+            command: by which the numbers were found, for its first line.
+
+        Raises:
+            WriteError: the folder cannot be written, or the disk is full.
+        """
+        values = yaml.safe_dump(self.model_dump(), sort_keys=False, default_flow_style=None)
+        write_text(path, f"# From {command}.\n{values}")
