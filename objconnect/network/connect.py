@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.coarse.grid import GroundGrid
-from objconnect.localization.coarse.search import Candidate
+from objconnect.localization.coarse.search import UP, Candidate
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.detector import Detections
 from objconnect.network.landmarks import Landmarks, object_rays
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
-_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 CANDIDATES: Final = 5
 """Poses that a photograph's objects may have, at most."""
 # Numerical guard: flatter rays meet level ground too far away.
@@ -167,7 +166,7 @@ class Connector:
         return far or turn > _APART
 
     def _pose(self, base: Tensor, found: _Pose2) -> Pose:
-        rotation = base @ so3_exp(found.heading * _UP)
+        rotation = base @ so3_exp(found.heading * UP)
         east, north = found.place.tolist()
         up = self._ground.height_at(east, north) + found.height
         return Pose(rotation, -rotation @ torch.tensor([east, north, up], dtype=torch.float64))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import torch
 from pydantic import Field
 from torch import Tensor
 
@@ -16,7 +15,7 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
-from objconnect.localization.coarse.search import Candidate, Hypotheses, PlaceSearch
+from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, PlaceSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import metres_per_pixel, observed, of_map, scale_to
 from objconnect.scene.config import Config
@@ -28,7 +27,6 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
 _FORMAT: Final = 3
-_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
 _FLATTEST: Final = 0.3
 # An altitude of a smaller sigma, in parts of the height above ground, is known.
@@ -157,7 +155,7 @@ def hypotheses(
     step = math.tau / _HEADINGS
     turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]
     base, headings = possible_headings(prior, _HEADINGS)
-    passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
+    passes: list[Tensor] = [base @ so3_exp(heading * UP) for heading in headings]
     altitudes = [part * height for part in ALTITUDES]
     within = None
     if prior is not None and prior.position_sigma is not None:

@@ -20,7 +20,7 @@ from objconnect.scene.localizer import By
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
-_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Places kept of each look and altitude.
 _PEAKS: Final = 3
 # Cells by which the side of a query on the ground grows.
@@ -141,7 +141,7 @@ class PlaceSearch:
         reduced = FeatureMap(
             self._mosaic.reduced_map(level.features), level.confidence, level.stride
         )
-        turned = rotation @ so3_exp(turns[:, None] * _UP)
+        turned = rotation @ so3_exp(turns[:, None] * UP)
         footprint = self._footprint(view, turned)
         for altitude in hypotheses.altitudes:
             laid = self._laid_out(view, reduced, turned, footprint, altitude)
