@@ -48,12 +48,13 @@ def with_default(model: type[BaseModel], name: str, default: object) -> Any:
     """Return a field of a configuration with another default, for one that is derived from it.
 
     Example:
-        >>> class Options(Config):
-        ...     steps: int = Field(1000, ge=1, description="Steps of the optimizer.")
-        >>> class Quick(Options):
-        ...     steps: int = with_default(Options, "steps", 10)
-        >>> Quick(), Quick.model_fields["steps"].description
-        (Quick(steps=10), 'Steps of the optimizer.')
+        >>> from pydantic import Field
+        >>> class Training(Config):
+        ...     steps: int = Field(1000, description="Steps of the optimizer.")
+        >>> class QuickTraining(Training):
+        ...     steps: int = with_default(Training, "steps", 10)
+        >>> QuickTraining(), QuickTraining.model_fields["steps"].description
+        (QuickTraining(steps=10), 'Steps of the optimizer.')
     """
     field = copy(model.model_fields[name])
     field.default = default

@@ -414,7 +414,7 @@ def test_huge_numbers_in_results(scored: Path, field: str, value: object) -> Non
     [
         ("max_error_px=.inf", "finite"),
         ("max_error_px=1e300", "at most"),
-        ("seed=4294967296", "at most"),
+        ("memory_mb=4294967296", "at most"),
         ("max_features=99999999999", "at most"),
         ("references=", "no value"),
         ("references=null", "valid integer"),

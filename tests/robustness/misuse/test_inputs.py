@@ -405,10 +405,11 @@ def test_a_photograph_that_is_none_is_one_line(
 
 
 def test_large_and_damaged_photographs_print_no_warning(tmp_path: Path) -> None:
-    """A warning of Pillow's is two lines on standard error."""
+    """A warning of Pillow's is two lines on standard error, where the command line tunes it."""
     made(tmp_path / "a.jpg", "large")
-    code = "import os, pathlib; from objconnect.scene.storage.images import read_exif;"
-    code += "read_exif(pathlib.Path(os.environ['PHOTOGRAPH']))"
+    code = "import os, pathlib, objconnect as oc\n"
+    code += "from objconnect.scene.storage.images import read_exif\n"
+    code += "with oc.ProcessTuning(): read_exif(pathlib.Path(os.environ['PHOTOGRAPH']))"
     done = python(code, PHOTOGRAPH=str(tmp_path / "a.jpg"))
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -541,8 +542,7 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
     said = refused(lambda: MapCache.of(sparse_map, tmp_path, tmp_path / "cache"))
     assert "c.jpg does not exist" in said
     (flight / "images" / "x\\y.jpg").unlink()
-    missing = map_features
-    said = refused(lambda: missing(sparse_map, flight / "images", Sift(500), None))
+    said = refused(lambda: MapCache.of(sparse_map, flight / "images", tmp_path / "cache"))
     assert "does not exist: the model it is named in was made on Windows" in said
 
 
