@@ -94,7 +94,9 @@ def main() -> None:
             for seed in range(given.seeds):
                 assert network.detector is not None
                 config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
-                graph = train_graph(taught, config, ConstellationTraining(seed=seed)).eval()
+                graph = train_graph(
+                    taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
+                ).eval()
                 ranks = np.concatenate([ranks_of(graph, of, given.session) for of in asked])
                 starts = [
                     rank

@@ -254,7 +254,9 @@ def matching(
         shares = {}
         for layers in (0, 2):
             config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
-            graph = train_graph(taught, config, ConstellationTraining(seed=seed))
+            graph = train_graph(
+                taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
+            )
             ranks = np.concatenate([ranks_of(graph, of, session) for of in asked])
             shares[layers] = ranks
         without, with_ = shares[0], shares[2]

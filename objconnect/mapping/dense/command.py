@@ -220,7 +220,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
             return "key"
         # Options that came later than the folder had the effect of their defaults.
         recorded["options"] = DEFAULTS.model_dump(mode="json") | options
-        recorded.setdefault("device", key["device"])
+        recorded.setdefault("device", "cpu")  # on which they were all made
         return None if recorded == json.loads(request) else "key"
 
     return ResumableFolder(folder, folder / KEY, request, difference)

@@ -24,6 +24,8 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from tests.objconnect.network.test_landmarks import CAMERA, DOWN, GROUND, photograph, things, views
 
+CPU = torch.device("cpu")
+
 HEADINGS = [k * math.tau / 24 for k in range(24)]
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
@@ -132,10 +134,10 @@ def test_the_graph_learns_to_tell_what_looks_the_same() -> None:
     lessons = [alone_alike(60, seed) for seed in range(2)]
     options = ConstellationTraining(steps=300, turn_deg=2, stretch=0.02, moved_m=0.1, missing=0.1)
     unseen = alone_alike(60, 7)
-    shares = [
-        found_first(train_graph(lessons, ConstellationConfig(vector=8, layers=n), options), unseen)
-        for n in (0, 2)
+    graphs = [
+        train_graph(lessons, ConstellationConfig(vector=8, layers=n), options, CPU) for n in (0, 2)
     ]
+    shares = [found_first(each, unseen) for each in graphs]
     assert shares[0] < 0.15
     assert shares[1] > 0.3
 
@@ -145,7 +147,10 @@ def test_scenes_without_common_objects_teach_nothing() -> None:
     strange = [q._replace(landmark=np.full(len(q.laid), -1)) for q in lesson.queries]
     with pytest.raises(InputError, match="no query"):
         train_graph(
-            [lesson._replace(queries=strange)], ConstellationConfig(), ConstellationTraining()
+            [lesson._replace(queries=strange)],
+            ConstellationConfig(),
+            ConstellationTraining(),
+            CPU,
         )
 
 

@@ -226,13 +226,14 @@ def test_the_options_are_recorded(tmp_path: Path) -> None:
     Later ones record them as a part of what are constants now.
     """
     before = {"map": "sha256", "size": 96}
-    key = {**before, "options": DenseOptions().model_dump(mode="json")}
+    key = {**before, "options": DenseOptions().model_dump(mode="json"), "device": "cpu"}
     other = DenseOptions(confirmed=3).model_dump(mode="json")
     (tmp_path / KEY).write_text(json.dumps(before))
     assert _resumable(tmp_path, key).is_same()
     (tmp_path / KEY).write_text(json.dumps({**before, "options": {"agreement": key["options"]}}))
     assert _resumable(tmp_path, key).is_same()
-    assert not _resumable(tmp_path, {**before, "options": other}).is_same()
+    assert not _resumable(tmp_path, {**key, "options": other}).is_same()
+    assert not _resumable(tmp_path, {**key, "device": "cuda:0"}).is_same()
     assert not _resumable(tmp_path, {**key, "size": 97}).is_same()
     (tmp_path / KEY).write_text('{"map"')
     assert not _resumable(tmp_path, key).is_same()
