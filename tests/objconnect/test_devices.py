@@ -22,8 +22,8 @@ from objconnect.mapping.dense import patchmatch
 from objconnect.mapping.dense.command import dense
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.methods import create, trainable
-from objconnect.network.connect import ConnectOptions, Connector
-from objconnect.network.landmarks import LandmarkOptions, merged
+from objconnect.network.connect import Connector
+from objconnect.network.landmarks import merged
 from objconnect.network.scene_landmarks import find_landmarks
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
@@ -161,12 +161,12 @@ def test_poses_are_those_of_the_processor(
 
 def test_objects_connect_as_on_the_processor() -> None:
     xyz, vectors = test_landmarks.things(count=60)
-    landmarks = merged(test_landmarks.views(xyz, vectors), LandmarkOptions())[0]
+    landmarks = merged(test_landmarks.views(xyz, vectors))[0]
     view = test_landmarks.photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.3), xyz, vectors)
 
     def found(device: str) -> list[torch.Tensor]:
         graph = test_connect.graph(layers=1).to(device)
-        connect = Connector(graph, landmarks, test_landmarks.GROUND, ConnectOptions())
+        connect = Connector(graph, landmarks, test_landmarks.GROUND)
         asked = (test_landmarks.CAMERA, test_landmarks.DOWN, test_connect.HEADINGS, [60.0, 75.0])
         return [place.pose.matrix() for place in connect(view.found, *asked)]
 

@@ -25,16 +25,7 @@ import pytest
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 # What a test of the methods reads of the tree.
-_READ: Final = (
-    "scene",
-    "baselines",
-    "objconnect",
-    "mapping",
-    "simulate",
-    "dense",
-    "ingest",
-    "benchmark",
-)
+_READ: Final = ("objconnect", "simulate", "baselines", "benchmark")
 _ALSO: Final = ("tests", "experiments", "pyproject.toml")
 # Imported once, before the processes of the mutants begin: most of the time of a short test.
 _SLOW_TO_IMPORT: Final = ("torch", "cv2", "skimage.segmentation", "hypothesis", "matplotlib.pyplot")
@@ -86,7 +77,7 @@ MUTANTS: Final = (
     ),
     Mutant(
         "the confidence of places is not taught",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         "options.trust_share * doubt",
         "0.0 * doubt",
         (
@@ -195,21 +186,21 @@ MUTANTS: Final = (
     ),
     Mutant(
         "the confidence of places bends the features",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         "torch.exp(-lost.detach())",
         "torch.exp(-lost)",
         (f"{_PIXLOC}::test_confidence_does_not_bend_features",),
     ),
     Mutant(
         "confidence is taught at the other picture's places",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         "zip(confidence.chunk(2), cells, strict=True)",
         "zip(confidence.chunk(2), cells[::-1], strict=True)",
         (f"{_PIXLOC}::test_confidence_learns_where_places_are_found_again",),
     ),
     Mutant(
         "the length of features counts in the alignment",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         "functional.normalize(b, dim=1),",
         "b,",
         (f"{_PIXLOC}::test_alignment_sees_directions_of_features_alone",),
@@ -226,21 +217,21 @@ MUTANTS: Final = (
     ),
     Mutant(
         "pixloc learns from points that do not count",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         "factors, options, batch.valid)",
         "factors, options)",
         (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
     ),
     Mutant(
         "pixloc learns from the steps that help alone",
-        "baselines/pixloc/training.py",
-        "Options(iterations=iterations, careful=False)",
-        "Options(iterations=iterations)",
+        "objconnect/localization/featuremetric/training.py",
+        "Options(iterations=_ITERATIONS, careful=False)",
+        "Options(iterations=_ITERATIONS)",
         (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
     ),
     Mutant(
         "learned damping decays",
-        "baselines/pixloc/training.py",
+        "objconnect/localization/featuremetric/training.py",
         ', "weight_decay": 0}',
         "}",
         (f"{_PIXLOC}::test_damping_learns_thirty_times_faster_than_filters",),

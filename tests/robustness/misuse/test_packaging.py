@@ -75,6 +75,8 @@ def test_the_wheel_holds_every_file(wheel: Path) -> None:
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+    # Of the tracks, what was measured stays in the repository.
+    lie = {name for name in lie if name.endswith(".py") or not name.startswith(f"{BOARD}/")}
     tracks = {
         path.relative_to(ROOT).as_posix()
         for pattern in ("*/track.yaml", "*/renders/*.json.xz")
