@@ -419,7 +419,7 @@ READERS: dict[str, Reader] = {
         _scene,
         {
             **each(
-                (f"objconnect/scene/{name}.json" for name in ("scene", "objects", "splits")),
+                (f"scene/{name}.json" for name in ("scene", "objects", "splits")),
                 "json",
                 _read_scene,
             ),
