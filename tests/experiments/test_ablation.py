@@ -13,7 +13,7 @@ from objconnect.scene.errors import InputError
 
 NOTHING = {"segmentation": "none", "attention": False, "object_graph": False, "scene_graph": False}
 TINY = {"steps": 2, "batch": 2, "crop": 96, "points": 64, "workers": 0, "warm_up": 0.0}
-SMALL = {"references": 2, "points": 64, "corners": 0, "iterations": 3}
+SMALL = {"references": 2, "corners": None}
 
 
 def plan(*variants: dict[str, object]) -> Plan:
