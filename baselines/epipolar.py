@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.map_cache import opened
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.matching.sift import Sift
@@ -87,19 +87,19 @@ class EpipolarLocalizer:
         """Extract the features of the map's photographs."""
         self._map = sparse_map
         unit = self._sift.unit
-        with opened(sparse_map, images, cache) as kept:
+        with open_cache(sparse_map, images, cache) as kept:
             features = map_features(kept, self._sift)
 
-        def seen(name: str) -> _Seen:
+        def extract(name: str) -> _Seen:
             keypoints = features[name]
             return _Seen(keypoints.xy, unit(keypoints.descriptors))
 
-        def described(row: int) -> NDArray[np.float32]:
+        def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._seen = LruCache(seen, room(self.config.memory_mb))
+        self._seen = LruCache(extract, room(self.config.memory_mb))
         count = len(sparse_map.names)
-        self._references = References.build(sparse_map, OnDemand(described, count))
+        self._references = References.build(sparse_map, OnDemand(describe, count))
 
     def localize(self, query: Query) -> Estimate:
         """Extract features, choose references, find relative poses, intersect rays and refine."""

@@ -22,13 +22,13 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import evaluate, results_path
 from benchmark.evaluation.starts import Start, parse_start
-from benchmark.report.markdown import escaped
+from benchmark.report.markdown import escape
 from benchmark.results.query_result import TOTAL, QueryResult
 from benchmark.results.results import Results
 from benchmark.results.results_files import load
 from benchmark.scoring.paired import compare, mcnemar
 from benchmark.scoring.score import THRESHOLDS, is_correct, recall
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.command import train
 from objconnect.learning.training.config import TrainConfig
 from objconnect.localization.provenance import Method
@@ -152,7 +152,7 @@ def _train(
     validation: Sequence[Path],
     folder: Path,
 ) -> Path:
-    weights = training.weights or shipped(SHIPPED)
+    weights = training.weights or shipped_path(SHIPPED)
     config = training.model_copy(
         update={"network": _given_values(variant.network), "weights": weights}
     )
@@ -168,7 +168,7 @@ def _table(rows: Sequence[_Row]) -> Iterator[str]:
     """Yield the lines of the table as Markdown."""
     conditions = list(dict.fromkeys(query.condition for query in rows[0].queries()))
     counts = [
-        f"{escaped(condition)} ({len(rows[0].queries(condition))})" for condition in conditions
+        f"{escape(condition)} ({len(rows[0].queries(condition))})" for condition in conditions
     ]
     header = ["variant", *counts, f"against {rows[0].name}", "s/query"]
     yield "| " + " | ".join(header) + " |"

@@ -158,7 +158,7 @@ def _recorded(
         matched.append(estimate)
         return False
 
-    judge = attempts.judged
+    judge = attempts.evaluate_alignment
     queries = dataset.queries[:: given.every]
     with (
         patch.object(refiners, "judged", judged),
@@ -334,7 +334,7 @@ def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | No
 
 def check(given: argparse.Namespace) -> None:
     """Print what a model is worth on each file of records, and draw its reliability."""
-    model = load_config(AcceptanceModel, given.model or AcceptanceModel.shipped(), {})
+    model = load_config(AcceptanceModel, given.model or AcceptanceModel.shipped_path(), {})
     print(
         "| records | queries | answered | wrong by > 1 m, 5° | wrong by > 5 m, 10° | right within "
         "0.5 m | of these refused | calibration error |\n|---|--:|--:|--:|--:|--:|--:|--:|"

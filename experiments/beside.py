@@ -178,7 +178,7 @@ def _serve(given: argparse.Namespace) -> None:
     from benchmark.evaluation.starts import parse_start
     from objconnect.methods import create
     from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
-    from objconnect.scene.runtime.tuning import return_freed
+    from objconnect.scene.runtime.tuning import trim_heap
 
     torch.set_num_threads(given.threads)
     seconds = time.process_time if given.threads == 1 else time.perf_counter
@@ -197,7 +197,7 @@ def _serve(given: argparse.Namespace) -> None:
             method.prepare(sparse_map, dataset.images, given.cache)
             answer = {"seconds": seconds() - begin, "photographs": len(sparse_map.names)}
             answer["faults"] = faults() - before
-            return_freed()
+            trim_heap()
             reset_peak()
             answer["held"] = resident_bytes() / 1e6
         elif word == "memory":

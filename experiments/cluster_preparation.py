@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.run import Run, prepared
+from benchmark.evaluation.run import Run, prepare_method
 from benchmark.evaluation.starts import PRIOR
 from objconnect.methods import create
 
@@ -24,7 +24,7 @@ def main() -> None:
     (dataset,) = open_datasets(given.scene)
     with tempfile.TemporaryDirectory() as cache:
         run = Run(dataset, create(given.method, {}), PRIOR, Path(cache), None)
-        with prepared(run, 1, given.cluster) as (seconds, _):
+        with prepare_method(run, 1, given.cluster) as (seconds, _):
             print(f"{seconds:.1f} s for {len(run.sparse_map.names)} photographs")
 
 

@@ -36,7 +36,10 @@ from benchmark.evaluation.starts import Start, parse_start
 from benchmark.scoring.uncertainty import _CHI2_95
 from objconnect.localization.align.covariance import Spread
 from objconnect.localization.featuremetric.attempt import Attempt
-from objconnect.localization.featuremetric.calibration import CovarianceNumbers, calibrated
+from objconnect.localization.featuremetric.calibration import (
+    CovarianceNumbers,
+    calibrate_covariance,
+)
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
@@ -99,7 +102,7 @@ class Answers:
 
     def calibrated(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
-        return calibrated(self.around, self.fit, numbers)
+        return calibrate_covariance(self.around, self.fit, numbers)
 
     def nees(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
         """Return the normalised errors squared (N,) with these numbers."""

@@ -19,7 +19,7 @@ from objconnect.mapping.dense.consistency import agreeing
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.mapping.dense.report import read_truth
 from objconnect.mapping.dense.sources import choose_all, seeds_in
-from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.warp import StereoView
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.camera import Camera
@@ -42,7 +42,7 @@ def main() -> None:
     scene = Scene.open(given.scene)
     original = scene.sparse_map()
     cameras = {image.camera: pinhole_of(image.camera, _SIZE) for image in original.images.values()}
-    sparse_map = undistorted_map(original, cameras)
+    sparse_map = undistort_map(original, cameras)
     truth = read_truth(scene, sparse_map)
     pairs = choose_all(sparse_map, _SOURCES, _CONFIRMED)
     views = {
@@ -73,7 +73,7 @@ def main() -> None:
         last = consistent_estimate(views[name], sources, planes, inverse, generator).planes[0]
         sure = agreeing(views[name], sources, last, inverse) >= _CONFIRMED
         costs.append((seconds[name], time.process_time() - began))
-        judged = truth[name].judged
+        judged = truth[name].evaluable
         off = np.where(sure, np.abs(1 / last.numpy() / truth[name].depth - 1), np.inf)[judged]
         every_off.append(off)
         print(f"{name}: {_summary(costs[-1:], every_off[-1:])}")

@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from objconnect.learning.folding import fold
-from objconnect.learning.quantization import largest_values, quantized
+from objconnect.learning.quantization import largest_values, quantize
 from objconnect.learning.vgg import encode
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
@@ -81,7 +81,7 @@ def of_torch(numbers: str) -> Pass:
         with torch.inference_mode(), torch.autocast("cpu"), largest_values(network) as largest:
             network(torch.rand(1, 3, 256, 256))
         scales = {name: values.clamp(min=1e-3) / 255 for name, values in largest.items()}
-        network = quantized(network, scales, network.config.strides)
+        network = quantize(network, scales, network.config.strides)
 
     @torch.inference_mode()
     def run(picture: NDArray[np.float32]) -> object:

@@ -55,7 +55,7 @@ def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
         xyz = localizer._lifted(row).xyz
         yield _Places(xyz, np.ones(len(xyz)))
     elif isinstance(localizer, FeaturemetricLocalizer):
-        seen = localizer.prepared.refine.problems.observations[row]
+        seen = localizer.map_state.refine.problems.observations[row]
         yield _Places(seen.xyz, np.ones(len(seen.xyz)))
         yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
 
@@ -77,7 +77,7 @@ def main(path: Path, cache: Path) -> None:
     groups = Groups(scene)
     instances = {
         image.name: layers["instance"]
-        for image, layers in scene.mapped_layers(sparse_map, "instance")
+        for image, layers in scene.layers_of_map(sparse_map, "instance")
     }
     pixels = np.bincount(groups.of(np.stack(list(instances.values()))).ravel(), minlength=4)
     print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from baselines.binary import Akaze, Orb
 from objconnect.localization.matching.features import Extractor
-from objconnect.localization.matching.lifting import interpolated_points, observed_points
+from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.scene.bundle.frames import dense_layers, read_frames
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.maps.colmap_files import read_model
@@ -32,7 +32,7 @@ def nearest(
     xy: NDArray[np.float32], image: MapImage, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Points of the observations that lie where keypoints do."""
-    rows = observed_points(xy, image)
+    rows = find_observations(xy, image)
     return np.where((rows >= 0)[:, None], xyz[rows], np.nan)
 
 
@@ -69,7 +69,7 @@ def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray
 
 if __name__ == "__main__":
     for extractor in (Orb(8192), Akaze(8192, 0.001)):
-        for how in (nearest, interpolated_points):
+        for how in (nearest, interpolate_points):
             share, off = measure(Path(sys.argv[1]), extractor, how)
             median, most = np.quantile(off, [0.5, 0.9])
             figures = f"lifted {share:.1f} %, off {median:.2f} m (median), {most:.2f} m (90 %)"

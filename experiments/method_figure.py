@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from skimage.segmentation import find_boundaries
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.starts import moved_prior
+from benchmark.evaluation.starts import move_prior
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.align.options import SearchRadius
@@ -33,11 +33,11 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     """Draw it."""
     (dataset,) = open_datasets(scene)
     wanted = next(q for q in dataset.queries if q.name.split("/")[0] == session)
-    query = wanted.load(moved_prior(wanted.reference, wanted.name, 3.0, 5.0))
+    query = wanted.load(move_prior(wanted.reference, wanted.name, 3.0, 5.0))
     localizer = ObjConnectLocalizer(ObjConnectConfig(weights=weights))
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
-        refine = localizer.prepared.refine
+        refine = localizer.map_state.refine
         chosen = refine.retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
         view, maps = refine.problems.view(query, chosen, start)

@@ -21,12 +21,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from objconnect.localization.cache.map_cache import opened
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.connect import Connector
 from objconnect.network.constellation_training import LONGEST
 from objconnect.network.finder import headings_around
-from objconnect.network.landmarks import merged, on_ground
+from objconnect.network.landmarks import merge, on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -47,8 +47,8 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     scene = Scene.open(path)
     sparse_map, frames = scene.sparse_map(), scene.frames(session)
     ground = map_ground(sparse_map)
-    with opened(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merged(finder.views(kept))
+    with open_cache(sparse_map, scene.images_root, None) as kept:
+        landmarks, tracks = merge(finder.views(kept))
     name, camera = frames.names[row], frames.cameras[row]
     rgb = read_rgb(scene.images_root / name)
     found = finder(rgb, camera)
@@ -95,7 +95,7 @@ def _draw(
 ) -> None:
     """Draw outlines of learned objects, and centres coloured by their landmark."""
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
-    labels = network.learned_segments(image)[0].numpy()
+    labels = network.predict_segments(image)[0].numpy()
     axis.imshow(rgb)
     height, width = rgb.shape[:2]
     rows, columns = (np.linspace(0, n, k) for n, k in zip(rgb.shape, labels.shape, strict=False))

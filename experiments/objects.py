@@ -28,7 +28,7 @@ from objconnect.learning.training.instances import LARGEST_M, LINES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
-from objconnect.network.connect import Connector, described_landmarks
+from objconnect.network.connect import Connector, describe_landmarks
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
@@ -162,7 +162,7 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
 def learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
     """Return the label map of the detector."""
     with torch.inference_mode():
-        return network.learned_segments(_picture(scene, name))[0]
+        return network.predict_segments(_picture(scene, name))[0]
 
 
 def true_objects(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
@@ -273,7 +273,7 @@ def ranks_of(graph: torch.nn.Module, of: Lesson, session: str) -> NDArray[np.int
     """Return, for each query, its known objects, and how many come first or in the first 5."""
     rows = []
     with torch.inference_mode():
-        theirs = described_landmarks(graph, of.landmarks)  # type: ignore[arg-type]
+        theirs = describe_landmarks(graph, of.landmarks)  # type: ignore[arg-type]
         for query in of.queries:
             known = query.landmark >= 0
             if query.session != session or not known.any():

@@ -34,7 +34,7 @@ from PIL import Image
 
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.starts import moved_prior
+from benchmark.evaluation.starts import move_prior
 from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.references import POINTS
@@ -94,7 +94,7 @@ class Ground:
         dataset = open_datasets(scene)[0]
         others = [q for q in dataset.queries if q.condition not in dataset.map_conditions]
         chosen = [others[k] for k in np.linspace(0, len(others) - 1, count).astype(int)]
-        priors = [moved_prior(q.reference, q.name, 3.0, 5.0) for q in chosen]
+        priors = [move_prior(q.reference, q.name, 3.0, 5.0) for q in chosen]
         queries = tuple(q.load(prior) for q, prior in zip(chosen, priors, strict=True))
         whole = Ground(dataset.images, dataset.load_map(), queries, kept)
         near = {name for query in queries for name in whole.nearest(query, 10)}

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.starts import moved_prior
+from benchmark.evaluation.starts import move_prior
 from objconnect.network import network
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
@@ -32,7 +32,7 @@ def main(scene: Path, count: int) -> None:
     chosen = [
         dataset.queries[k] for k in np.linspace(0, len(dataset.queries) - 1, count, dtype=int)
     ]
-    queries = [q.load(moved_prior(q.reference, q.name, 3.0, 5.0)) for q in chosen]
+    queries = [q.load(move_prior(q.reference, q.name, 3.0, 5.0)) for q in chosen]
     localizer = ObjConnectLocalizer(
         ObjConnectConfig(weights=SHIPPED.with_name("objconnect-objects.safetensors"))
     )

@@ -40,8 +40,10 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
             loaded = query.load()
             if isinstance(localizer, FeaturemetricLocalizer):
                 with torch.inference_mode():
-                    described = localizer.prepared.refine.described(loaded)
-                yield localizer.prepared.refine.retrieval.index.rank(described, max(_FIRST))
+                    described = localizer.map_state.refine.describe(loaded)
+                yield localizer.map_state.refine.retrieval.index.rank(
+                    described, max(_FIRST)
+                )
             else:
                 assert isinstance(localizer, StructureLocalizer)
                 yield localizer.similar(loaded, max(_FIRST))

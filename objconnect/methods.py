@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     """Builds a localizer from the configuration values that differ from its defaults."""
 
 
-def _built_in(module: str, config: str, localizer: str) -> LocalizerFactory:
+def _lazy_factory(module: str, config: str, localizer: str) -> LocalizerFactory:
     """Return a factory that imports the module of a method when it is called."""
 
     def make(overrides: Mapping[str, Any]) -> Localizer:
@@ -38,20 +38,20 @@ LOCALIZERS: Final[Registry[LocalizerFactory]] = Registry(
     "method",
     "objconnect.localizers",
     {
-        "sift": _built_in("baselines.sift", "SiftConfig", "SiftLocalizer"),
-        "orb": _built_in("baselines.binary", "OrbConfig", "OrbLocalizer"),
-        "akaze": _built_in("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
-        "epipolar": _built_in("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
-        "d2net": _built_in("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
-        "pixloc": _built_in("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
-        "pixloc-search": _built_in(
+        "sift": _lazy_factory("baselines.sift", "SiftConfig", "SiftLocalizer"),
+        "orb": _lazy_factory("baselines.binary", "OrbConfig", "OrbLocalizer"),
+        "akaze": _lazy_factory("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
+        "epipolar": _lazy_factory("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
+        "d2net": _lazy_factory("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
+        "pixloc": _lazy_factory("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
+        "pixloc-search": _lazy_factory(
             "baselines.pixloc.localizer", "PixlocSearchConfig", "PixlocSearchLocalizer"
         ),
-        "objconnect": _built_in(
+        "objconnect": _lazy_factory(
             "objconnect.network.localizer", "ObjConnectConfig", "ObjConnectLocalizer"
         ),
-        "place": _built_in("objconnect.network.place", "PlaceConfig", "PlaceLocalizer"),
-        "prior": _built_in("baselines.prior", "PriorConfig", "PriorLocalizer"),
+        "place": _lazy_factory("objconnect.network.place", "PlaceConfig", "PlaceLocalizer"),
+        "prior": _lazy_factory("baselines.prior", "PriorConfig", "PriorLocalizer"),
     },
     unknown="unknown {kind} {name!r}; known: {names}",
 )
@@ -73,7 +73,7 @@ TRAINABLE: Final = tuple(TRAINABLES.built_in)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
 
 
-def known() -> list[str]:
+def method_names() -> list[str]:
     """Return the names of our methods, then those of methods that installed packages add."""
     return list(LOCALIZERS)
 

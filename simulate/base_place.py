@@ -8,7 +8,7 @@ from objconnect.scene.bundle.manifest import read_json, write_json
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from simulate.place.presets import preset
-from simulate.place.surveyed import load_surveyed, save_surveyed
+from simulate.place.surveyed import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.report import PLACE, REPORT, SiteReport
@@ -46,16 +46,16 @@ def base_place(
     if config.site is None:
         return preset(config.preset)(config.seed, config.area), None
     if (out / REPORT).is_file():  # written after the place
-        return load_surveyed(out / PLACE, config.seed), None
+        return load_site(out / PLACE, config.seed), None
     if twin is not None:
         report = read_json(twin / REPORT, SiteReport, "report of the site")
-        return load_surveyed(twin / PLACE, config.seed), report
+        return load_site(twin / PLACE, config.seed), report
     return build_site(config.site, config.area, config.origin, config.seed, out)
 
 
 def keep_site(out: Path, place: World, report: SiteReport) -> None:
     """Write a site's place and what was found of it into the folder of the scene."""
-    save_surveyed(out / PLACE, place)
+    save_site(out / PLACE, place)
     write_json(out / REPORT, report)
 
 

@@ -32,7 +32,7 @@ from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import PNG_MARK, PNG_METADATA
 from objconnect.scene.storage.scratch import scratch
-from simulate.camera.lens import rendered_through
+from simulate.camera.lens import split_lens
 from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path
 from simulate.render.pool import RenderError, render
@@ -279,7 +279,7 @@ def _photographs(
     camera: Camera, poses: Array, seed: int, beside: Path
 ) -> dict[str, NDArray[np.uint8]]:
     """Render the board as the camera sees it, (H, W, 3) by file name."""
-    pinhole, lens = rendered_through(camera)
+    pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=seed,
         area_m=1.0,

@@ -44,16 +44,16 @@ from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.base_place import base_place, check_site, keep_site, site_file
-from simulate.camera.lens import rendered_through
+from simulate.camera.lens import split_lens
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
-from simulate.place.change import ChangedWorld, changed_worlds, every_object
+from simulate.place.change import ChangedWorld, change_worlds, every_object
 from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
-from simulate.render.disk import bytes_needed, require_space
+from simulate.render.disk import estimate_bytes, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
@@ -93,11 +93,11 @@ def _simulate(
     config: SimulateConfig, out: Path, jobs: int, cluster: str | None, twin: Path | None
 ) -> Scene:
     unfinished = _resumable(out, config)
-    finished = finished_scene(out, config)
+    finished = find_finished(out, config)
     if finished is not None:
         return finished
     base, report = base_place(config, out, twin)
-    worlds = changed_worlds(base, [session.world_change for session in config.sessions])
+    worlds = change_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
     planned = [
@@ -105,7 +105,7 @@ def _simulate(
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
     ]
     pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
-    require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
+    require_space(out, estimate_bytes(_count_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
     if report is not None:
         keep_site(out, base, report)
@@ -133,7 +133,7 @@ def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
         yield partial(render_remotely, workers)
 
 
-def _left(
+def _count_left(
     out: Path, names: Sequence[str], planned: Sequence[_Planned]
 ) -> dict[str, tuple[int, int]]:
     """Return the numbers of frames that each unfinished session has to render and to pack."""
@@ -156,7 +156,7 @@ def _resumable(out: Path, config: SimulateConfig) -> ResumableFolder:
     return ResumableFolder(out, out / _CONFIG, config.model_dump_json(), difference)
 
 
-def finished_scene(out: Path, config: SimulateConfig) -> Scene | None:
+def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
     """Return the scene of a configuration if it is finished; None if it is still to be rendered.
 
     Raises:
@@ -255,7 +255,7 @@ def render_job(
 
     ``first_new_id`` is that of the session's changed world; ``prepared`` is the file of a site.
     """
-    pinhole, lens = rendered_through(config.photo_camera(session))
+    pinhole, lens = split_lens(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
     return RenderJob(
         preset=config.preset,

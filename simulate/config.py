@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from simulate.camera.lens import CameraConfig, rendered_through
+from simulate.camera.lens import CameraConfig, split_lens
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
     MAP_PLAN,
@@ -67,7 +67,7 @@ class SessionConfig(Config):
 
     @field_validator("condition")
     @classmethod
-    def _known_condition(cls, name: str) -> str:
+    def _check_condition(cls, name: str) -> str:
         return condition(name).name
 
     @property
@@ -251,7 +251,7 @@ class SimulateConfig(Config):
 
     @field_validator("preset")
     @classmethod
-    def _known_preset(cls, name: str) -> str:
+    def _check_preset(cls, name: str) -> str:
         if name != SITE:
             preset(name)
         return name
@@ -268,7 +268,7 @@ class SimulateConfig(Config):
         )
 
     @model_validator(mode="after")
-    def _site_is_given(self) -> SimulateConfig:
+    def _require_site(self) -> SimulateConfig:
         if self.preset == SITE and self.site is None:
             raise ValueError("the preset site needs --from SCENE, or --ortho and --dsm")
         if self.preset != SITE and self.site is not None:
@@ -284,9 +284,9 @@ class SimulateConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _rows_are_rendered(self) -> SimulateConfig:
+    def _check_rows(self) -> SimulateConfig:
         cameras = (self.photo_camera(session) for session in self.sessions)
-        if self.sensor.readout_s and any(rendered_through(c)[1] is not None for c in cameras):
+        if self.sensor.readout_s and any(split_lens(c)[1] is not None for c in cameras):
             raise ValueError(
                 "sensor.readout_s needs a camera without distortion and with one focal length"
             )

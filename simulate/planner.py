@@ -26,8 +26,8 @@ from simulate.flight.config import (
     plan_digest,
 )
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
-from simulate.flight.flown import flown_poses
-from simulate.flight.gimbal import Aims, perturbed_poses
+from simulate.flight.flown import read_flown_poses
+from simulate.flight.gimbal import Aims, perturb_poses
 from simulate.flight.qgroundcontrol import read_plan
 from simulate.flight.routes import corridor_aims, free_aims, street_aims
 from simulate.flight.site import FlightSite, Wind
@@ -80,20 +80,20 @@ def plan_session(
 def _plan_corridor(
     flight: CorridorFlight, site: FlightSite, frames: int | None, rng: np.random.Generator
 ) -> Array:
-    return perturbed_poses(corridor_aims(flight, site, frames), site.wind, rng)
+    return perturb_poses(corridor_aims(flight, site, frames), site.wind, rng)
 
 
 def _plan_free(
     flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.Generator
 ) -> Array:
-    return perturbed_poses(free_aims(flight, site, frames, rng), site.wind, rng)
+    return perturb_poses(free_aims(flight, site, frames, rng), site.wind, rng)
 
 
 def _plan_street(
     flight: StreetFlight, site: FlightSite, frames: int, rng: np.random.Generator
 ) -> Array:
     """Plan a drive; the wind does not move a vehicle."""
-    return perturbed_poses(street_aims(flight, site, frames), Wind(), rng)
+    return perturb_poses(street_aims(flight, site, frames), Wind(), rng)
 
 
 def _plan_mission(
@@ -110,14 +110,14 @@ def _plan_mission(
         flight.pitch_deg,
         flight.undulation_m,
     )
-    return perturbed_poses(aims, site.wind, rng)
+    return perturb_poses(aims, site.wind, rng)
 
 
-def _plan_flown(
+def _plan_recorded(
     flight: FlownFlight, site: FlightSite, _frames: None, _rng: np.random.Generator
 ) -> Array:
     """Plan what was flown; the wind of that day is in its poses."""
-    return flown_poses(flight, site)
+    return read_flown_poses(flight, site)
 
 
 PLANNERS: dict[type[Config], Planner] = {
@@ -128,6 +128,6 @@ PLANNERS: dict[type[Config], Planner] = {
     FreeFlight: _plan_free,
     StreetFlight: _plan_street,
     PlanFlight: _plan_mission,
-    FlownFlight: _plan_flown,
+    FlownFlight: _plan_recorded,
 }
 """The planner of each kind of flight, by the type of its configuration."""

@@ -50,7 +50,7 @@ def test_a_scene(two_nodes: TwoNodes, tmp_path: Path) -> None:
         spread = simulate(TINY, out, cluster=two_nodes.address)
     assert spread.manifest.sha256 == alone.manifest.sha256
     assert spread.manifest.pixels_sha256 == alone.manifest.pixels_sha256
-    assert spread.changed_files() == []
+    assert spread.find_changed_files() == []
     assert not list(out.rglob(".*")), "nothing of the rendering is left behind"
 
 

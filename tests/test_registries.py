@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli.choices import described, listed
+from benchmark.cli.choices import describe_choices, list_choices
 from benchmark.datasets.open import READERS, Reader
 from objconnect.methods import LOCALIZERS, TRAINABLES
 from objconnect.scene.exports.formats import FORMATS
@@ -96,10 +96,10 @@ def test_readers_are_known_by_their_names() -> None:
 
 def test_help_explains_every_format() -> None:
     assert set(FORMATS.summaries()) == set(FORMATS.built_in)
-    assert listed(FORMATS).startswith(
+    assert list_choices(FORMATS).startswith(
         "<colmap|colmap-database|nerfstudio|nerfstudio-depth|tum|hloc"
     )
-    assert "tum: a trajectory per session." in described(FORMATS)
+    assert "tum: a trajectory per session." in describe_choices(FORMATS)
 
 
 def loaded_by(code: str) -> set[str]:

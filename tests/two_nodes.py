@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from objconnect.scene.runtime.cluster import _kept_handler, _ray
+from objconnect.scene.runtime.cluster import _keep_handler, _ray
 
 # A busy machine takes longer to start a node than Ray waits.
 _ATTEMPTS = 4
@@ -99,7 +99,7 @@ def _has_unit(raylet: int) -> bool:
 def _patiently(start: Callable[[], Any]) -> Any:
     for attempt in range(_ATTEMPTS):
         try:
-            with _kept_handler():
+            with _keep_handler():
                 return start()
         except Exception:
             if attempt == _ATTEMPTS - 1:

@@ -58,10 +58,10 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         size = (int(height * scale), int(width * scale))
         if min(size) < _LEAST:
             continue
-        features = network.dense(_resized(image[None], size))[0]
+        features = network.dense(_resize(image[None], size))[0]
         cells = features.shape[1:]
         if coarser is not None:
-            features = features + _resized(coarser[None], cells)[0]
+            features = features + _resize(coarser[None], cells)[0]
         coarser = features
         peaks, offsets = find_peaks(features)
         if taken is not None:
@@ -128,7 +128,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     return peaks, steps / determinant
 
 
-def _resized(values: Tensor, size: Sequence[int]) -> Tensor:
+def _resize(values: Tensor, size: Sequence[int]) -> Tensor:
     """Resize values (B, C, H, W) so that the corner cells stay at the corners."""
     return functional.interpolate(values, tuple(size), mode="bilinear", align_corners=True)
 

@@ -17,12 +17,12 @@ from pydantic import Field, model_validator
 
 from baselines.d2net.detection import EDGE_RATIO, detect
 from baselines.d2net.network import D2Net, read_network
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.localization.matching.features import Extractor
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features
 from objconnect.scene.runtime.device import AUTO, Device, torch_device
-from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.runtime.tuning import trim_heap
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""
@@ -103,7 +103,7 @@ class D2NetExtractor(Extractor):
                 values[strongest].cpu().numpy()
                 for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
-        return_freed()  # half a gigabyte; the time does not count beside the pass
+        trim_heap()  # half a gigabyte; the time does not count beside the pass
         config = self._config
         clear = _has_contrast(rgb, xy)
         kept = np.flatnonzero(clear)[: config.max_features]
@@ -142,5 +142,5 @@ class D2NetLocalizer(StructureLocalizer):
         Raises:
             InputError: there are no weights, or they belong to another network.
         """
-        network, digest = read_network(config.weights or shipped(SHIPPED))
+        network, digest = read_network(config.weights or shipped_path(SHIPPED))
         super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)

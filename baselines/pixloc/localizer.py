@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.folding import fold
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.corners import CornerOptions
@@ -35,7 +35,7 @@ class PixlocLocalizer(FeaturemetricLocalizer):
     """
 
     def __init__(self, config: PixlocConfig) -> None:
-        network, digest = read_network(config.weights or shipped(SHIPPED))
+        network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
         super().__init__("pixloc", network, digest, config)
@@ -57,7 +57,7 @@ class PixlocSearchLocalizer(FeaturemetricLocalizer):
     """
 
     def __init__(self, config: PixlocSearchConfig) -> None:
-        network, digest = read_network(config.weights or shipped(SHIPPED))
+        network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
         super().__init__("pixloc-search", network, digest, config)

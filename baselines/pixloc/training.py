@@ -23,8 +23,8 @@ from objconnect.localization.featuremetric.training import (
     half_precision,
     levels_of,
     pixels_of,
-    seen_by_b,
-    unrolled,
+    unroll,
+    view_of_b,
 )
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
@@ -58,8 +58,8 @@ class PixlocTraining:
         if progress < self._warm_up:
             return contrast, figures
         levels = levels_of(maps, strides, batch)
-        by_level = unrolled(levels, batch, self.network.damping)
-        pose_error, errors = pose_loss(by_level, strides, batch.b_from_a, seen_by_b(batch))
+        by_level = unroll(levels, batch, self.network.damping)
+        pose_error, errors = pose_loss(by_level, strides, batch.b_from_a, view_of_b(batch))
         figures |= pixels_of(errors, strides, batch)
         return contrast + self._losses.pose_share * pose_error, figures
 

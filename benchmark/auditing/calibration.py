@@ -69,7 +69,7 @@ class Correction:
     shift_sigma: Array
 
 
-def corrected(camera: Camera, focal: float, shift: Sequence[float]) -> Camera:
+def correct_camera(camera: Camera, focal: float, shift: Sequence[float]) -> Camera:
     """Return a camera with its focal length multiplied and its principal point moved (px)."""
     moves = {"cx": shift[0], "cy": shift[1]}
     params = tuple(
@@ -99,7 +99,7 @@ def correction(
         return None
     values = np.zeros(3)
     for _ in range(_ITERATIONS):
-        residuals, jacobians = _linearised(near, cameras, poses, values)
+        residuals, jacobians = _linearise(near, cameras, poses, values)
         hessian, gradients = _normal(residuals, jacobians)
         step = -np.linalg.solve(hessian, gradients.sum(0))
         values += np.clip(step, *_LARGEST_STEP)
@@ -116,7 +116,9 @@ def _residuals(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
 ) -> list[Array]:
     read = [
-        None if camera is None else corrected(camera, float(np.exp(values[0])), values[1:].tolist())
+        None
+        if camera is None
+        else correct_camera(camera, float(np.exp(values[0])), values[1:].tolist())
         for camera in cameras
     ]
     found = []
@@ -132,7 +134,7 @@ def _residuals(
     return found
 
 
-def _linearised(
+def _linearise(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
 ) -> tuple[list[Array], list[Array]]:
     """Return the errors (K,) of each pair and their derivatives (K, 3), by differences."""

@@ -19,14 +19,14 @@ from benchmark.auditing.agreement import (
 from benchmark.auditing.calibration import (
     Correction,
     check_calibration,
-    corrected,
+    correct_camera,
     correction,
 )
-from benchmark.auditing.files import Photographs, check_files, fitted_cameras, look_at
+from benchmark.auditing.files import Photographs, check_files, fit_cameras, look_at
 from benchmark.auditing.findings import Audit, Finding, Verdict, unknown
 from benchmark.auditing.map_points import check_points
 from benchmark.auditing.matches import match_photographs
-from benchmark.auditing.opening import open_stated
+from benchmark.auditing.opening import open_data
 from benchmark.auditing.order import find_order
 from benchmark.auditing.page import check_page, write_page
 from benchmark.auditing.positions import FOLLOW, check_positions
@@ -53,7 +53,7 @@ def audit(
     """Audit a data set, or each data set of a folder that holds several.
 
     Args:
-        path: a scene, a flight, or poses of another program; see ``opening.open_stated``.
+        path: a scene, a flight, or poses of another program; see ``opening.open_data``.
         images: folder of the photographs; None looks where the format has them.
         camera: camera of the photographs where the data set states none.
         out: HTML file for the verdicts; None writes none.
@@ -64,13 +64,13 @@ def audit(
     """
     if out is not None:
         check_page(out, [path, *([images] if images is not None else [])])
-    audits = [_audited(stated) for stated in open_stated(path, images, camera, frame)]
+    audits = [_audit_one(stated) for stated in open_data(path, images, camera, frame)]
     if out is not None:
         write_page(audits, out)
     return audits
 
 
-def _audited(stated: Stated) -> Audit:
+def _audit_one(stated: Stated) -> Audit:
     photographs = look_at(stated)
     told = zip(stated.names, photographs.exif, strict=True)
     for line in said_of({name: exif.doubts for name, exif in told if exif is not None}):
@@ -98,7 +98,7 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
     """
     assert stated.cam_from_world is not None
     poses = stated.cam_from_world
-    cameras = fitted_cameras(stated, photographs)
+    cameras = fit_cameras(stated, photographs)
     if stated.files is None:
         findings = [unknown(CHECK, "there are no photographs to compare with")]
         found = None
@@ -106,7 +106,7 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
         why = "the data set states no camera, and EXIF tells no focal length: give --camera"
         findings, found = [unknown(CHECK, why)], None
     else:
-        repeated = photographs.repeated
+        repeated = photographs.duplicates
         rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in repeated]
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
@@ -147,4 +147,4 @@ def _poses(
 
 def _better(cameras: list[Camera | None], found: Correction) -> list[Camera | None]:
     shift = found.shift.tolist()
-    return [c and corrected(c, found.focal, shift) for c in cameras]
+    return [c and correct_camera(c, found.focal, shift) for c in cameras]

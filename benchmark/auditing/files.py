@@ -39,7 +39,7 @@ class Photographs:
     faults: dict[str, str]
 
     @property
-    def repeated(self) -> set[int]:
+    def duplicates(self) -> set[int]:
         """Return the rows of photographs whose bytes an earlier one has."""
         first: dict[str, int] = {}
         rows = [(digest, row) for row, digest in enumerate(self.digests) if digest is not None]
@@ -123,17 +123,17 @@ def _duplicates(stated: Stated, photographs: Photographs) -> Finding:
     return wrong(ONCE, "duplicates", detail, photographs=float(len(twice)))
 
 
-def fitted_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
+def fit_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
     """Return the cameras at the size of their photographs, and guesses where none is stated.
 
     The size is a finding of its own, so that the checks after it go on with a camera that fits. A
     guess takes the focal length of EXIF.
     """
     read = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
-    return [_fitted(camera, size, told) for camera, size, told in read]
+    return [_fit_camera(camera, size, told) for camera, size, told in read]
 
 
-def _fitted(
+def _fit_camera(
     camera: Camera | None, size: tuple[int, int] | None, exif: Exif | None
 ) -> Camera | None:
     if size is None:
@@ -146,6 +146,6 @@ def _fitted(
     if size == (camera.width, camera.height):
         return camera
     try:
-        return camera.resized(*size)
+        return camera.resize(*size)
     except InputError:  # another shape
         return None

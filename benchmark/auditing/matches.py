@@ -89,7 +89,7 @@ def match_photographs(
     pairs = []
     with progress_bar("matches", len(wanted)) as advance:
         for done, (a, b) in enumerate(wanted, 1):
-            pair = _matched(a, b, seen, cameras)
+            pair = _match(a, b, seen, cameras)
             if pair is not None:
                 pairs.append(pair)
             advance(done)
@@ -129,9 +129,7 @@ def _candidates(seen: dict[int, _Seen]) -> list[tuple[int, int]]:
     return [(rows[a], rows[b]) for a, b in sorted(wanted)]
 
 
-def _matched(
-    a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | None]
-) -> Pair | None:
+def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | None]) -> Pair | None:
     matches = match(seen[a].unit, seen[b].unit, _RATIO)
     if len(matches) < LEAST_MATCHES:
         return None

@@ -46,7 +46,7 @@ _PHOTOGRAPHS: Final = (
 _GEODETIC = ("lat", "lon", "alt")
 
 
-def open_stated(
+def open_data(
     path: Path,
     images: Path | None = None,
     camera: Camera | None = None,
@@ -99,7 +99,7 @@ def _of_scene(scene: Scene) -> Stated:
     if not names:
         raise InputError(f"{scene.path}: every session has a rolling shutter: nothing to audit")
     matrices = np.concatenate(poses)
-    return _sorted(
+    return _sort(
         Stated(
             subject=str(scene.path),
             kind="scene",
@@ -107,7 +107,7 @@ def _of_scene(scene: Scene) -> Stated:
             files=tuple(scene.images_root / name for name in names),
             cameras=tuple(cameras),
             cam_from_world=matrices,
-            places=_placed(matrices, scene.manifest.origin),
+            places=_to_world(matrices, scene.manifest.origin),
             measured=np.concatenate(measured),
             sparse_map=scene.sparse_map() if scene.map_path.is_dir() else None,
         )
@@ -126,7 +126,7 @@ def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
     poses += [query.reference.matrix().numpy() for query in dataset.queries]
     fixes = _gps(dataset)
     measured = np.array([fixes.get(name, np.full(3, np.nan)) for name in names])
-    return _sorted(
+    return _sort(
         Stated(
             subject=dataset.name,
             kind=dataset.track,
@@ -187,7 +187,7 @@ def _of_foreign(
         places=np.array(list(places.values())) if places is not None else _origin_places(poses),
         sparse_map=read_model(path) if path.is_dir() and (path / "images.bin").is_file() else None,
     )
-    return _sorted(stated)
+    return _sort(stated)
 
 
 def _origin_places(poses: ForeignPoses | None) -> Array | None:
@@ -196,7 +196,7 @@ def _origin_places(poses: ForeignPoses | None) -> Array | None:
     return places_of(poses.positions, poses.origin)
 
 
-def _placed(matrices: Array, origin: Geodetic | None) -> Array | None:
+def _to_world(matrices: Array, origin: Geodetic | None) -> Array | None:
     if origin is None:
         return None
     return places_of(centres(matrices), origin)
@@ -249,7 +249,7 @@ def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path,
     folders = [images] if images is not None else [base / name for name in _PHOTOGRAPHS]
     best: dict[str, Path] = {}
     for folder in folders:
-        found = _named(folder, names, path) if folder.is_dir() else {}
+        found = _find_by_name(folder, names, path) if folder.is_dir() else {}
         if len(found) > len(best):
             best, chosen = found, folder
         if len(best) == len(names):
@@ -261,7 +261,7 @@ def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path,
     return tuple(best.get(name, chosen / name) for name in names)
 
 
-def _named(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
+def _find_by_name(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
     """Return the files of a folder by the names that mean them: paths in it, or files in it."""
     exact = {name: folder / name for name in names if (folder / name).is_file()}
     if len(exact) == len(names):
@@ -294,14 +294,14 @@ def _by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Path]:
     times = np.array([float(name) for name in in_order])
     least = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.5
     found = {}
-    for file, taken in _taken(files):
+    for file, taken in _read_times(files):
         row = int(np.abs(times - taken).argmin())
         if abs(times[row] - taken) < least:
             found[in_order[row]] = file
     return found
 
 
-def _taken(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
+def _read_times(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
     for file in files:
         try:
             time = read_exif(file).time
@@ -311,14 +311,14 @@ def _taken(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
             yield file, time.timestamp()
 
 
-def _sorted(stated: Stated) -> Stated:
+def _sort(stated: Stated) -> Stated:
     """Return the same with photographs in the order of their names; trajectories go by time."""
     key: Callable[[int], float | str] = stated.names.__getitem__
     if _are_times(stated.names):
         key = lambda row: float(stated.names[row])  # noqa: E731
     order = sorted(range(len(stated)), key=key)
 
-    def arranged(array: Array | None) -> Array | None:
+    def arrange(array: Array | None) -> Array | None:
         return None if array is None else array[order]
 
     return replace(
@@ -326,7 +326,7 @@ def _sorted(stated: Stated) -> Stated:
         names=tuple(stated.names[row] for row in order),
         files=None if stated.files is None else tuple(stated.files[row] for row in order),
         cameras=tuple(stated.cameras[row] for row in order),
-        cam_from_world=arranged(stated.cam_from_world),
-        places=arranged(stated.places),
-        measured=arranged(stated.measured),
+        cam_from_world=arrange(stated.cam_from_world),
+        places=arrange(stated.places),
+        measured=arrange(stated.measured),
     )

@@ -36,10 +36,10 @@ def write_page(audits: Sequence[Audit], out: Path) -> None:
     Raises:
         WriteError: the folder cannot be written.
     """
-    write_text(out, fill("audit", {"audits": [_shown(audit) for audit in audits]}))
+    write_text(out, fill("audit", {"audits": [_to_content(audit) for audit in audits]}))
 
 
-def _shown(audit: Audit) -> dict[str, Any]:
+def _to_content(audit: Audit) -> dict[str, Any]:
     findings = [
         {"check": f.check, "kind": _KINDS[f.verdict], "detail": f.detail, "fault": f.fault}
         for f in audit.findings

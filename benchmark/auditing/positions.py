@@ -265,7 +265,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
     figures = {"residual_m": residual}
     stated, measured = compared.stated, compared.measured
     if len(stated) > 2 * max(SHIFTS) and not named:
-        shifted = {k: _fit(*_moved(stated, measured, k))[1] for k in SHIFTS}
+        shifted = {k: _fit(*_shift_pairs(stated, measured, k))[1] for k in SHIFTS}
         k = min(shifted, key=lambda key: shifted[key])
         if shifted[k] < _SHRINKS * residual:
             when = "earlier" if k > 0 else "later"
@@ -297,7 +297,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
     return wrong(FOLLOW, "positions-off", detail, **figures)
 
 
-def _moved(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:
+def _shift_pairs(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:
     """Return both without the ends, with the positions of photographs ``k`` later."""
     return (stated[k:], measured[:-k]) if k > 0 else (stated[:k], measured[-k:])
 

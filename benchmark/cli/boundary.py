@@ -84,7 +84,7 @@ class Boundary(TyperGroup):
         _never_fail_to_print()
         # typer then raises errors instead of printing them on several lines.
         extra["standalone_mode"] = False
-        with _ended_like_ctrl_c():
+        with _end_like_ctrl_c():
             sys.exit(_exit_code(lambda: super(Boundary, self).main(*args, **extra)))
 
 
@@ -201,7 +201,7 @@ def _never_fail_to_print() -> None:
 
 
 @contextmanager
-def _ended_like_ctrl_c() -> Iterator[None]:
+def _end_like_ctrl_c() -> Iterator[None]:
     """Raise ``Terminated`` on SIGTERM and SIGHUP, unless they are ignored as under nohup."""
 
     def end(number: int, frame: FrameType | None) -> None:

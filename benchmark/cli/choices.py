@@ -14,12 +14,12 @@ import typer
 from objconnect.scene.registry import Registry
 
 
-def listed(registry: Registry[Any]) -> str:
+def list_choices(registry: Registry[Any]) -> str:
     """Return the built-in names as the placeholder of an option: "<colmap|tum>"."""
     return f"<{'|'.join(registry.built_in)}>"
 
 
-def described(registry: Registry[Any]) -> str:
+def describe_choices(registry: Registry[Any]) -> str:
     """Return help that explains every built-in name by its summary."""
     return " ".join(f"{name}: {summary}." for name, summary in registry.summaries().items())
 

@@ -167,7 +167,7 @@ def localize(
     from objconnect.localization.pipeline.place import open_place
     from objconnect.localization.pipeline.tracking import sequence_config
 
-    flown = _flown(images, video, srt, priors, sequence, rate)
+    flown = _choose_source(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
     config = sequence_config(settings) if video is not None or sequence else None
     options = LocalizeOptions(
@@ -193,7 +193,7 @@ def localize(
     emit(Summary(text, {"poses": str(out), what: len(located), "found": localized}), as_json)
 
 
-def _flown(
+def _choose_source(
     images: Path | None,
     video: Path | None,
     srt: Path | None,
@@ -262,7 +262,7 @@ def evaluate(
         for localizer in localizers.values():
             run(dataset, localizer, out, started_from, cache, jobs, cluster)
             written.append(results_path(out, dataset, localizer))
-    emit(_written(written), as_json)
+    emit(_summarize(written), as_json)
 
 
 @app.command()
@@ -347,7 +347,7 @@ def score(
     opened = open_distinct_datasets(reference)
     claim_folders(reference, out)
     name = poses.stem if method is None else method
-    emit(_written(run(poses, opened, name, out, start)), as_json)
+    emit(_summarize(run(poses, opened, name, out, start)), as_json)
 
 
 @app.command()
@@ -376,7 +376,7 @@ def submit(
     emit(Summary(text, values), as_json)
 
 
-def _written(results: list[Path]) -> Summary:
+def _summarize(results: list[Path]) -> Summary:
     """Return the report of a command that wrote results files: their names and their tables."""
     from benchmark.report.markdown import markdown
     from benchmark.report.tables import tables

@@ -10,7 +10,7 @@ import typer
 
 from benchmark.cli.arguments import claim_folders, parse_camera
 from benchmark.cli.boundary import INPUT_AT_FAULT
-from benchmark.cli.choices import described, listed, one_of
+from benchmark.cli.choices import describe_choices, list_choices, one_of
 from benchmark.cli.options import Cache, CameraWords, Json
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.exports.formats import FORMATS
@@ -166,9 +166,9 @@ def export(
         str,
         typer.Option(
             "--format",
-            metavar=listed(FORMATS),
+            metavar=list_choices(FORMATS),
             callback=one_of(FORMATS),
-            help=described(FORMATS),
+            help=describe_choices(FORMATS),
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from benchmark.cli.arguments import check_jobs
-from benchmark.cli.choices import listed, one_of
+from benchmark.cli.choices import list_choices, one_of
 from benchmark.cli.options import ClusterAddress, Jobs, Json, options_of
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.exports.formats import FORMATS
@@ -70,7 +70,7 @@ SiteTime = Annotated[
     "frames",
     "size",
     "spp",
-    metavars={"preset": f"{listed(PRESETS)[:-1]}|{SITE}>"},
+    metavars={"preset": f"{list_choices(PRESETS)[:-1]}|{SITE}>"},
 )
 # More than six parameters: each is an option or argument of the command.
 def simulate(
@@ -96,7 +96,7 @@ def simulate(
         str | None,
         typer.Option(
             "--export",
-            metavar=listed(FORMATS),
+            metavar=list_choices(FORMATS),
             callback=one_of(FORMATS),
             help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
         ),

@@ -172,7 +172,7 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
         stated = read_priors(path / "priors.csv")
         require_same_case(path / "priors.csv", stated.rows, photographs)
         frame = MapFrame.of(sparse_map, read_origin(path))
-        return stated.priors(frame, photographs, _assumed(stated, frame, sparse_map))
+        return stated.priors(frame, photographs, _assume_sigmas(stated, frame, sparse_map))
     if not os.path.lexists(path / "gps.csv"):
         return {}
     fixes = read_gps(path / "gps.csv")
@@ -181,7 +181,7 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
     return {name: Prior(position, sigma) for name, position in fixes.items()}
 
 
-def _assumed(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> Assumed:
+def _assume_sigmas(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> Assumed:
     """Return the standard deviations of priors whose table states none."""
     if stated.states_all_sigmas:
         return Assumed()

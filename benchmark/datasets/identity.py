@@ -42,7 +42,7 @@ def parts_of(
     asked = digests(query.image for query in queries)
     for query, photograph in zip(queries, asked, strict=True):
         parts[f"query photograph {query.name}"] = photograph
-        parts[f"condition, camera, prior or reference pose of {query.name}"] = _known(query)
+        parts[f"condition, camera, prior or reference pose of {query.name}"] = _prior_digest(query)
     return parts
 
 
@@ -72,7 +72,7 @@ def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
         raise InputError(f"the data set {dataset.name} was changed during the run: {changed}")
 
 
-def _known(query: BenchmarkQuery) -> str:
+def _prior_digest(query: BenchmarkQuery) -> str:
     """Return the digest of what is known of a query besides its photograph.
 
     Numbers are rounded to nanometres, because their last bits depend on the processor.

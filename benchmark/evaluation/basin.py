@@ -25,7 +25,7 @@ from pydantic import Field, model_validator
 from benchmark.datasets.dataset import Dataset
 from benchmark.evaluation.evaluate import require_folder
 from benchmark.evaluation.scored_query import score_query
-from benchmark.evaluation.starts import moved_prior
+from benchmark.evaluation.starts import move_prior
 from benchmark.results.query_result import MOST, QueryResult
 from benchmark.results.results import DatasetId
 from benchmark.results.results_files import BASIN, method_in
@@ -187,7 +187,7 @@ def basin(
             # With seed 0 the priors are the same as those of `evaluate --start error=`.
             name = f"{seed} {query.name}" if seed else query.name
             for level, size in enumerate(sizes):
-                prior = moved_prior(query.reference, name, *size)
+                prior = move_prior(query.reference, name, *size)
                 began = perf_counter()
                 estimate = localize_safely(localizer, replace(loaded, prior=prior))
                 seconds = perf_counter() - began

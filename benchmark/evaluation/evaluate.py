@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.identity import changes, require_unchanged
-from benchmark.evaluation.run import Run, prepared
+from benchmark.evaluation.run import Run, prepare_method
 from benchmark.evaluation.starts import NONE, PRIOR, Start
 from benchmark.report.album import ALBUM, ALBUM_MARK, album_parts, keep_album
 from benchmark.report.pictures import median_query, query_overlay
@@ -82,7 +82,7 @@ def evaluate(
     with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
         _warn_of_changes(dataset, target, earlier, journal)
         with (
-            prepared(run, jobs, cluster) as (seconds, localize),
+            prepare_method(run, jobs, cluster) as (seconds, localize),
             closing(
                 localize([q for q in dataset.queries if q.name not in journal.done], journal.add)
             ) as scored,

@@ -16,7 +16,7 @@ from benchmark.evaluation.scored_query import score_query
 from benchmark.evaluation.starts import LoadQuery, Start
 from benchmark.results.query_result import QueryResult
 from objconnect.localization.pipeline.safely import localize_safely
-from objconnect.methods import create, known
+from objconnect.methods import create, method_names
 from objconnect.scene.localizer import Localizer, MapPart, PreparesParts
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.cluster import WorkerPool, split_work, worker_pool
@@ -64,8 +64,8 @@ class Run:
         libraries inside it cannot be pickled.
         """
         localizer: Any = self._localizer
-        if localizer.name in known():
-            return _created_run, (
+        if localizer.name in method_names():
+            return _create_run, (
                 self._dataset, localizer.name, localizer.config.model_dump(), self._start,
                 self._cache, self._scratch,
             )  # fmt: skip
@@ -122,12 +122,12 @@ class Run:
             yield [MapPart(part, folder.absolute()) for part in some]
 
 
-def _created_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> Run:
+def _create_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> Run:
     return Run(dataset, create(name, config), *others)
 
 
 @contextmanager
-def prepared(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, LocalizeAll]]:
+def prepare_method(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, LocalizeAll]]:
     """Prepare the method here or on a cluster.
 
     Yields:

@@ -8,7 +8,7 @@ import torch
 
 from benchmark.datasets.dataset import BenchmarkQuery
 from benchmark.results.query_result import LARGEST_NEES, TOTAL, QueryResult
-from benchmark.scoring.uncertainty import normalised_error
+from benchmark.scoring.uncertainty import compute_nees
 from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.localizer import Estimate, Status
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -36,7 +36,7 @@ def score_query(
         # The pose is scored as it is written to the file, so that the figures can be recomputed.
         metres, degrees = pose_of(numbers).error_to(query.reference)
         t_err, r_err = float(metres), float(degrees)
-        nees = normalised_error(pose_of(numbers), query.reference, estimate.covariance)
+        nees = compute_nees(pose_of(numbers), query.reference, estimate.covariance)
         nees = None if nees is None else min(nees, LARGEST_NEES)
     sigma = estimate.sigma_position()
     return QueryResult(

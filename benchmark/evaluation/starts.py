@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from baselines.sift import SiftConfig
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
-from objconnect.localization.cache.map_cache import opened
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.retrieval import OnDemand, VladIndex
 from objconnect.localization.matching.sift import Sift
@@ -87,10 +87,10 @@ class Start:
             return lambda query: query.load(query.prior)
         if self.kind == "error":
             return lambda query: query.load(
-                moved_prior(query.reference, query.name, self.metres, self.degrees)
+                move_prior(query.reference, query.name, self.metres, self.degrees)
             )
         if self.kind == "gravity":
-            return lambda query: query.load(tilted_prior(query.reference, query.name, self.degrees))
+            return lambda query: query.load(tilt_prior(query.reference, query.name, self.degrees))
         if self.kind == "gps":
             return lambda query: query.load(
                 position_prior(query.reference, query.name, self.metres)
@@ -134,14 +134,14 @@ def parse_start(text: str) -> Start:
         return Start(f"retrieval={top}", "retrieval", top=top)
     if match := _ERROR.fullmatch(text):
         metres, degrees = _size(text, match.group(1)), _size(text, match.group(2))
-        name = f"error={_written(metres)}m,{_written(degrees)}deg"
+        name = f"error={_format_size(metres)}m,{_format_size(degrees)}deg"
         return Start(name, "error", metres=metres, degrees=degrees)
     if match := _GRAVITY.fullmatch(text):
         degrees = _size(text, match.group(1) or str(_USUAL_TILT_DEG))
-        return Start(f"gravity={_written(degrees)}deg", "gravity", degrees=degrees)
+        return Start(f"gravity={_format_size(degrees)}deg", "gravity", degrees=degrees)
     if match := _GPS.fullmatch(text):
         metres = _size(text, match.group(1))
-        return Start(f"gps={_written(metres)}m", "gps", metres=metres)
+        return Start(f"gps={_format_size(metres)}m", "gps", metres=metres)
     if text.startswith("pairs="):
         return _pairs(Path(text.removeprefix("pairs=")))
     raise InputError(
@@ -163,7 +163,7 @@ def _size(text: str, number: str) -> float:
     return size
 
 
-def _written(size: float) -> str:
+def _format_size(size: float) -> str:
     """Return a number as it can be read again: 1e+06 could not."""
     return np.format_float_positional(size, trim="-")
 
@@ -173,7 +173,7 @@ def _generator(name: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(bytes.fromhex(sha256(name))[:8], "little"))
 
 
-def tilted_prior(reference: Pose, name: str, degrees: float) -> Prior:
+def tilt_prior(reference: Pose, name: str, degrees: float) -> Prior:
     """Return a prior that knows gravity alone, as a gimbal without a compass does.
 
     Args:
@@ -203,11 +203,11 @@ def position_prior(reference: Pose, name: str, metres: float) -> Prior:
         name: name of the query, which seeds the direction of the error.
         metres: distance of the prior's position from the camera centre.
     """
-    moved = moved_prior(reference, name, metres, 0.0)
+    moved = move_prior(reference, name, metres, 0.0)
     return Prior(moved.position, moved.position_sigma)
 
 
-def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
+def move_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
     """Return a prior with an error of exactly this size, in directions that the name decides.
 
     Its stated standard deviations are those of the error: per axis of the position, and of the
@@ -237,14 +237,14 @@ def _similar(
     It compares VLAD descriptors of SIFT features, and is the same for every method.
     """
     sift = Sift(SiftConfig().max_features)
-    with opened(sparse_map, dataset.images, cache) as kept:
+    with open_cache(sparse_map, dataset.images, cache) as kept:
         features = map_features(kept, sift)
     names = sparse_map.names
 
-    def described(row: int) -> NDArray[np.float32]:
+    def describe(row: int) -> NDArray[np.float32]:
         return sift.unit(features[names[row]].descriptors).numpy()
 
-    index = VladIndex.build(OnDemand(described, len(names)))
+    index = VladIndex.build(OnDemand(describe, len(names)))
 
     def similar(query: BenchmarkQuery) -> tuple[str, ...]:
         descriptors = sift.unit(sift(read_rgb(query.image, query.camera)).descriptors)

@@ -169,11 +169,11 @@ def fit(rows: Array, happened: NDArray[np.bool_]) -> tuple[float, float, float, 
 
 def calibration_of(method: str, wanted: bool = True) -> Calibration:
     """Return the calibration of a method, or that of none where there is none or none is wanted."""
-    return _shipped().get(method, UNCALIBRATED) if wanted else UNCALIBRATED
+    return _load_shipped().get(method, UNCALIBRATED) if wanted else UNCALIBRATED
 
 
 @cache
-def _shipped() -> dict[str, Calibration]:
+def _load_shipped() -> dict[str, Calibration]:
     text = (files("benchmark.forecasting") / "calibration.json").read_text(encoding="utf-8")
     return {name: Calibration.model_validate(own) for name, own in parse_json(text).items()}
 

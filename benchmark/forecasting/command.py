@@ -11,7 +11,7 @@ from benchmark.forecasting.observe import observe, start_of
 from benchmark.forecasting.outlook import geojson, seasons_of, waypoints_of
 from benchmark.forecasting.page import MARK, page
 from benchmark.forecasting.picture import draw, ground_from_above
-from benchmark.forecasting.report import SCHEMA, Forecast, photographs_wanted
+from benchmark.forecasting.report import SCHEMA, Forecast, request_photographs
 from benchmark.forecasting.views import route_of, views_config
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.bundle.manifest import read_json
@@ -101,7 +101,7 @@ def forecast(
             notes=_notes(out, views, localizer, calibration.queries),
             seasons=seasons_of(waypoints, config),
             waypoints=waypoints,
-            photographs=photographs_wanted(waypoints, config),
+            photographs=request_photographs(waypoints, config),
             views=tuple(o.model_dump(mode="json") for o in observations),
         )
         _write(made, views, out)

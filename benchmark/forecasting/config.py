@@ -66,7 +66,7 @@ class ForecastConfig(Config):
 
     @field_validator("seasons")
     @classmethod
-    def _known_and_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+    def _check_names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         known = tuple(condition(name).name for name in names)
         if len(set(known)) < len(known):
             raise ValueError(f"a season is named twice: {', '.join(known)}")

@@ -37,7 +37,7 @@ def evidence_by_season(
 ) -> dict[str, Evidence]:
     """Return the pooled evidence at all waypoints, by season."""
     return {
-        season: pool([_seen(o, config) for o in observations if o.season == season], centres)
+        season: pool([_summarize(o, config) for o in observations if o.season == season], centres)
         for season in config.seasons
     }
 
@@ -138,8 +138,8 @@ def _outlooks(
                 {
                     "probability": round(chance, 4),
                     "false_risk": round(float(risks[k]), 4),
-                    "sigma_across_m": _scaled(evidence.sigma_across_m[k], calibration.across_scale),
-                    "sigma_up_m": _scaled(evidence.sigma_up_m[k], calibration.up_scale),
+                    "sigma_across_m": _scale(evidence.sigma_across_m[k], calibration.across_scale),
+                    "sigma_up_m": _scale(evidence.sigma_up_m[k], calibration.up_scale),
                     "found": 0,
                     "views": 0,
                     "cause": cause,
@@ -149,11 +149,11 @@ def _outlooks(
     return made
 
 
-def _scaled(sigma: float, scale: float) -> float | None:
+def _scale(sigma: float, scale: float) -> float | None:
     return round(float(sigma) * scale, 4) if np.isfinite(sigma) else None
 
 
-def _seen(observation: Observation, config: ForecastConfig) -> Seen:
+def _summarize(observation: Observation, config: ForecastConfig) -> Seen:
     nan = float("nan")
     return Seen(
         observation.waypoint,

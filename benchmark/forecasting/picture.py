@@ -94,7 +94,7 @@ def _draw_route(panel: Axes, forecast: Forecast, season: str) -> None:
     panel.plot(*at.T, color="0.15", linewidth=1.0)
     x, y = at.T
     panel.scatter(x, y, c=chances, cmap=_SCALE, vmin=0, vmax=1, s=70, edgecolors="white", zorder=3)
-    for number in _numbered(len(at)):
+    for number in _choose_numbers(len(at)):
         panel.annotate(
             str(number + 1),
             at[number],
@@ -105,5 +105,5 @@ def _draw_route(panel: Axes, forecast: Forecast, season: str) -> None:
         )
 
 
-def _numbered(count: int) -> Sequence[int]:
+def _choose_numbers(count: int) -> Sequence[int]:
     return range(0, count, 1 if count <= _MOST_NUMBERED else 10)

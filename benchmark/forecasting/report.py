@@ -224,17 +224,17 @@ def weak_stretches(
     return tuple(sorted(found, key=lambda stretch: -stretch.gap_m))
 
 
-def photographs_wanted(
+def request_photographs(
     waypoints: Sequence[Waypoint], config: ForecastConfig
 ) -> tuple[Request, ...]:
     """Return where few points of the map are in view and a fix is unlikely in some season."""
 
-    def wanted(waypoint: Waypoint) -> bool:
+    def is_wanted(waypoint: Waypoint) -> bool:
         weakest = min(outlook.probability for outlook in waypoint.seasons.values())
         return waypoint.points < FEW_POINTS and weakest < config.weak
 
     found = []
-    for first, last in runs([wanted(w) for w in waypoints]):
+    for first, last in runs([is_wanted(w) for w in waypoints]):
         part = waypoints[first : last + 1]
         middle = part[len(part) // 2]
         lost = sum(1 - o.probability for w in part for o in w.seasons.values())

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
-from benchmark.report.pictures import project_points, spaced_points
+from benchmark.report.pictures import project_points, space_points
 from objconnect.scene.errors import HDF5_DAMAGE, InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -67,7 +67,7 @@ class Entry:
     truth: NDArray[np.float64]
     seen: NDArray[np.float64]
 
-    def estimated(self, cam_from_world: Pose) -> NDArray[np.float64]:
+    def project_at(self, cam_from_world: Pose) -> NDArray[np.float64]:
         """Return the (K, 2) pixels of the points at a pose; NaN where they are not visible."""
         points = cam_from_world.transform(torch.from_numpy(self.world))
         projected = self.camera.project(points)
@@ -124,7 +124,7 @@ def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
 def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     """Choose the neighbour of a query and the points to draw."""
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
-    shared = {name: _seen(sparse_map, name, visible) for name in sparse_map.names}
+    shared = {name: _visible_rows(sparse_map, name, visible) for name in sparse_map.names}
     distance = np.linalg.norm(sparse_map.centres - query.reference.centre().numpy(), axis=1)
     row = {name: k for k, name in enumerate(sparse_map.names)}
     # Among photographs that share equally many points, the nearest is chosen.
@@ -133,7 +133,7 @@ def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     observations = shared[neighbour] if neighbour is not None else np.zeros(0, np.int64)
     drawn = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
     cell = max(query.camera.width, query.camera.height) / _CELLS
-    kept = spaced_points(
+    kept = space_points(
         truth[drawn], np.ones(len(drawn), np.bool_), sparse_map.track_length[drawn], cell
     )
     rows = drawn[kept]
@@ -147,7 +147,9 @@ def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     )
 
 
-def _seen(sparse_map: SparseMap, name: str, visible: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _visible_rows(
+    sparse_map: SparseMap, name: str, visible: NDArray[np.bool_]
+) -> NDArray[np.int64]:
     """Return the observations of a map photograph whose points are visible in the query."""
     rows = sparse_map.images[name].point_rows
     return np.flatnonzero((rows >= 0) & visible[rows]) if len(visible) else np.zeros(0, np.int64)

@@ -20,7 +20,7 @@ _LARGEST_NEES: Final = 1000
 _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
-def escaped(text: str) -> str:
+def escape(text: str) -> str:
     """Escape a name so that Markdown shows it literally on one line."""
     return _MARKUP.sub(r"\\\g<0>", for_terminal(text).translate(_HTML))
 
@@ -36,8 +36,8 @@ def markdown(boards: Sequence[Table]) -> str:
         "Medians are over the queries with a pose. Only rows of one table can be compared.",
     ]
     for board in boards:
-        lines += ["", f"## {escaped(board.track)}: {escaped(board.dataset)}", ""]
-        lines += [escaped(board.facts()), "", *_table(board)]
+        lines += ["", f"## {escape(board.track)}: {escape(board.dataset)}", ""]
+        lines += [escape(board.facts()), "", *_table(board)]
         if note := saturation(board):
             lines += ["", note]
     return "\n".join(lines) + "\n"
@@ -50,7 +50,7 @@ def paper_markdown(lines: Sequence[Line], note: str, headings: Sequence[str] = c
     text.append(line(["---", "---", *["--:"] * (len(header) - 2)]))
     for row in lines:
         cells = ["–" if cell is None else cell.text() for cell in row.cells]
-        text.append(line([escaped(row.method), escaped(row.source), *cells]))
+        text.append(line([escape(row.method), escape(row.source), *cells]))
     return "\n".join(text) + "\n"
 
 
@@ -65,8 +65,8 @@ def _table(board: Table) -> Iterator[str]:
         summary = row.summary
         yield line(
             [
-                escaped(row.method),
-                escaped(row.condition),
+                escape(row.method),
+                escape(row.condition),
                 str(summary.queries),
                 *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 number(summary.median_t_m),

@@ -151,8 +151,8 @@ def nees_of(figures: Uncertainty | None) -> dict[str, Any] | None:
     if figures is None:
         return None
     return {
-        "mean": rounded(figures.nees_mean),
-        "median": rounded(figures.nees_median),
+        "mean": round_figure(figures.nees_mean),
+        "median": round_figure(figures.nees_median),
         "queries": figures.queries,
         "within": _recall(figures.within_95),
     }
@@ -163,13 +163,13 @@ def figures_of(summary: Summary) -> dict[str, Any]:
     return {
         "queries": summary.queries,
         "recall": [_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS],
-        "t": rounded(summary.median_t_m),
-        "r": rounded(summary.median_r_deg),
+        "t": round_figure(summary.median_t_m),
+        "r": round_figure(summary.median_r_deg),
         "wrong": None if summary.false_fixes is None else _recall(summary.false_fixes),
         "failed": summary.failed,
         "fallback": summary.fallback,
-        "seconds": rounded(summary.seconds.per_query.get(TOTAL)),
-        "memory": rounded(summary.peak_memory_mb),
+        "seconds": round_figure(summary.seconds.per_query.get(TOTAL)),
+        "memory": round_figure(summary.peak_memory_mb),
     }
 
 
@@ -178,14 +178,14 @@ def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
     if entry is not None and query.cam_from_world is not None:
         numbers = query.cam_from_world
         pose = Pose.from_quaternion(numbers[:4], numbers[4:])
-        points = _units(entry.estimated(pose), entry.camera.width, entry.camera.height)
+        points = _units(entry.project_at(pose), entry.camera.width, entry.camera.height)
     return {
         "status": query.status.value,
         "reason": query.reason,
-        "t": rounded(query.t_err_m),
-        "r": rounded(query.r_err_deg),
-        "sigma": rounded(query.sigma_t_m),
-        "seconds": rounded(query.seconds.get(TOTAL)),
+        "t": round_figure(query.t_err_m),
+        "r": round_figure(query.r_err_deg),
+        "sigma": round_figure(query.sigma_t_m),
+        "seconds": round_figure(query.seconds.get(TOTAL)),
         "inliers": query.inliers,
         "points": points,
     }
@@ -246,10 +246,12 @@ def _pairs(
             ]
             for a, b in combinations(range(len(correct)), 2):
                 where = {"condition": condition, "threshold": number, "a": a, "b": b}
-                yield where | paired(correct[a], correct[b], flights)
+                yield where | compare_paired(correct[a], correct[b], flights)
 
 
-def paired(before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]) -> dict[str, Any]:
+def compare_paired(
+    before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]
+) -> dict[str, Any]:
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
     With flights enough, the interval and p are those of whole flights. The interval is then at
@@ -268,10 +270,10 @@ def paired(before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]
     if clustered is not None and of_flights is not None:
         low, high, p = min(low, clustered[0]), max(high, clustered[1]), of_flights
     return {
-        "change": rounded(change.change),
-        "low": rounded(low),
-        "high": rounded(high),
-        "p": rounded(p),
+        "change": round_figure(change.change),
+        "low": round_figure(low),
+        "high": round_figure(high),
+        "p": round_figure(p),
         "lost": change.lost,
         "won": change.won,
         "clustered": clustered is not None,
@@ -318,7 +320,7 @@ def _recall(recall: Recall) -> list[float]:
     return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
 
 
-def rounded(value: float | None) -> float | None:
+def round_figure(value: float | None) -> float | None:
     """Round a figure to four significant digits; None where it is unknown or not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.4g}")
 

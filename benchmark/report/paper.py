@@ -82,10 +82,10 @@ def note() -> str:
 
 def side_by_side(groups: Sequence[Group]) -> list[Line]:
     """Return the lines of the paper, then one for each of our methods and starts."""
-    return reported() + list(_ours(groups))
+    return paper_lines() + list(_ours(groups))
 
 
-def reported() -> list[Line]:
+def paper_lines() -> list[Line]:
     """Return the lines of the paper."""
     return [
         Line(method, REPORTED, True, tuple(Cell(value) for value in values))
@@ -100,7 +100,7 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
         for column, (track, beginning) in _COLUMNS.items():
             if group.track == track and group.dataset.startswith(beginning):
                 for run in group.runs:
-                    source = measured(group.start, run.results.method.is_external)
+                    source = source_text(group.start, run.results.method.is_external)
                     cells = by_run.setdefault((run.label, source), {})
                     cells.setdefault(column, []).extend(run.results.queries)
     for (method, source), cells in by_run.items():
@@ -108,16 +108,16 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
             method,
             source,
             False,
-            tuple(pooled(cells[column]) if column in cells else None for column in _COLUMNS),
+            tuple(pool(cells[column]) if column in cells else None for column in _COLUMNS),
         )
 
 
-def measured(start: str, declared: bool = False) -> str:
+def source_text(start: str, declared: bool = False) -> str:
     """Return the source of a line of ours; ``declared``: the start is what a user said it was."""
     return f"measured here, start{' as declared' if declared else ''}: {start_in_words(start)}"
 
 
-def pooled(queries: Sequence[QueryResult]) -> Cell:
+def pool(queries: Sequence[QueryResult]) -> Cell:
     """Return the cell of our queries of a column."""
     interval: Interval = recall(queries, _THRESHOLD)
     return Cell(*interval, queries=len(queries))

@@ -54,7 +54,7 @@ def query_overlay(
     """
     image = read_rgb(query.image, query.camera)
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
-    rows = spaced_points(truth, visible, sparse_map.track_length, _CELL)
+    rows = space_points(truth, visible, sparse_map.track_length, _CELL)
     truth = truth[rows]
     guess, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
 
@@ -110,7 +110,7 @@ def project_points(
     return projected.xy.numpy(), inside.numpy()
 
 
-def spaced_points(
+def space_points(
     xy: NDArray[np.float64],
     visible: NDArray[np.bool_],
     track_length: NDArray[np.int64],

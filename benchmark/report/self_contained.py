@@ -38,11 +38,11 @@ def fill(page: str, data: Mapping[str, Any], base: str | None = None) -> str:
         script=script,
         style_digest=_digest(style),
         script_digest=_digest(script),
-        data=embedded(data),
+        data=embed(data),
     )
 
 
-def embedded(data: Mapping[str, Any]) -> str:
+def embed(data: Mapping[str, Any]) -> str:
     """Return JSON for a script element, escaped so that no name in it can end the element."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     for sign in "<>&\u2028\u2029":

@@ -90,11 +90,11 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
     scene = Scene.open(path)
     page, picture = _outputs(path, results, out)
     sparse_map = scene.sparse_map()
-    added = scene.added_points(sparse_map)
+    added = scene.is_added_point(sparse_map)
     poses = {
         name: pose
         for session in scene.sessions
-        for name, pose in zip(*_posed(scene, session), strict=True)
+        for name, pose in zip(*_read_poses(scene, session), strict=True)
     }
     methods, others = [], []
     for source in results:
@@ -139,7 +139,7 @@ def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Pat
     return out, picture
 
 
-def _posed(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]]:
+def _read_poses(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]]:
     """Return the names of a session's photographs and their true poses."""
     frames = scene.frames(session)
     return frames.names, [Pose.from_matrix(matrix) for matrix in frames.cam_from_world]
@@ -184,7 +184,7 @@ def _map_objects(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) 
     seen: set[int] = set()
 
     def instances() -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
-        for image, layers in scene.mapped_layers(sparse_map, "instance"):
+        for image, layers in scene.layers_of_map(sparse_map, "instance"):
             seen.update(np.unique(layers["instance"]).tolist())
             yield image, layers["instance"]
 
@@ -208,7 +208,7 @@ def _data(
         "name": scene.name,
         "target": (0.5 * (low + high)).tolist(),
         "distance": 1.3 * float(np.linalg.norm(high - low)),
-        "clouds": [_packed(cloud) for cloud in content.clouds],
+        "clouds": [_pack(cloud) for cloud in content.clouds],
         "objects": [
             {
                 "size": shown.item.size_class,
@@ -244,7 +244,7 @@ def _data(
     }
 
 
-def _packed(cloud: Cloud) -> dict[str, Any]:
+def _pack(cloud: Cloud) -> dict[str, Any]:
     """Encode a cloud with 16 bits per coordinate; along 250 m a step is four millimetres."""
     total, most = len(cloud.xyz), MOST_POINTS[cloud.layer]
     kept = np.arange(total)
@@ -264,7 +264,7 @@ def _packed(cloud: Cloud) -> dict[str, Any]:
     }
 
 
-def _shown(scene: Scene, sparse_map: SparseMap) -> list[str]:
+def _list_names(scene: Scene, sparse_map: SparseMap) -> list[str]:
     """Return the names of the map's photographs, then of the queries."""
     queries = [name for names in scene.splits.queries.values() for name in names]
     return [*sparse_map.names, *queries]
@@ -278,7 +278,7 @@ def _cameras(
         frames = scene.frames(session)
         cameras.update(zip(frames.names, frames.cameras, strict=True))
     listed = []
-    for name in _shown(scene, sparse_map):
+    for name in _list_names(scene, sparse_map):
         mapped = sparse_map.images.get(name)
         pose = poses[name] if mapped is None else mapped.pose
         camera = cameras[name] if mapped is None else mapped.camera
@@ -302,7 +302,7 @@ def _cameras(
 
 
 def _photographs(scene: Scene, sparse_map: SparseMap) -> dict[str, str]:
-    names = _shown(scene, sparse_map)
+    names = _list_names(scene, sparse_map)
     count = min(len(names), MOST_PHOTOGRAPHS)
     chosen = [names[k] for k in np.linspace(0, len(names) - 1, count).astype(int)]
     packed = {}

@@ -44,7 +44,7 @@ class Consistency(NamedTuple):
     within_95: Interval
 
 
-def normalised_error(
+def compute_nees(
     estimate: Pose, reference: Pose, covariance: NDArray[np.float64] | None
 ) -> float | None:
     """Return the normalised estimation error squared (NEES) of a pose.

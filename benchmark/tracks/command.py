@@ -25,7 +25,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.exports.export import export
 from objconnect.scene.storage.outputs import check_output_folder, check_outputs
 from objconnect.scene.storage.packed import SUFFIX
-from simulate.command import finished_scene, simulate
+from simulate.command import find_finished, simulate
 from simulate.config import SimulateConfig
 
 # The preset of drives, which are exported to the tree of Extended CMU Seasons too.
@@ -167,7 +167,7 @@ def track(
             something else, rendering or mapping failed, or the board cannot be written.
     """
     chosen = load_track(name, board)
-    wanted = [(place, _configuration(chosen, place)) for place in chosen.chosen(tuple(places))]
+    wanted = [(place, _configuration(chosen, place)) for place in chosen.select(tuple(places))]
     check_output_folder(out, [board])
     if update:
         files = [_queries, _render]
@@ -175,7 +175,7 @@ def track(
             [board / name / DESCRIPTION, *(of(board, name, p) for p, _ in wanted for of in files)]
         )
     for place, config in wanted:
-        finished_scene(out / place.dataset, config)  # a wrong folder is told before hours of work
+        find_finished(out / place.dataset, config)  # a wrong folder is told before hours of work
     made = tuple(
         _make(place, config, out, _render(board, name, place), jobs, cluster)
         for place, config in wanted

@@ -41,9 +41,9 @@ def compact(results: Results) -> Results:
     prepare = {"prepare": _digits(summary.seconds.prepare, _DIGITS)}
     run = {
         "seconds": summary.seconds.model_copy(update=prepare),
-        "peak_memory_mb": _shortened(summary.peak_memory_mb),
+        "peak_memory_mb": _shorten(summary.peak_memory_mb),
     }
-    queries = tuple(_rounded(query) for query in results.queries)
+    queries = tuple(_round_query(query) for query in results.queries)
     shorter = {"queries": queries, "summary": summary.model_copy(update=run)}
     return rescore(results.model_copy(update=shorter))
 
@@ -60,7 +60,7 @@ def write_compact(path: Path, results: Results) -> None:
     """
     values = compact(results).model_dump(mode="json", by_alias=True)
     figures = {
-        key: _shortened(value)
+        key: _shorten(value)
         for key, value in values.items()
         if key == "summary" or key.startswith("by_")
     }
@@ -87,7 +87,7 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
     targets: dict[Path, Results] = {}
     for file in files:
         run = compact(load(file))
-        _require_recorded(track, run, file)
+        _require_results(track, run, file)
         method = file.name.removesuffix(SUFFIX).removesuffix(".json")
         target = folder / RESULTS / run.start / run.dataset.name / f"{method}{PACKED}"
         if targets.get(target, run) != run:
@@ -113,9 +113,9 @@ def store(targets: Mapping[Path, Results]) -> list[Path]:
     return list(targets)
 
 
-def _require_recorded(track: Track, run: Results, file: Path) -> None:
+def _require_results(track: Track, run: Results, file: Path) -> None:
     """Refuse results of another data set than the track's."""
-    (place,) = track.chosen((run.dataset.name,))
+    (place,) = track.select((run.dataset.name,))
     if run.dataset.sha256 not in place.renders:
         was = ", ".join(digest[:12] for digest in place.renders) or "none"
         raise InputError(
@@ -124,7 +124,7 @@ def _require_recorded(track: Track, run: Results, file: Path) -> None:
         )
 
 
-def _rounded(query: QueryResult) -> QueryResult:
+def _round_query(query: QueryResult) -> QueryResult:
     """Return a query with rounded numbers that are judged as the exact ones are."""
     pose = query.cam_from_world
     unjudged: dict[str, Any] = {
@@ -136,8 +136,7 @@ def _rounded(query: QueryResult) -> QueryResult:
         ),
     }
     judged: dict[str, Any] = {
-        key: _shortened(getattr(query, key))
-        for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees")
+        key: _shorten(getattr(query, key)) for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees")
     }
     judged["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
     rounded = query.model_copy(update=unjudged | judged)
@@ -154,10 +153,10 @@ def _verdicts(query: QueryResult) -> tuple[object, ...]:
     return figures.recall, figures.false_fixes, inside, bands
 
 
-def _shortened(value: Any) -> Any:
+def _shorten(value: Any) -> Any:
     """Return a figure, or figures by name, with as many digits as a reader compares."""
     if isinstance(value, dict):
-        return {key: _shortened(inner) for key, inner in value.items()}
+        return {key: _shorten(inner) for key, inner in value.items()}
     return _digits(value, _DIGITS) if isinstance(value, float) else value
 
 

@@ -73,7 +73,7 @@ class Track(Record):
             raise ValueError(f"two places have one name: {', '.join(names)}")
         return places
 
-    def chosen(self, names: tuple[str, ...] = ()) -> tuple[TrackPlace, ...]:
+    def select(self, names: tuple[str, ...] = ()) -> tuple[TrackPlace, ...]:
         """Return the places of these names in the track's order; all of them for no name.
 
         Raises:

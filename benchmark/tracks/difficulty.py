@@ -77,7 +77,7 @@ class View:
     time: float
 
 
-def compared(
+def compare(
     query: View, photograph: View, points: NDArray[np.float64], depth: NDArray[np.float32]
 ) -> tuple[float, float] | None:
     """Return scale and angle (degrees) between a query and a map photograph.
@@ -133,7 +133,7 @@ def measure(scene: Scene) -> list[QueryRow]:
         for k, (name, depth) in enumerate(_depths(scene, frames, wanted), 1):
             for query in asked:
                 if name in shares[query]:
-                    pair = compared(views[query], views[name], points[query], depth)
+                    pair = compare(views[query], views[name], points[query], depth)
                     if pair is not None:
                         found[query][name] = pair
             advance(len(points) + k)
@@ -146,7 +146,7 @@ def measure(scene: Scene) -> list[QueryRow]:
             part,
             _difficulty(views, name, shares[name], found[name], points[name]),
         )
-        for part, (session, name) in zip(parts, _asked(scene), strict=True)
+        for part, (session, name) in zip(parts, _iterate_queries(scene), strict=True)
     ]
 
 
@@ -184,7 +184,7 @@ def _views(frames: Frames) -> Iterator[tuple[str, View]]:
         yield name, View(frames.cameras[k], frames.cam_from_world[k], float(frames.time[k]))
 
 
-def _asked(scene: Scene) -> Iterator[tuple[str, str]]:
+def _iterate_queries(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield session and name of every query."""
     for session, names in scene.splits.queries.items():
         yield from ((session, name) for name in names)

@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.ingestion.adjustment import Adjusted
-from objconnect.ingestion.attitude import turned_over
-from objconnect.ingestion.given import as_given
+from objconnect.ingestion.attitude import find_upside_down
+from objconnect.ingestion.given import keep_imported
 from objconnect.ingestion.lenses import with_known_lenses
 from objconnect.ingestion.neighbours import alike, choose_pairs
 from objconnect.ingestion.outputs import (
     COVISIBILITY_POINTS,
     FRAMES,
-    owned_files,
+    list_own_files,
     sample,
-    seen_points,
+    sample_points,
     write_map,
     write_measurements,
 )
@@ -44,7 +44,7 @@ from objconnect.ingestion.plan import (
     Plan,
     flight_manifest,
     make_scene,
-    recorded_plan,
+    read_plan,
 )
 from objconnect.ingestion.positions import local, with_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
@@ -59,7 +59,7 @@ from objconnect.scene.colmap.registration import KnownMap, match_new, register_p
 from objconnect.scene.colmap.sift import read_features
 from objconnect.scene.colmap.structure_from_motion import RefinedLenses
 from objconnect.scene.errors import InputError
-from objconnect.scene.exports.matches import described_map, matched_pairs
+from objconnect.scene.exports.matches import iterate_matches, read_map_features
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.photographs import Photograph, PosedImage
@@ -133,7 +133,7 @@ def add_photographs(
     base = Scene.open(scene)
     base.require_lists()
     base.covisibility.of([*base.splits.map, *sum(base.splits.queries.values(), ())])
-    described_map(base)
+    read_map_features(base)
     session = _free_session(base)
     earlier = _earlier(base)
     flight = _without_earlier(read_flight(photographs, session), earlier, scene)
@@ -161,7 +161,7 @@ def add_photographs(
             out,
             plan,
             lambda: _build(out, source),
-            owned_files(flight.images, session) | set(base.manifest.sha256),
+            list_own_files(flight.images, session) | set(base.manifest.sha256),
             _manifest(source),
         )
 
@@ -176,7 +176,7 @@ def _free_session(base: Scene) -> str:
 def _earlier(base: Scene) -> dict[str, str]:
     """Return the photographs that went into a scene: file by digest, before and after copying."""
     files = {digest: name for name, digest in base.manifest.sha256.items() if "/images/" in name}
-    plan = recorded_plan(base.manifest)
+    plan = read_plan(base.manifest)
     if plan is not None:
         files |= plan.known | {digest: file for file, digest in plan.photographs.items()}
     return files
@@ -204,10 +204,10 @@ def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
     base, queries = source.base, source.queries
     _copy(base, out)
-    known = _known(base)
-    flight, model, turned = _registered(out, source, known)
+    known = _read_known_map(base)
+    flight, model, turned = _register(out, source, known)
     images, fixes = flight.images, source.fixes
-    placed = replace(as_given(_only(model, images), fixes), level="map")
+    placed = replace(keep_imported(_only(model, images), fixes), level="map")
     adjusted = Adjusted(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
     wrong = write_measurements(frames, adjusted, images, fixes, queries)
@@ -254,9 +254,9 @@ def _copy(base: Scene, out: Path) -> None:
             advance(done)
 
 
-def _known(base: Scene) -> KnownMap:
+def _read_known_map(base: Scene) -> KnownMap:
     """Return the map of a scene, with the poses of its frames where they are the map's."""
-    sparse_map, features = described_map(base)
+    sparse_map, features = read_map_features(base)
     exact: dict[str, Array] = {}
     for session in base.sessions:
         frames = base.frames(session)
@@ -267,10 +267,10 @@ def _known(base: Scene) -> KnownMap:
         pose = exact.get(name, image.cam_from_world)
         same = np.allclose(pose, image.cam_from_world, rtol=_ROUNDING, atol=_ROUNDING)
         images.append(PosedImage(name, image.camera, pose if same else image.cam_from_world))
-    return KnownMap(images, sparse_map, features, list(matched_pairs(base, sparse_map)))
+    return KnownMap(images, sparse_map, features, list(iterate_matches(base, sparse_map)))
 
 
-def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, SparseMap, set[str]]:
+def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, SparseMap, set[str]]:
     """Return the registered photographs, the map with them, and the rotated photographs."""
     root, models = out / "sessions", out / WORK / "models"
     base = source.base
@@ -292,8 +292,8 @@ def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Sp
         )
     if not turned:
         only = _only(model, flight.images)
-        where = as_given(only, source.fixes)
-        turned = turned_over(
+        where = keep_imported(only, source.fixes)
+        turned = find_upside_down(
             only,
             where,
             flight.images,
@@ -301,7 +301,7 @@ def _registered(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Sp
         )
         if turned:
             begin_again(out, turned, models)
-            return _registered(out, source, known)
+            return _register(out, source, known)
     poses = {image.name: image.cam_from_world for image in known.images}
     images = {
         name: replace(image, cam_from_world=poses.get(name, image.cam_from_world))
@@ -355,7 +355,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
     poses |= {name: model.images[name].cam_from_world for name in names}
     every = (*before.names, *names)
     points = [
-        seen_points(model, name, COVISIBILITY_POINTS)
+        sample_points(model, name, COVISIBILITY_POINTS)
         if name in model.images
         else sample(_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS)
         for name in every

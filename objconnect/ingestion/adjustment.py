@@ -97,7 +97,7 @@ def adjust(
     tell = _relief(raw) > _MIN_RELIEF
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
-    def adjusted(principal_point: bool) -> Adjusted:
+    def solve(principal_point: bool) -> Adjusted:
         out = work / ("adjusted-principal" if principal_point else "adjusted")
         refined = RefinedLenses(focal, principal_point)
         with atomic_folder(out) as folder:
@@ -111,9 +111,9 @@ def adjust(
             )
         return Adjusted(model, placed, refined, delay, {} if used is fixes else used, out)
 
-    best = adjusted(principal_point=False)
+    best = solve(principal_point=False)
     if _common_direction(raw, taken) < _MAX_COMMON_DIRECTION:
-        off_middle = adjusted(principal_point=True)
+        off_middle = solve(principal_point=True)
         least = (1 - _MIN_GAIN) * best.model.reprojection_error()
         if off_middle.model.reprojection_error() < least:
             best = off_middle
@@ -133,7 +133,7 @@ def _at_height(adjusted: Adjusted, fixes: Mapping[str, Array]) -> Adjusted:
         return adjusted
     up = float(np.median([fixes[name][2] - images[name].centre[2] for name in names]))
     shift = np.column_stack([np.eye(3), [0.0, 0.0, up]])
-    return replace(adjusted, model=adjusted.model.moved(shift))
+    return replace(adjusted, model=adjusted.model.transform(shift))
 
 
 def _place(

@@ -24,7 +24,7 @@ _MIN_SIGMA_DEG: Final = 0.1
 _OVER = np.diag([-1.0, -1.0, 1.0])
 
 
-def turned_over(
+def find_upside_down(
     model: SparseMap,
     placed: Georegistration,
     images: Sequence[FlightImage],

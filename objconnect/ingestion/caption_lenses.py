@@ -11,7 +11,7 @@ from objconnect.scene.quantities.decimal_marks import DecimalMarks
 from objconnect.scene.quantities.film_lens import (
     focal_on_film,
     millimetres_per_unit,
-    whole_numbers_are_scaled,
+    scales_whole_numbers,
     zoom_ratio,
 )
 from objconnect.scene.quantities.reading import Reading, known, unknown
@@ -62,10 +62,10 @@ def lenses_of(
     doubts = dict.fromkeys(doubt for each in of_each for doubt in each)
     if all(zoom is None for zoom in zooms):
         zooms = [known(1.0, ZOOMS[0])] * len(captions)
-    return Lenses(_filled(focals), _filled(zooms), tuple(doubts)[:3], of_each)
+    return Lenses(_fill_gaps(focals), _fill_gaps(zooms), tuple(doubts)[:3], of_each)
 
 
-def _filled(readings: Sequence[Reading[float] | None]) -> list[float | None]:
+def _fill_gaps(readings: Sequence[Reading[float] | None]) -> list[float | None]:
     """Return values; where a subtitle says nothing, the one that all others have."""
     values = {reading.value for reading in readings if reading is not None}
     same = values.pop() if len(values) == 1 else None
@@ -94,7 +94,7 @@ def _focals(
     written, numbers = zip(*understood, strict=True)
     unit = known(1.0, _FOCAL)
     if not any("mm" in text for text in written):
-        scaled = whole_numbers_are_scaled(apertures, _writes_ten_thousandths(captions))
+        scaled = scales_whole_numbers(apertures, _writes_ten_thousandths(captions))
         unit = millimetres_per_unit(written, numbers, scaled, lenses)
     found: list[Reading[float] | None] = []
     for text, number in zip(texts, read, strict=True):
@@ -103,7 +103,7 @@ def _focals(
             continue
         millimetres = None if unit.value is None else focal_on_film(unit.value * number)
         doubts = unit.doubts
-        if unit.known and millimetres is None:
+        if unit.is_known and millimetres is None:
             doubts = (*doubts, f"{_FOCAL} {text} is no focal length on 35 mm film")
         found.append(Reading(millimetres, _FOCAL, doubts))
     return found
@@ -134,7 +134,7 @@ def _zooms(captions: Sequence[Caption], marks: DecimalMarks) -> list[Reading[flo
     for caption in captions:
         names = [name for name in caption.fields if "zoom" in name]
         readings = [_zoom(name, caption.fields[name], marks, in_ten_thousandths) for name in names]
-        bad = [reading for reading in readings if not reading.known]
+        bad = [reading for reading in readings if not reading.is_known]
         told = [reading for name, reading in zip(names, readings, strict=True) if name in ZOOMS]
         found.append(bad[0] if bad else told[0] if told else None)
     return found

@@ -13,7 +13,7 @@ from objconnect.scene.quantities.coordinate_order import (
     Pair,
     PairedTrack,
     order_of,
-    placed,
+    to_lat_lon,
     without_jumps,
 )
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
@@ -76,7 +76,7 @@ def places_of(captions: Sequence[Caption], marks: DecimalMarks, near: Pair | Non
         for row in rows:
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
-                places[row] = placed(pair, order.value)
+                places[row] = to_lat_lon(pair, order.value)
     kept = without_jumps(seconds, places)
     lost = [row for row, place in enumerate(places) if place is not None and kept[row] is None]
     of_each |= dict.fromkeys(lost, "its position is where no drone can have flown")
@@ -92,33 +92,35 @@ def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
     latitude = next((fields[name] for name in LATITUDES if name in fields), None)
     longitude = next((fields[name] for name in LONGITUDES if name in fields), None)
     if latitude is not None and longitude is not None:
-        return _named(latitude, longitude, marks)
+        return _fix_by_names(latitude, longitude, marks)
     name = next((name for name in _PAIRS if name in caption.tuples), None)
     if name is not None:
-        return _paired(name, caption.tuples[name], marks)
+        return _fix_by_pair(name, caption.tuples[name], marks)
     bare = next((name for name in _PAIRS if name in fields), None)
     return (
-        _Fix() if bare is None else _Fix(doubt=_not_understood(bare.upper(), fields[bare], marks))
+        _Fix() if bare is None else _Fix(doubt=_describe_unknown(bare.upper(), fields[bare], marks))
     )
 
 
-def _named(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
+def _fix_by_names(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
     place = tuple(
-        _spelled(text, axis) if (number := _coordinate(text, letters, marks)) is None else number
+        _parse_coordinate(text, axis)
+        if (number := _coordinate(text, letters, marks)) is None
+        else number
         for text, letters, axis in ((latitude, "NS", LATITUDE), (longitude, "EW", LONGITUDE))
     )
     for name, text, number in zip(
         ("latitude", "longitude"), (latitude, longitude), place, strict=True
     ):
         if number is None:
-            return _Fix(doubt=_not_understood(name, text, marks))
+            return _Fix(doubt=_describe_unknown(name, text, marks))
     here = _on_earth(place[0], place[1])
     if here is None and any(place):
         return _Fix(doubt=f"latitude {latitude[:40]}, longitude {longitude[:40]} is not on earth")
     return _Fix(place=here)
 
 
-def _spelled(text: str, axis: Axis) -> float | None:
+def _parse_coordinate(text: str, axis: Axis) -> float | None:
     """Return a coordinate with a word for its direction, or with minutes and seconds."""
     # A comma divides numbers in some spellings and is a decimal mark in others.
     return None if "," in text else parse_coordinate(text, axis, axis.tag, signed=True).value
@@ -134,8 +136,8 @@ def _coordinate(text: str, letters: str, marks: DecimalMarks) -> float | None:
     return _SIGNS[letter] * number if letter in letters and number >= 0 else None
 
 
-def _paired(name: str, inner: str, marks: DecimalMarks) -> _Fix:
-    doubt = _not_understood(name.upper(), f"({inner})", marks)
+def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
+    doubt = _describe_unknown(name.upper(), f"({inner})", marks)
     parts = parts_of(inner)
     if not 2 <= len(parts) <= 3:
         return _Fix(doubt=doubt)
@@ -155,14 +157,14 @@ def _paired(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     )
     if first is None or second is None:
         return _Fix(doubt=doubt)
-    return _Fix(place=_on_earth(*placed((first, second), _first_is(kinds[0]))))
+    return _Fix(place=_on_earth(*to_lat_lon((first, second), _first_is(kinds[0]))))
 
 
 def _first_is(kind: str) -> Order:
     return "latitude" if kind == "NS" else "longitude"
 
 
-def _not_understood(name: str, text: str, marks: DecimalMarks) -> str:
+def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
     why = f": {marks.doubt}" if marks.doubt else ""
     return f"{name} {text[:40]} is not understood{why}"
 
@@ -178,14 +180,14 @@ def _track(
 ) -> PairedTrack:
     """Return what the subtitles tell of the order of their pairs."""
     homes = {
-        _paired("home", captions[row].tuples["home"], marks): None
+        _fix_by_pair("home", captions[row].tuples["home"], marks): None
         for row in rows
         if "home" in captions[row].tuples
     }
     distances, speeds = [], []
     for at, row in enumerate(rows):
-        distance = _stated(captions[row].fields, "d", "m", marks)
-        speed = _stated(captions[row].fields, "h.s", "m/s", marks)
+        distance = _read_metres(captions[row].fields, "d", "m", marks)
+        speed = _read_metres(captions[row].fields, "h.s", "m/s", marks)
         distances += [] if distance is None else [(at, distance)]
         speeds += [] if speed is None else [speed]
     return PairedTrack(
@@ -198,6 +200,8 @@ def _track(
     )
 
 
-def _stated(fields: Mapping[str, str], name: str, unit: str, marks: DecimalMarks) -> float | None:
+def _read_metres(
+    fields: Mapping[str, str], name: str, unit: str, marks: DecimalMarks
+) -> float | None:
     number, written = quantity(fields.get(name), marks)
     return number if number is not None and written == unit and number >= 0 else None

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from objconnect.ingestion.addition import add_photographs
 from objconnect.ingestion.adjustment import Adjusted, adjust
-from objconnect.ingestion.attitude import turned_over
+from objconnect.ingestion.attitude import find_upside_down
 from objconnect.ingestion.control import fit_to_control
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
 from objconnect.ingestion.georeference import Receiver, georeference_of
 from objconnect.ingestion.georegister import georegister
-from objconnect.ingestion.given import Given, read_given, triangulated
+from objconnect.ingestion.given import Given, read_given, triangulate_imported
 from objconnect.ingestion.neighbours import choose_pairs
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.outputs import (
     FRAMES,
-    owned_files,
+    list_own_files,
     write_lists,
     write_map,
     write_measurements,
@@ -33,7 +33,7 @@ from objconnect.ingestion.photographs import (
     copy_photographs,
     photographs_of,
     read_flight,
-    stated_sigmas,
+    read_sigmas,
     warn_of_doubts,
 )
 from objconnect.ingestion.picture import PICTURE, draw
@@ -203,7 +203,7 @@ def _ingest(out: Path, source: _Source) -> IngestReport:
         out,
         source.plan,
         lambda: _build(out, source),
-        owned_files(source.flight.images, SESSION),
+        list_own_files(source.flight.images, SESSION),
         flight_manifest(source.plan, source.origin, SESSION),
     )
 
@@ -213,12 +213,12 @@ def _build(out: Path, source: _Source) -> IngestReport:
     taken, fixes, queries = source.taken, source.fixes, source.queries
     options = source.plan.options
     if source.given is not None:
-        flight, adjusted, turned = _as_given(out, source, source.given)
+        flight, adjusted, turned = _use_imported_poses(out, source, source.given)
     else:
         flight, model_path, turned = _structure(out, source)
         times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
         adjusted = adjust(model_path, taken, fixes, times, out / WORK)
-    points = [_as_placed(point, turned, taken) for point in source.control]
+    points = [_follow_rotation(point, turned, taken) for point in source.control]
     adjusted, residuals = fit_to_control(
         adjusted, points, source.origin, taken, out / WORK, options
     )
@@ -228,7 +228,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries)
     over = [image.file for image in images if image.name in turned]
-    receiver = Receiver(fixes, {} if source.plan.gps is not None else stated_sigmas(images))
+    receiver = Receiver(fixes, {} if source.plan.gps is not None else read_sigmas(images))
     placed = georeference_of(model, adjusted.placed, receiver, residuals, options)
     findings = Findings(wrong_attitudes, over, residuals, placed)
     report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
@@ -247,7 +247,9 @@ def _build(out: Path, source: _Source) -> IngestReport:
     return report
 
 
-def _as_placed(point: ControlPoint, turned: set[str], taken: Sequence[Photograph]) -> ControlPoint:
+def _follow_rotation(
+    point: ControlPoint, turned: set[str], taken: Sequence[Photograph]
+) -> ControlPoint:
     """Return a point with its marks in photographs as they are in the scene, where some are
     rotated."""
     size = {p.name: np.array([p.camera.width, p.camera.height]) for p in taken}
@@ -255,7 +257,9 @@ def _as_placed(point: ControlPoint, turned: set[str], taken: Sequence[Photograph
     return replace(point, marks=marks)
 
 
-def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjusted, set[str]]:
+def _use_imported_poses(
+    out: Path, source: _Source, given: Given
+) -> tuple[Flight, Adjusted, set[str]]:
     """Return the photographs, their model with the given poses, and no rotated photographs."""
     placed = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
     _require(placed, source.folder)
@@ -263,7 +267,7 @@ def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjuste
     taken = [photograph for photograph in source.taken if photograph.name in set(there)]
     options, database = source.plan.options, out / WORK / DATABASE
     _match(taken, given.centres, options, out)
-    adjusted = triangulated(given, there, source.fixes, out / "sessions", database)
+    adjusted = triangulate_imported(given, there, source.fixes, out / "sessions", database)
     return placed, adjusted, set()
 
 
@@ -282,7 +286,7 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     if not turned:
         raw = read_model(model_path)
         where = georegister(raw, fixes)
-        turned = turned_over(raw, where, placed.images)
+        turned = find_upside_down(raw, where, placed.images)
         if turned:
             begin_again(out, turned, model_path.parent)
             return _structure(out, source)

@@ -74,7 +74,7 @@ def control_text(points: Sequence[ControlResidual]) -> list[str]:
     return lines
 
 
-def seen_by(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Array, float] | None:
+def triangulate_marks(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Array, float] | None:
     """Return the point that marks show, (3,) world metres, and their distance from it.
 
     The point has the least sum of squared distances in pixels, by Gauss and Newton. The distance is
@@ -136,7 +136,9 @@ def fit_to_control(
         options: sigma of the points.
     """
     surveyed = {point.name: point.position(origin) for point in points}
-    found = {p.name: seen[0] for p in points if (seen := seen_by(adjusted.model, p.marks))}
+    found = {
+        p.name: seen[0] for p in points if (seen := triangulate_marks(adjusted.model, p.marks))
+    }
     free = [p for p in points if p.name in found and not p.check]
     wrong = _wrong(
         np.array([found[p.name] for p in free]).reshape(-1, 3),
@@ -154,7 +156,7 @@ def fit_to_control(
             for p in used
         ]
         there = np.array([found[p.name] for p in used])
-        adjusted = _fitted(adjusted, fixed, there, taken, work)
+        adjusted = _fit_to_control(adjusted, fixed, there, taken, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
@@ -168,7 +170,7 @@ def _wrong(found: Array, surveyed: Array) -> NDArray[np.bool_]:
     return ~robust_similarity(found, surveyed, _WRONG_M)[1]
 
 
-def _fitted(
+def _fit_to_control(
     adjusted: Adjusted,
     points: Sequence[SurveyedPoint],
     found: Array,
@@ -179,7 +181,7 @@ def _fitted(
     surveyed = np.array([point.xyz for point in points])
     if len(points) < _FEWEST or is_on_a_line(found):
         shift = np.column_stack([np.eye(3), (surveyed - found).mean(0)])
-        return replace(adjusted, model=adjusted.model.moved(shift))
+        return replace(adjusted, model=adjusted.model.transform(shift))
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,
@@ -201,7 +203,7 @@ def _residual(
     model: SparseMap, point: ControlPoint, role: Role, surveyed: Array
 ) -> ControlResidual:
     marks = len(_inside(point.marks, model))
-    seen = seen_by(model, point.marks)
+    seen = triangulate_marks(model, point.marks)
     if seen is None:
         return ControlResidual(name=point.name, role=role, marks=marks)
     east, north, up = (seen[0] - surveyed).tolist()

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.photographs import Flight, reduced
+from objconnect.ingestion.photographs import Flight, reduce_size
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.named_systems import NamedSystem, named_system
+from objconnect.scene.geo.named_systems import NamedSystem, parse_system
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.storage.files import read_text
@@ -71,14 +71,14 @@ def read_control_points(
         for number, line in enumerate(lines, 2)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    system = named_system(header, f"{path}:1")
+    system = parse_system(header, f"{path}:1")
     images = {image.file: image for image in flight.images}
     listed = dict.fromkeys(row[5] for _, row in rows if len(row) > 5)
     of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
     points: dict[str, ControlPoint] = {}
     coordinates: dict[str, tuple[float, ...]] = {}
     for where, row in rows:
-        *numbers, photograph, name = _parsed(where, row)
+        *numbers, photograph, name = _parse_row(where, row)
         xyz, pixel = tuple(numbers[:3]), np.array(numbers[3:])
         name = name or next((n for n, known in coordinates.items() if known == xyz), "")
         name = name or f"point {len(points) + 1}"
@@ -94,14 +94,14 @@ def read_control_points(
         image = images[of[photograph]]
         if image.name in points[name].marks:
             raise InputError(f"{where}: {name!r} is marked twice in {photograph}")
-        scale = np.array(reduced(image, size)) / np.array(image.size)
+        scale = np.array(reduce_size(image, size)) / np.array(image.size)
         points[name].marks[image.name] = (pixel + 0.5) * scale
     _require(path, points, listed, flight, checks)
     _require_near(path, coordinates, system, flight)
     return list(points.values())
 
 
-def _parsed(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
+def _parse_row(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
     try:
         numbers = [float(word) for word in row[:5]]
     except ValueError:

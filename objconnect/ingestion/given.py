@@ -18,9 +18,9 @@ from objconnect.ingestion.georegister import (
     georegister,
     rms_of,
 )
-from objconnect.ingestion.photographs import Flight, fitted
+from objconnect.ingestion.photographs import Flight, scale_camera
 from objconnect.scene.colmap.structure_from_motion import RefinedLenses
-from objconnect.scene.colmap.triangulation import triangulate_matched
+from objconnect.scene.colmap.triangulation import triangulate_again
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -111,13 +111,13 @@ def read_given(
         camera = calibration or foreign.cameras[k]
         if camera is None:
             raise InputError(f"{path} tells no camera of {image.file}: give --camera")
-        sized = fitted(camera, size, image)
+        sized = scale_camera(camera, size, image)
         images[image.name] = PosedImage(image.name, sized, foreign.cam_from_world[k])
     left = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in found}
     return flight.without(left), Given(images, foreign.origin)
 
 
-def triangulated(
+def triangulate_imported(
     given: Given,
     there: Sequence[str],
     fixes: Mapping[str, Array],
@@ -139,14 +139,14 @@ def triangulated(
     images = [given.images[name] for name in there]
     lenses, folder = RefinedLenses(()), database.parent / "given"
     with atomic_folder(folder) as partial:
-        raw, _ = triangulate_matched(root, images, database, partial)
+        raw, _ = triangulate_again(root, images, database, partial)
     if given.origin is not None:
-        return Adjusted(raw, as_given(raw, fixes), lenses, 0.0, {}, folder)
+        return Adjusted(raw, keep_imported(raw, fixes), lenses, 0.0, {}, folder)
     placed = georegister(raw, fixes)
-    return Adjusted(raw.moved(placed.world_from_model), placed, lenses, 0.0, {}, folder)
+    return Adjusted(raw.transform(placed.world_from_model), placed, lenses, 0.0, {}, folder)
 
 
-def as_given(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
+def keep_imported(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
     """Return the placement of a model that is in the world, and the fixes that contradict it."""
     names = [name for name in model.names if name in fixes]
     off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)

@@ -94,12 +94,12 @@ def find_delay(
     similarity = np.hstack([[one, zero, x, -y], [zero, one, y, x]]).T
     basis = np.linalg.qr(similarity)[0]
 
-    def unexplained(values: Array) -> Array:
+    def residuals_at(values: Array) -> Array:
         stacked = values.T.ravel()
         return np.asarray(stacked - basis @ (basis.T @ stacked))
 
-    off = unexplained(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
-    moved = np.array([unexplained(velocity * way[numbers, None]) for way in ways])
+    off = residuals_at(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
+    moved = np.array([residuals_at(velocity * way[numbers, None]) for way in ways])
     along = moved @ off
     squares = np.square(moved).sum(1)
     explained = np.square(along) / np.maximum(squares, 1e-12)

@@ -60,7 +60,7 @@ def with_known_lenses(
         size = photograph.camera.width, photograph.camera.height
         camera = next((c for like, c in known if lens.is_like(like) and _has_shape(c, size)), None)
         if camera is not None:
-            shared = camera.resized(*size)
+            shared = camera.resize(*size)
             photograph = Photograph(image.name, shared, image.lens, True, True)
         found.append(photograph)
     return found

@@ -21,7 +21,7 @@ from objconnect.scene.bundle.manifest import Objects, Splits, write_json
 from objconnect.scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES
 from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.registration import KnownMap
-from objconnect.scene.colmap.triangulation import triangulate_matched
+from objconnect.scene.colmap.triangulation import triangulate_again
 from objconnect.scene.maps.features import features_key, write_features
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -89,7 +89,7 @@ def write_measurements(
     return wrong
 
 
-def owned_files(images: Sequence[FlightImage], session: str) -> set[str]:
+def list_own_files(images: Sequence[FlightImage], session: str) -> set[str]:
     """Return the files that we write into the folder of a scene, for ``remove_owned``."""
     copies = [f"sessions/{image.name}" for image in images]
     lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, PICTURE.as_posix()]
@@ -127,11 +127,13 @@ def write_map(
     ]
     with atomic_folder(out / "map", MAP_FILES) as folder:
         root, before = out / "sessions", None if known is None else known.sparse_map
-        sparse_map, features = triangulate_matched(root, images, database, folder, before)
+        sparse_map, features = triangulate_again(root, images, database, folder, before)
         # What is not known of the features of some is not known of all.
-        sound = known is None or known.features.made_of == _sift_key(root, known.sparse_map.names)
-        made_of = _sift_key(root, sparse_map.names) if sound else ""
-        write_features(folder / FEATURES, features, made_of)
+        sound = known is None or known.features.inputs_digest == _sift_key(
+            root, known.sparse_map.names
+        )
+        key = _sift_key(root, sparse_map.names) if sound else ""
+        write_features(folder / FEATURES, features, key)
     return sparse_map
 
 
@@ -163,13 +165,13 @@ def write_lists(
 
 def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
     """Measure covisibility on points in view; without depth, hidden points count as seen."""
-    points = np.stack([seen_points(model, name, COVISIBILITY_POINTS) for name in names])
+    points = np.stack([sample_points(model, name, COVISIBILITY_POINTS) for name in names])
     images = [model.images[name] for name in names]
     poses = np.stack([image.cam_from_world for image in images])
     return Covisibility(names, visible_share([image.camera for image in images], poses, points))
 
 
-def seen_points(model: SparseMap, name: str, number: int) -> NDArray[np.float64]:
+def sample_points(model: SparseMap, name: str, number: int) -> NDArray[np.float64]:
     """Return points that a photograph of a model observes, (number, 3); NaN where it has fewer."""
     rows = model.images[name].point_rows
     return sample(model.xyz[rows[rows >= 0]], number)

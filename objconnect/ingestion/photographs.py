@@ -17,7 +17,7 @@ from objconnect.scene.quantities.focal import FILM_LENGTH
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
-from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, write_resized
+from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, resize_file
 from objconnect.scene.storage.listing import list_files
 
 log = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ class Flight:
         return replace(self, images=images, left_out=self.left_out | reasons)
 
 
-def stated_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, float]]:
+def read_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, float]]:
     """Return the standard deviations that receivers state of positions in EXIF, by name.
 
     They are to the east, north and up, metres. Photographs whose receiver states none are missing.
@@ -192,7 +192,7 @@ def copy_photographs(
                 except InputError as error:
                     damaged[image.file] = str(error)
                 else:
-                    write_resized(folder / image.file, target, size, over=image.name in turned)
+                    resize_file(folder / image.file, target, size, over=image.name in turned)
             advance(done)
     return flight.without(damaged)
 
@@ -216,13 +216,13 @@ def photographs_of(
     for image in images:
         focal = image.exif.focal_in_longest_sides
         if calibration is None:
-            width, height = reduced(image, longest)
+            width, height = reduce_size(image, longest)
             likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL
             pixels = (focal or likely) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:
-            camera = fitted(calibration, longest, image)
+            camera = scale_camera(calibration, longest, image)
         photographs.append(
             Photograph(
                 image.name,
@@ -236,20 +236,20 @@ def photographs_of(
     return photographs
 
 
-def reduced(image: FlightImage, longest: int) -> tuple[int, int]:
+def reduce_size(image: FlightImage, longest: int) -> tuple[int, int]:
     """Return width and height of a photograph in the scene, whose longest side is at most that."""
     scale = min(1.0, longest / max(image.size))
     width, height = (round(scale * side) for side in image.size)
     return width, height
 
 
-def fitted(calibration: Camera, longest: int, image: FlightImage) -> Camera:
+def scale_camera(calibration: Camera, longest: int, image: FlightImage) -> Camera:
     """Return a calibration at the size that a photograph has in the scene.
 
     Raises:
         InputError: the calibration is for images of another shape.
     """
-    width, height = reduced(image, longest)
+    width, height = reduce_size(image, longest)
     # Sides are whole pixels, so that a smaller picture's shape may be off by one of them.
     if abs(calibration.width * height - calibration.height * width) > max(
         calibration.width, calibration.height
@@ -258,4 +258,4 @@ def fitted(calibration: Camera, longest: int, image: FlightImage) -> Camera:
             f"the camera is {calibration.width} x {calibration.height} pixels but {image.file} is "
             f"{image.size[0]} x {image.size[1]}: give a calibration of its shape"
         )
-    return calibration.resized(width, height)
+    return calibration.resize(width, height)

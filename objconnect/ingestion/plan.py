@@ -14,7 +14,7 @@ from objconnect.ingestion.split import Split
 from objconnect.scene.bundle.manifest import Manifest, Session, read_json
 from objconnect.scene.bundle.scene import MANIFEST, Scene, finish_scene
 from objconnect.scene.colmap.structure_from_motion import Mapper
-from objconnect.scene.config import as_recorded
+from objconnect.scene.config import take_recorded
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, remove_owned
@@ -55,7 +55,7 @@ class Plan(BaseModel):
     @field_validator("options", mode="before")
     @classmethod
     def _of_any_version(cls, options: object) -> object:
-        return as_recorded(IngestOptions, options) if isinstance(options, dict) else options
+        return take_recorded(IngestOptions, options) if isinstance(options, dict) else options
 
 
 def resumable(out: Path, plan: Plan) -> ResumableFolder:
@@ -69,11 +69,11 @@ def resumable(out: Path, plan: Plan) -> ResumableFolder:
     return ResumableFolder(out, out / WORK / _PLAN, request, difference)
 
 
-def finished(out: Path, plan: Plan) -> bool:
+def is_finished(out: Path, plan: Plan) -> bool:
     """Return whether the folder holds this very flight already; refuse any other content."""
     unfinished = resumable(out, plan)
     if (out / MANIFEST).is_file():
-        if recorded_plan(Scene.open(out).manifest) != plan:
+        if read_plan(Scene.open(out).manifest) != plan:
             raise InputError(
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
@@ -123,7 +123,7 @@ def make_scene(
     Raises:
         InputError: The folder holds something else, or as ``build``.
     """
-    if finished(out, plan):
+    if is_finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
     unfinished = resumable(out, plan)
     unfinished.begin()
@@ -140,7 +140,7 @@ def make_scene(
     return report
 
 
-def recorded_plan(manifest: Manifest) -> Plan | None:
+def read_plan(manifest: Manifest) -> Plan | None:
     """Return the plan that a scene was made by; None if it was not made of photographs.
 
     Options that came later than the scene had the effect of their defaults.

@@ -68,14 +68,14 @@ def _read(table: Path) -> dict[str, Geodetic]:
     text = read_text(table, "table of positions").lstrip("\ufeff")
     reader = csv.DictReader(io.StringIO(text, newline=""))
     try:
-        return _parsed(reader, table)
+        return _parse_table(reader, table)
     except csv.Error as error:
         raise InputError(
             f"{table}, line {reader.line_num}: {error}: is there a stray quote?"
         ) from None
 
 
-def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
+def _parse_table(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
     header = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
     require_commas(header, str(table))
     for column in _COLUMNS:

@@ -139,12 +139,14 @@ class IngestReport(BaseModel):
             "position on earth: "
             + ("unknown" if self.georeference is None else self.georeference.text()),
             *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
-            *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
-            *_listed(
+            *_list_reasons("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
+            *_list_reasons(
                 "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
             ),
-            *_listed("turned back", dict.fromkeys(self.turned, "by 180°, as its gimbal says")),
-            *_listed("left out", self.left_out),
+            *_list_reasons(
+                "turned back", dict.fromkeys(self.turned, "by 180°, as its gimbal says")
+            ),
+            *_list_reasons("left out", self.left_out),
         ]
         return "\n".join(lines)
 
@@ -168,7 +170,7 @@ def gps_remark(level: str, gps: Residuals | None) -> list[str]:
     ]
 
 
-def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:
+def _list_reasons(what: str, reasons: Mapping[str, str]) -> list[str]:
     lines = [f"{what}: {name}: {reason}" for name, reason in list(reasons.items())[:_SHOWN]]
     more = len(reasons) - len(lines)
     return [*lines, f"{what}: {more} more, all in ingest.json"] if more > 0 else lines

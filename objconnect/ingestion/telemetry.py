@@ -91,7 +91,7 @@ class Telemetry:
     lens_doubts: tuple[str, ...] = ()
 
     @property
-    def zoomed_mm(self) -> float | None:
+    def effective_mm(self) -> float | None:
         """Return the focal length on 35 mm film with the digital zoom, millimetres."""
         if self.focal_mm is None or self.zoom is None:
             return None

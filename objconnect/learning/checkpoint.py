@@ -21,7 +21,7 @@ from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import parse_json
 
 
-def shipped(path: Path) -> Path:
+def shipped_path(path: Path) -> Path:
     """Return the path of shipped weights, which lie beside the code that reads them.
 
     Raises:

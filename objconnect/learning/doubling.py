@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, from_numpy
 
-from objconnect.scene.runtime.loops import compiled
+from objconnect.scene.runtime.loops import compile_loop
 
 _SIGNATURE: Final = "void(u1[:,:,:,::1], u1[:,:,:,::1], i2[::1])"
 
 
-def doubled_integers(maps: Tensor) -> Tensor:
+def double_integers(maps: Tensor) -> Tensor:
     """Return what ``quantization.doubled`` returns of uint8 maps (B, C, h, w)."""
     cells = maps.permute(0, 2, 3, 1).contiguous().numpy()
     batch, height, width, channels = cells.shape
     made = np.empty((batch, 2 * height, 2 * width, channels), np.uint8)
     # A row with a column more at either end.
     row = np.empty((width + 2) * channels, np.int16)
-    compiled(_double, _SIGNATURE)(cells, made, row)
+    compile_loop(_double, _SIGNATURE)(cells, made, row)
     return from_numpy(made).permute(0, 3, 1, 2)
 
 

@@ -21,7 +21,7 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
-def resolved(precision: str) -> str:
+def resolve_precision(precision: str) -> str:
     """Return the precision that is used on this processor: ``auto`` becomes one of the others."""
     if precision != "auto":
         return precision
@@ -49,7 +49,7 @@ def processor_maker() -> str:
     return next((line.split()[-1] for line in lines if line.startswith("vendor_id")), "")
 
 
-Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(resolved)]
+Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(resolve_precision)]
 """Precision of the convolutions; ``auto`` is bfloat16 where the processor has units for it, and
 becomes what it stands for in every configuration, so that results record it."""
 
@@ -57,7 +57,7 @@ becomes what it stands for in every configuration, so that results record it."""
 _FUSED: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
 
 
-def _computed_here(dtype: torch.dtype) -> bool:
+def _has_fast_units(dtype: torch.dtype) -> bool:
     """Return whether oneDNN computes in a type on this processor: half types need units."""
     return dtype == torch.float32 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
@@ -75,7 +75,7 @@ class ConvReLU(nn.Module):
         """Return the maps (B, C, h, w) after both."""
         layer = self.convolution
         maps = maps.to(layer.weight.dtype)
-        if _FUSED is None or maps.device.type != "cpu" or not _computed_here(maps.dtype):
+        if _FUSED is None or maps.device.type != "cpu" or not _has_fast_units(maps.dtype):
             return torch.relu_(layer(maps))
         where = (layer.padding, layer.stride, layer.dilation, layer.groups)
         result: Tensor = _FUSED(maps, layer.weight, layer.bias, *where, "relu", [], "")
@@ -116,11 +116,11 @@ def fold(network: nn.Module, precision: str) -> None:
         network: with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
         precision: of the convolutions of encoder and decoder.
     """
-    dtype = torch.bfloat16 if resolved(precision) == "bfloat16" else torch.float32
+    dtype = torch.bfloat16 if resolve_precision(precision) == "bfloat16" else torch.float32
     for name in ("encoder", "decoder"):
         for module in [*network.get_submodule(name).modules()]:
             if isinstance(module, nn.Sequential):
-                layers = [*_folded([*module], dtype)]
+                layers = [*_fold([*module], dtype)]
                 del module[:]
                 module.extend(layers)
     for name in ("features", "confidence"):
@@ -131,7 +131,7 @@ def fold(network: nn.Module, precision: str) -> None:
             heads[number] = CellwiseConv(head.requires_grad_(False))
 
 
-def _folded(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
+def _fold(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
     """Yield the layers of a sequence, with those of one pass as one."""
     while layers:
         layer = layers.pop(0)

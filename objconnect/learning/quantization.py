@@ -33,11 +33,11 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
     largest: Channelwise = {}
 
     def watch(name: str, module: ConvReLU) -> torch.utils.hooks.RemovableHandle:
-        def seen(_module: nn.Module, _inputs: tuple[Tensor, ...], maps: Tensor) -> None:
+        def observe(_module: nn.Module, _inputs: tuple[Tensor, ...], maps: Tensor) -> None:
             here = maps.detach().amax((0, 2, 3)).float()
             largest[name] = torch.maximum(largest.get(name, here), here)
 
-        return module.register_forward_hook(seen)
+        return module.register_forward_hook(observe)
 
     # Whole pictures: at the border of a strip the network sees zeros that no picture has there.
     encoder = network.get_submodule("encoder").train()
@@ -67,7 +67,7 @@ def require_quantizable(network: nn.Module) -> None:
         raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
 
 
-def quantized(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
+def quantize(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
     """Return a copy of a folded network whose convolutions take and give integers of eight bits.
 
     Args:
@@ -138,14 +138,14 @@ def _quantize_decoder(
     return levels
 
 
-def doubled(maps: Tensor) -> Tensor:
+def double(maps: Tensor) -> Tensor:
     """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
     if loops_serve(maps.device):
-        from objconnect.learning.doubling import doubled_integers
+        from objconnect.learning.doubling import double_integers
 
-        return doubled_integers(maps)
+        return double_integers(maps)
     # A cell is three parts of the one that it lies in and one part of the next, along either axis.
     wide = maps.permute(0, 2, 3, 1).to(torch.int16)
     for axis, shift, half in ((1, 0, 0), (2, 4, 8)):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
-from objconnect.learning.quantization import doubled
+from objconnect.learning.quantization import double
 from objconnect.learning.vgg import channels
 
 STRIDES: Final = (16, 8, 4, 2, 1)
@@ -197,7 +197,7 @@ def _decode(
             if left >= right:
                 continue
         high, wide = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
-        up = doubled(coarse[..., high.coarse, wide.coarse])
+        up = double(coarse[..., high.coarse, wide.coarse])
         fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
         up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
         made = head(step(torch.cat([up, fine], 1)))

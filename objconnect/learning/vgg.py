@@ -72,7 +72,7 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
     if finest > 1 and not encoder.training:
         maps = _in_strips(nn.Sequential(first, pooling), image)
     else:
-        maps = first(_normalised(image))
+        maps = first(_normalise(image))
         if finest == 1:
             blocks.append(maps)
         maps = pooling(maps)
@@ -88,7 +88,7 @@ def in_unit(image: Tensor) -> Tensor:
     return image / 255 if image.dtype == torch.uint8 else image
 
 
-def _normalised(image: Tensor) -> Tensor:
+def _normalise(image: Tensor) -> Tensor:
     image = in_unit(image)
     mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
     return torch.addcmul(-mean / std, image, 1 / std)  # in one pass
@@ -109,7 +109,7 @@ def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
         begin = min(max(2 * done - _HALO, 0), height - count)
         end = begin + count
         last = height // 2 if end == height else (end - _HALO) // 2
-        made = layers(_normalised(image[..., begin:end, :]))
+        made = layers(_normalise(image[..., begin:end, :]))
         if pooled is None:
             batch, depth, _, width = made.shape
             pooled = made.new_empty((batch, height // 2, width, depth)).permute(0, 3, 1, 2)

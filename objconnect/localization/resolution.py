@@ -60,7 +60,7 @@ def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
         shrunk: gives the pixels seen per pixel of a camera's photographs.
     """
     resolutions = [
-        metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+        metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
         / shrunk(image.camera)
         for image in sparse_map.images.values()
     ]
@@ -68,7 +68,7 @@ def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
     return float(np.median(known)) if known else math.nan
 
 
-def observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+def observed_xyz(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
     """Return the points that a photograph of a map observes, (N, 3)."""
     return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
 

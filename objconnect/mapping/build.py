@@ -109,7 +109,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
         rendered = scene.manifest.preset is not None
         if rendered:
             draw_pictures(scene)
-    instances = scene.mapped_layers(sparse_map, "instance")
+    instances = scene.layers_of_map(sparse_map, "instance")
     owners = objects_of_points(
         len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
     )

@@ -81,7 +81,7 @@ class LaidOut:
         return len(self.offset)
 
 
-def laid_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> LaidOut:
+def lay_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> LaidOut:
     """Lay the objects of a photograph out on level ground; lengths are in heights above it.
 
     Args:
@@ -126,7 +126,7 @@ class Connector:
         self._candidates = candidates
         self._xy = landmarks.xyz[:, :2]
         with torch.inference_mode():
-            self._described = described_landmarks(graph, landmarks)
+            self._described = describe_landmarks(graph, landmarks)
 
     @torch.inference_mode()
     def __call__(
@@ -146,12 +146,12 @@ class Connector:
             headings: to try, rad, counter-clockwise turns of the camera about the vertical.
             heights: above the ground to try, metres.
         """
-        laid = laid_out(found, camera, base)
+        laid = lay_out(found, camera, base)
         if len(laid) < _LEAST_OBJECTS or not len(self._landmarks):
             return []
         assumed = [(heading, height) for heading in headings for height in heights]
-        starts = self._voted(laid, np.array(assumed))
-        refined, scores = self._refined(laid, starts)
+        starts = self._vote(laid, np.array(assumed))
+        refined, scores = self._refine(laid, starts)
         kept: list[tuple[float, _Pose2]] = []
         for row in np.argsort(-scores, kind="stable").tolist():
             if all(self._apart(refined[row], other) for _, other in kept):
@@ -162,7 +162,7 @@ class Connector:
 
     def _apart(self, one: _Pose2, other: _Pose2) -> bool:
         far = float(np.linalg.norm(one.place - other.place)) > _APART_M
-        turn = abs(_wrapped(one.heading - other.heading))
+        turn = abs(_wrap(one.heading - other.heading))
         return far or turn > _APART
 
     def _pose(self, base: Tensor, found: _Pose2) -> Pose:
@@ -186,7 +186,7 @@ class Connector:
         where = np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
         where = where * height[:, None, None]
         graph = self._graph
-        near, there = graph.neighbours(graph.taken(laid.offset))
+        near, there = graph.neighbours(graph.to_tensor(laid.offset))
         vectors = laid.vectors.to(near.device)
         batch = max(1, min(_BATCH, _AT_ONCE // (len(laid) * len(self._landmarks))))
         count = min(count, len(self._landmarks))
@@ -197,9 +197,9 @@ class Connector:
             part = slice(first, first + batch)
             own = graph(
                 vectors,
-                graph.taken(where[part]),
-                graph.taken(laid.rise * height[part, None]),
-                graph.taken(laid.side * height[part, None]),
+                graph.to_tensor(where[part]),
+                graph.to_tensor(laid.rise * height[part, None]),
+                graph.to_tensor(laid.side * height[part, None]),
                 near,
                 there,
             )
@@ -211,7 +211,7 @@ class Connector:
             rows[part] = row.cpu().numpy()
         return where, weights, rows
 
-    def _voted(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
+    def _vote(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
         """Return the places with most votes, each with the matches that voted for it."""
         where, weight, row_ = self._likely(laid, assumed, _MATCHES)
         place = self._xy[row_] - where[:, :, None]
@@ -239,11 +239,11 @@ class Connector:
             found.append((_Pose2(heading, height, middle), matches))
         return found
 
-    def _refined(
+    def _refine(
         self, laid: LaidOut, starts: Sequence[tuple[_Pose2, _Matches]]
     ) -> tuple[list[_Pose2], _Vector]:
         """Refine poses; return them with the scores that they had before the last step."""
-        poses = [self._fitted(laid, start, start, matches) for start, matches in starts]
+        poses = [self._fit(laid, start, start, matches) for start, matches in starts]
         scores = np.zeros(len(poses))
         for _ in range(_REFINEMENTS):
             assumed = np.array([(pose.heading, pose.height) for pose in poses])
@@ -257,7 +257,7 @@ class Connector:
             scores = weight.sum(1) / math.sqrt(len(laid))
             pulls = weight > _LEAST_WEIGHT
             poses = [
-                self._fitted(
+                self._fit(
                     laid,
                     starts[number][0],
                     pose,
@@ -267,7 +267,7 @@ class Connector:
             ]
         return poses, scores
 
-    def _fitted(self, laid: LaidOut, start: _Pose2, pose: _Pose2, matches: _Matches) -> _Pose2:
+    def _fit(self, laid: LaidOut, start: _Pose2, pose: _Pose2, matches: _Matches) -> _Pose2:
         """Return the pose at which matches lie nearest, near what was assumed at the start.
 
         It is the similarity of least squares between the objects, laid out from a height of one,
@@ -287,7 +287,7 @@ class Connector:
         turn = (weight * (theirs - middle_there) * np.conj(own - middle)).sum() / spread
         heading = start.heading + float(
             np.clip(
-                _wrapped(-float(np.angle(turn)) - start.heading),
+                _wrap(-float(np.angle(turn)) - start.heading),
                 -_MOST_TURN,
                 _MOST_TURN,
             )
@@ -313,21 +313,21 @@ class _Matches(NamedTuple):
     weights: _Vector
 
 
-def described_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tensor:
+def describe_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tensor:
     """Describe landmarks among their neighbours, (M, D) of unit length."""
-    where = graph.taken(landmarks.xyz[:, :2])
+    where = graph.to_tensor(landmarks.xyz[:, :2])
     near, there = graph.neighbours(where)
     described: Tensor = graph(
-        graph.taken(landmarks.vectors),
+        graph.to_tensor(landmarks.vectors),
         where[None],
-        graph.taken(landmarks.rises)[None],
-        graph.taken(landmarks.sides)[None],
+        graph.to_tensor(landmarks.rises)[None],
+        graph.to_tensor(landmarks.sides)[None],
         near,
         there,
     )
     return described[0]
 
 
-def _wrapped(angle: float) -> float:
+def _wrap(angle: float) -> float:
     """Return an angle (rad) within half a turn of 0."""
     return (angle + math.pi) % math.tau - math.pi

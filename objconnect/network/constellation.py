@@ -61,7 +61,7 @@ class ConstellationGraph(nn.Module):
         self.out = nn.Linear(config.size, config.out)
         self.sharpness = nn.Parameter(torch.tensor(math.log(10.0)))
 
-    def taken(self, numbers: NDArray[np.float32] | NDArray[np.float64]) -> Tensor:
+    def to_tensor(self, numbers: NDArray[np.float32] | NDArray[np.float64]) -> Tensor:
         """Return numbers as the graph takes them: single precision, on its device."""
         return torch.from_numpy(numbers).to(self.sharpness.device).float()
 

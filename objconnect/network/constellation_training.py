@@ -26,7 +26,7 @@ from torch.nn import functional
 from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig
-from objconnect.network.connect import LaidOut, described_landmarks, laid_out
+from objconnect.network.connect import LaidOut, describe_landmarks, lay_out
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.landmarks import Landmarks, on_ground
 from objconnect.network.network import read_network, start_from
@@ -128,7 +128,7 @@ def lesson(scene: Scene, finder: ObjectFinder) -> Lesson:
                 if not looks_down(pose.rotation.numpy()):
                     continue
                 found = finder(read_rgb(scene.images_root / name, camera), camera)
-                laid = laid_out(found, camera, pose.rotation)
+                laid = lay_out(found, camera, pose.rotation)
                 if not len(laid):
                     continue
                 placed = on_ground(found, camera, pose, ground).xyz
@@ -172,13 +172,13 @@ def describe_query(
     turned = laid.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
     height = query.height * stretch
     where = turned * height + (0 if moved is None else moved)
-    place = graph.taken(where)
+    place = graph.to_tensor(where)
     near, there = graph.neighbours(place)
     described: Tensor = graph(
         laid.vectors[torch.from_numpy(rows)].to(place.device),
         place[None],
-        graph.taken(laid.rise[rows] * height)[None],
-        graph.taken(laid.side[rows] * height)[None],
+        graph.to_tensor(laid.rise[rows] * height)[None],
+        graph.to_tensor(laid.side[rows] * height)[None],
         near,
         there,
     )
@@ -212,7 +212,7 @@ def train_graph(
             kept = np.flatnonzero(rng.random(len(of.landmarks)) >= left_out)
             number = np.full(len(of.landmarks) + 1, -1)
             number[kept] = np.arange(len(kept))
-            theirs = described_landmarks(graph, of.landmarks.some(kept))
+            theirs = describe_landmarks(graph, of.landmarks.some(kept))
             losses = []
             for _ in range(_QUERIES):
                 query = queries[rng.integers(len(queries))]

@@ -123,9 +123,9 @@ class ObjectDetector(nn.Module):
 
     def forward(self, levels: Sequence[Level]) -> DetectorMaps:
         """Detect objects, given features, of any length, and confidences of a network's levels."""
-        return self.detect(self.joined(levels))
+        return self.detect(self.join_levels(levels))
 
-    def joined(self, levels: Sequence[Level]) -> Tensor:
+    def join_levels(self, levels: Sequence[Level]) -> Tensor:
         """Return unit features and confidences of all levels at the stride of the detector."""
         stride = self.config.stride
         shape = levels[self._strides.index(stride)][0].shape[-2:]

@@ -87,7 +87,7 @@ class ObjectPlaceFinder:
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
-        landmarks = self._find.kept_landmarks(source, self._watched)
+        landmarks = self._find.load_landmarks(source, self._watched)
         self._watched, sparse_map = None, source.kept.sparse_map
         ground = map_ground(sparse_map)
         # Photographs of a street look over the ground, and show no object from above.

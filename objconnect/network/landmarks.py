@@ -182,7 +182,7 @@ class Tracks(NamedTuple):
     xy: NDArray[np.float64]
 
 
-def merged(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
+def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     """Return the landmarks that the objects of several photographs are of, and their tracks.
 
     The surest object takes those of other photographs that lie near and look alike; then the next.
@@ -190,14 +190,14 @@ def merged(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     size = views[0].found.vectors.shape[1] if views else 1
     rows = [np.flatnonzero(np.isfinite(view.placed.xyz).all(1)) for view in views]
 
-    def joined(of: Callable[[View], NDArray[np.float64]], *shape: int) -> NDArray[np.float64]:
+    def join(of: Callable[[View], NDArray[np.float64]], *shape: int) -> NDArray[np.float64]:
         parts = [of(view)[kept] for view, kept in zip(views, rows, strict=True)]
         return np.concatenate([np.empty((0, *shape)), *parts])
 
-    xyz = joined(lambda view: view.placed.xyz, 3)
-    vectors = joined(lambda view: view.found.vectors.numpy(), size)
-    scores = joined(lambda view: view.found.score.numpy())
-    sides, rises = joined(lambda view: view.placed.sides), joined(lambda view: view.placed.rises)
+    xyz = join(lambda view: view.placed.xyz, 3)
+    vectors = join(lambda view: view.found.vectors.numpy(), size)
+    scores = join(lambda view: view.found.score.numpy())
+    sides, rises = join(lambda view: view.placed.sides), join(lambda view: view.placed.rises)
     photograph = np.repeat(np.arange(len(views)), [len(kept) for kept in rows])
     groups = _groups(xyz, vectors, scores, sides, photograph)
     centres = np.array([np.median(xyz[group], 0) for group in groups]).reshape(-1, 3)
@@ -219,7 +219,7 @@ def merged(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
         middle(scores),
         number[kept],
     )
-    xy = joined(lambda view: view.found.xy.double().numpy(), 2)
+    xy = join(lambda view: view.found.xy.double().numpy(), 2)
     members = [group for group, keep in zip(groups, kept.tolist(), strict=True) if keep]
     shown_in = np.array([row for group in members for row in group], np.int64)
     landmark = np.repeat(np.arange(len(members)), [len(group) for group in members])

@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import Field
 
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.folding import fold
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
@@ -38,7 +38,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     """
 
     def __init__(self, config: ObjConnectConfig) -> None:
-        network, digest = read_network(config.weights or shipped(SHIPPED))
+        network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
         objects = None

@@ -88,7 +88,7 @@ def total(
     return loss if poses is None else loss + options.pose_share * poses
 
 
-def kept_together(
+def measure_correspondence(
     labels_a: Tensor,
     labels_b: Tensor,
     valid: Tensor,
@@ -119,7 +119,7 @@ def kept_together(
 
 
 def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:
-    """Return the cross entropy between the confidence (B, N) and ``kept_together``."""
+    """Return the cross entropy between the confidence (B, N) and ``measure_correspondence``."""
     # In half precision, one minus a small number would be one.
     p = confidence.float().clamp(1e-4, 1 - 1e-4)
     entropy = -(kept * p.log() + (1 - kept) * (1 - p).log())

@@ -154,7 +154,7 @@ def _runs(text: str) -> list[int]:
     return runs
 
 
-def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels]]:
+def read_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels]]:
     """Yield the name and the label map of every photograph that has masks, with all objects.
 
     Args:

@@ -171,10 +171,10 @@ class ObjConnectNet(nn.Module):
         if not self._with_objects:
             return list(islice(self._levels(image, shown), levels)), None
         image = in_unit(image)
-        decoded = self._decoded(image)
+        decoded = self._decode(image)
         if labels is None and self.config.segmentation == "learned":
             decoded = list(decoded)
-            labels = self._learned(decoded)
+            labels = self._to_labels(decoded)
         elif labels is None:
             labels = segment(image, self.config)
         levels_made: list[Level] = []
@@ -202,27 +202,27 @@ class ObjConnectNet(nn.Module):
     def segments(self, image: Tensor) -> Tensor:
         """Segment images as configured; arguments, labels and errors are those of ``segment``."""
         if self.config.segmentation == "learned":
-            return self.learned_segments(image)
+            return self.predict_segments(image)
         return segment(image, self.config)
 
-    def learned_segments(self, image: Tensor) -> Tensor:
+    def predict_segments(self, image: Tensor) -> Tensor:
         """Return the detector's objects as label maps, which ``segment`` describes.
 
         Raises:
             InputError: the network has no detector.
         """
-        return self._learned(self._decoded(image))
+        return self._to_labels(self._decode(image))
 
-    def learned_objects(self, image: Tensor) -> list[Detections]:
+    def detect_objects(self, image: Tensor) -> list[Detections]:
         """Return the detector's objects of images (B, 3, H, W), the surest first.
 
         Raises:
             InputError: the network has no detector.
         """
-        decoded = self._decoded(image)
-        return [found for _, found in self._detected(decoded)]
+        decoded = self._decode(image)
+        return [found for _, found in self._detect(decoded)]
 
-    def _decoded(self, image: Tensor) -> Iterable[Tensor]:
+    def _decode(self, image: Tensor) -> Iterable[Tensor]:
         """Yield the decoder's maps of images, coarse to fine."""
         maps: Iterable[Tensor] = self.decoder(self._blocks(image))
         return maps
@@ -230,7 +230,7 @@ class ObjConnectNet(nn.Module):
     def _levels(self, image: Tensor, shown: NDArray[np.bool_] | None) -> Iterable[Level]:
         """Yield the levels of images without objects, coarse to fine."""
         if not isinstance(self.decoder, unet.Decoder):
-            return (self._level(*each) for each in enumerate(self._decoded(image)))
+            return (self._level(*each) for each in enumerate(self._decode(image)))
         heads = [partial(self._level, number) for number in range(len(self.features))]
         made = self.decoder.levels(self._blocks(image), heads, shown)
         return ((features, confidence) for features, confidence in made)
@@ -238,13 +238,13 @@ class ObjConnectNet(nn.Module):
     def _blocks(self, image: Tensor) -> list[Tensor]:
         return encode(self.encoder, image, self.config.strides[-1])
 
-    def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
-        detected = self._detected(decoded)
+    def _to_labels(self, decoded: Iterable[Tensor]) -> Tensor:
+        detected = self._detect(decoded)
         assert self.detector is not None
         stride, cell = self.detector.config.stride, _LEARNED_STRIDE
         return torch.stack([label_map(maps, found, stride, cell) for maps, found in detected])
 
-    def _detected(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
+    def _detect(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
         if self.detector is None:
             raise InputError("this network has no detector of objects")
         # It sees the features without objects, as it did in training.

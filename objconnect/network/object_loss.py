@@ -88,7 +88,7 @@ def _targets(objects: ImageObjects, stride: int) -> _Targets:
     # Cells of nothing take the values of a first object, at a weight of zero.
     of = labels.clamp(min=0)
 
-    def painted(values: Tensor) -> Tensor:
+    def paint(values: Tensor) -> Tensor:
         empty = torch.zeros(1, *values.shape[1:], device=values.device)
         return (values if len(values) else empty)[of]
 
@@ -96,9 +96,9 @@ def _targets(objects: ImageObjects, stride: int) -> _Targets:
     return _Targets(
         labels,
         heat,
-        painted(centres).permute(2, 0, 1) - middle,
-        painted(objects.sides.clamp_min(_LEAST_SIDE).log()),
-        painted((objects.rises / objects.sides.clamp_min(_LEAST_SIDE)).log1p()),
+        paint(centres).permute(2, 0, 1) - middle,
+        paint(objects.sides.clamp_min(_LEAST_SIDE).log()),
+        paint((objects.rises / objects.sides.clamp_min(_LEAST_SIDE)).log1p()),
         shown / count.sqrt()[of],
     )
 

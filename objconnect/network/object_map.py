@@ -12,18 +12,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.cache.map_cache import Earlier, MapCache, opened
+from objconnect.localization.cache.map_cache import Earlier, MapCache, open_cache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, detections
-from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merged, on_ground
+from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merge, on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.runtime.tuning import trim_heap
 from objconnect.scene.storage.digests import digest_of
 
 _FORMAT: Final = 4
@@ -83,8 +83,8 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        with opened(sparse_map, images, None) as kept:
-            return merged(self.views(kept))[0]
+        with open_cache(sparse_map, images, None) as kept:
+            return merge(self.views(kept))[0]
 
     def views(self, kept: MapCache) -> list[View]:
         """Return the photographs of a map that look down, each with its objects.
@@ -102,7 +102,7 @@ class ObjectFinder:
         is_known = source.kept.holds(_OBJECTS, *self._map_made_of(source))
         return None if is_known else MapObjects(self, source)
 
-    def kept_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
+    def load_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
         """Return the objects of a map, from the cache where it holds them.
 
         Args:
@@ -115,12 +115,12 @@ class ObjectFinder:
 
         def rows(_: Earlier) -> Rows:
             found = watched or MapObjects(self, source)
-            landmarks = merged(list(found.views()))[0]
+            landmarks = merge(list(found.views()))[0]
             found.write()
             yield "", landmarks.arrays()
 
         store = source.kept.store(_OBJECTS, *self._map_made_of(source), rows=rows)
-        return store.made(0, Landmarks.ARRAYS, Landmarks.of)
+        return store.make(0, Landmarks.ARRAYS, Landmarks.of)
 
     def _map_made_of(self, source: ReferenceSource) -> tuple[object, ...]:
         """Return all that decides the objects of a map beside its photographs."""
@@ -173,7 +173,7 @@ class MapObjects:
                 key = self._see.key(image)
                 if self.lacks(image, key):
                     self(image, key, *self._see(image))
-                    return_freed()
+                    trim_heap()
                 found = self._found[image.name]
                 placed = on_ground(found, image.camera, image.pose, ground)
                 yield View(image.name, image.camera, image.pose, found, placed)

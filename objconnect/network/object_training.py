@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.localization.featuremetric.training import both, half_precision
@@ -30,7 +30,7 @@ class ObjectTraining:
         torch.manual_seed(config.seed)
         settings = {"detector": DetectorConfig().model_dump(), "constellation": None}
         settings |= config.network
-        self.network = start_from(config.weights or shipped(SHIPPED), settings)
+        self.network = start_from(config.weights or shipped_path(SHIPPED), settings)
         self.network_config = self.network.config
         if self.network.detector is None:
             raise InputError("the network has no detector: leave network.detector at its default")

@@ -40,7 +40,7 @@ class Occupancy:
 
     def mean(self, rows: Tensor) -> Tensor:
         """Average rows (B, h w, C) over each object, (B, N, C) float32; 0 for absent objects."""
-        total = _summed(rows, self.index, self.area.shape[1])
+        total = _sum_by_object(rows, self.index, self.area.shape[1])
         return total / self.area.clamp(min=1)[..., None]
 
     def paint(self, vectors: Tensor) -> Tensor:
@@ -61,7 +61,7 @@ def occupancy(labels: Tensor, count: int) -> Occupancy:
     index = labels.flatten(1)
     index = torch.where((index <= NOTHING) | (index >= count), count, index)
     ones = torch.ones(*index.shape, 1, device=labels.device)
-    return Occupancy(index, _summed(ones, index, count)[..., 0], labels.shape[2])
+    return Occupancy(index, _sum_by_object(ones, index, count)[..., 0], labels.shape[2])
 
 
 def affinity(objects: Occupancy, rows: Tensor) -> Tensor:
@@ -132,7 +132,7 @@ def _flat(index: Tensor, count: int) -> Tensor:
     return (index + first[:, None]).flatten()
 
 
-def _summed(rows: Tensor, index: Tensor, count: int) -> Tensor:
+def _sum_by_object(rows: Tensor, index: Tensor, count: int) -> Tensor:
     """Sum rows (B, h w, C) over each of ``count`` objects, (B, N, C) float32."""
     batch, _, size = rows.shape
     # Half precision is too inexact for sums over the cells of a large object.

@@ -7,9 +7,9 @@ from pathlib import Path
 import torch
 from pydantic import Field
 
-from objconnect.learning.checkpoint import shipped
+from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.folding import Precision, fold
-from objconnect.localization.cache.map_cache import opened
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.coarse.finder import LONGEST, PlaceFinder, PlaceOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
@@ -45,7 +45,7 @@ class PlaceLocalizer:
 
     def __init__(self, config: PlaceConfig) -> None:
         self.config = config
-        network, digest = read_network(config.weights or shipped(SHIPPED))
+        network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
         fold(network, config.precision)
         self.weights_sha256: str | None = digest
@@ -54,7 +54,7 @@ class PlaceLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""
-        with opened(sparse_map, images, cache) as kept:
+        with open_cache(sparse_map, images, cache) as kept:
             self._finder.prepare(kept, f"{self.weights_sha256} {self.config.precision}")
 
     @torch.inference_mode()

@@ -12,10 +12,10 @@ from typing import Any, Final
 import h5py
 import numpy as np
 
-from objconnect.learning.checkpoint import shipped
-from objconnect.localization.cache.map_cache import opened
+from objconnect.learning.checkpoint import shipped_path
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.landmarks import Landmarks, Tracks, merged
+from objconnect.network.landmarks import Landmarks, Tracks, merge
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig
 from objconnect.network.network import read_network
 from objconnect.network.object_map import ObjectFinder
@@ -88,15 +88,15 @@ def find_landmarks(
     outputs: list[OutputFile | Path] = [path / LANDMARKS]
     outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
-    network = read_network(weights or shipped(SHIPPED))[0].to(on)
+    network = read_network(weights or shipped_path(SHIPPED))[0].to(on)
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()
     config = ObjConnectConfig()
     extract = MapExtractor(network, config.longest, config.precision)
     finder = ObjectFinder(extract, network.detector)
-    with opened(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merged(finder.views(kept))
+    with open_cache(sparse_map, scene.images_root, None) as kept:
+        landmarks, tracks = merge(finder.views(kept))
     with write_lock(path):
         remove_partial(path)
         _write(path / LANDMARKS, landmarks, tracks, sparse_map)

@@ -55,7 +55,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
             "felzenszwalb or grid"
         )
     height, width = images.shape[-2:]
-    size = reduced_size(height, width)
+    size = reduce_size(height, width)
     count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
     if config.segmentation == "grid":
         return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
@@ -72,7 +72,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
-def reduced_size(height: int, width: int) -> tuple[int, int]:
+def reduce_size(height: int, width: int) -> tuple[int, int]:
     """Return the height and width of segmentation: half the image's, with a bounded long side."""
     factor = min(0.5, _LONG_SIDE / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))

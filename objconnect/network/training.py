@@ -16,12 +16,12 @@ from objconnect.localization.featuremetric.training import (
     half_precision,
     levels_of,
     pixels_of,
-    unrolled,
+    unroll,
 )
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.loss import (
     feature_distance,
-    kept_together,
+    measure_correspondence,
     pose_distance,
     total,
     trust_loss,
@@ -65,7 +65,7 @@ class ObjConnectTraining:
         figures["features"] = float(distance.detach())
         poses = None
         if progress >= self._warm_up:
-            by_level = unrolled(levels, batch, self.network.damping)
+            by_level = unroll(levels, batch, self.network.damping)
             poses, errors = pose_distance(by_level, strides, batch)
             figures |= pixels_of(errors, strides, batch)
         loss = total(contrast, distance, poses, self._losses)
@@ -90,7 +90,7 @@ class ObjConnectTraining:
         points_a = at_pixels(a, batch.image_a, batch.xy_a)
         points_b = at_pixels(b, batch.image_b, batch.xy_b)
         count = self.network_config.segments
-        there = kept_together(points_a, points_b, batch.valid, count)
-        back = kept_together(points_b, points_a, batch.valid, count)
+        there = measure_correspondence(points_a, points_b, batch.valid, count)
+        back = measure_correspondence(points_b, points_a, batch.valid, count)
         kept, counts = (torch.cat(pair) for pair in zip(there, back, strict=True))
         return trust_loss(objects.confidence, kept, counts & objects.present)

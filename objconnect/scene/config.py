@@ -91,7 +91,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
     values: dict[str, Any] = {}
     where = "on the command line"
     if path is not None:
-        path = _named(path)
+        path = _find_config(path)
         where = f"in {path}"
         text = _read(path)
         try:
@@ -110,7 +110,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         raise InputError(describe(error, model, where)) from None
 
 
-def as_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
+def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
     """Take the fields of a configuration from what an earlier version recorded of it.
 
     What has become a constant since is left out. A field of a group that is no more has its own
@@ -128,12 +128,12 @@ def as_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, 
         field = model.model_fields.get(key)
         inner = field.annotation if field else None
         if isinstance(inner, type) and issubclass(inner, BaseModel) and isinstance(value, Mapping):
-            taken[key] = as_recorded(inner, value)
+            taken[key] = take_recorded(inner, value)
         elif field is not None:
             taken[key] = value
         elif isinstance(value, Mapping):
             named = {f"{key}_{name}": of_group for name, of_group in value.items()}
-            taken |= as_recorded(model, {**value, **named})
+            taken |= take_recorded(model, {**value, **named})
     return taken
 
 
@@ -148,7 +148,7 @@ def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
     values[last] = value
 
 
-def shipped() -> dict[str, Path]:
+def list_configs() -> dict[str, Path]:
     """Return the configurations that come with the project, by name.
 
     Those of ``simulate`` are called like their files, those of trainings ``train/NAME``.
@@ -160,10 +160,10 @@ def shipped() -> dict[str, Path]:
     }
 
 
-def _named(path: Path) -> Path:
+def _find_config(path: Path) -> Path:
     """Return the path if it is a file, else the configuration of this name that comes with the
     project."""
-    return path if path.is_file() else shipped().get(path.as_posix(), path)
+    return path if path.is_file() else list_configs().get(path.as_posix(), path)
 
 
 def _read(path: Path) -> str:
@@ -172,7 +172,7 @@ def _read(path: Path) -> str:
     except InputError as error:
         if path.exists():
             raise
-        raise InputError(f"{error}; by name there are: {', '.join(shipped())}") from error
+        raise InputError(f"{error}; by name there are: {', '.join(list_configs())}") from error
 
 
 def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
@@ -180,14 +180,14 @@ def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or model.__name__
     if first["type"] == "extra_forbidden":
-        return f"unknown key '{key}' {where}{_known(model, first['loc'][:-1])}"
+        return f"unknown key '{key}' {where}{_list_keys(model, first['loc'][:-1])}"
     if first["type"] == "missing":
         return f"missing key '{key}' {where}"
     reason = first["msg"].removeprefix("Value error, ")  # pydantic's prefix of our messages
     return f"bad value for '{key}' {where}: {reason} (got {reprlib.repr(first['input'])})"
 
 
-def _known(model: type[BaseModel], path: Sequence[int | str]) -> str:
+def _list_keys(model: type[BaseModel], path: Sequence[int | str]) -> str:
     """Return the known keys at a path of keys; an empty text where the path leads to no model."""
     for part in path:
         field = model.model_fields.get(str(part))

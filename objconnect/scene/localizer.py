@@ -160,7 +160,7 @@ class Estimate:
     probability: float | None = None
 
     @property
-    def tracked(self) -> bool:
+    def is_tracked(self) -> bool:
         """Whether only the prior of a tracked query was looked at, and confirmed."""
         return self.by is By.TRACKING
 

@@ -82,7 +82,7 @@ class CameraConfig(Config):
                 raise ValueError(f"unknown camera {self.preset!r}; known: {', '.join(PRESETS)}")
         elif any(value is None for value in given) or self.size is not None:
             raise ValueError("a camera is a preset (and size), or model, width, height and params")
-        rendered_through(self.build(64))
+        split_lens(self.build(64))
         return self
 
     def build(self, size: int) -> Camera:
@@ -102,7 +102,7 @@ class CameraConfig(Config):
         return Camera("OPENCV" if distortion else "PINHOLE", width, height, params)
 
 
-def rendered_through(camera: Camera) -> tuple[PinholeCamera, str | None]:
+def split_lens(camera: Camera) -> tuple[PinholeCamera, str | None]:
     """Return the pinhole camera that is rendered for a camera, and the lens of the render job.
 
     The pinhole covers the view of every pixel of the camera with at least the camera's resolution.

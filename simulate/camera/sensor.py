@@ -76,7 +76,7 @@ def expose(
         return rgb
     light = _linear(rgb)
     height, width = light.shape[:2]
-    light = _streaked(light, direction, length * sensor.motion_blur_px)
+    light = _streak(light, direction, length * sensor.motion_blur_px)
     v, u = np.mgrid[:height, :width] + 0.5
     square = (u / width - 0.5) ** 2 * width**2 + (v / height - 0.5) ** 2 * height**2
     light *= (1 - sensor.vignetting * square / (0.25 * (width**2 + height**2)))[..., None]
@@ -90,9 +90,7 @@ def expose(
     return _srgb(light)
 
 
-def _streaked(
-    light: NDArray[np.float64], direction: float, length_px: float
-) -> NDArray[np.float64]:
+def _streak(light: NDArray[np.float64], direction: float, length_px: float) -> NDArray[np.float64]:
     """Spread light (H, W, 3) evenly along a centred line."""
     half = 0.5 * length_px
     if half < 0.05:

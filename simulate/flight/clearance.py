@@ -39,7 +39,7 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
             f"session {name}: photograph {k} is taken {depth[k]:.1f} m below where a camera clears "
             "the ground: fly higher"
         )
-    blocking = blocked_by(centres, world)
+    blocking = find_blocking(centres, world)
     if blocking.any():
         k = int(np.flatnonzero(blocking)[0])
         item = next(item for item in world.objects if item.id == blocking[k])
@@ -63,11 +63,11 @@ def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
     """Return whether each of the positions (N, 3) is inside the place and clear of obstacles."""
     inside = (np.abs(centres[:, :2]) <= 0.5 * world.area_m).all(1)
     free: NDArray[np.bool_] = inside & (_under_ground(centres, world) <= 0)
-    free[free] = blocked_by(centres[free], world) == 0
+    free[free] = find_blocking(centres[free], world) == 0
     return free
 
 
-def blocked_by(centres: Array, world: World) -> NDArray[np.int64]:
+def find_blocking(centres: Array, world: World) -> NDArray[np.int64]:
     """Return the id of the object in or under whose box each position (N, 3) lies; 0 is none."""
     blocking = np.zeros(len(centres), np.int64)
     for item in world.objects:

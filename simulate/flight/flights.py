@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from simulate.flight.config import GridFlight, NadirFlight, ObliqueFlight
-from simulate.flight.gimbal import Aims, gimbal_poses, perturbed_poses
+from simulate.flight.gimbal import Aims, gimbal_poses, perturb_poses
 from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ def plan_oblique(
     ground = float(site.ground_height(middle_x, middle_y)[0])
     centres = np.column_stack([xy, np.full(frames, ground + altitude_m)])
     pitch = np.full(frames, np.radians(flight.pitch_deg))
-    return perturbed_poses(Aims(centres, bearing + np.pi, pitch), site.wind, rng)
+    return perturb_poses(Aims(centres, bearing + np.pi, pitch), site.wind, rng)
 
 
 class _Lines(NamedTuple):

@@ -14,7 +14,7 @@ from simulate.flight.site import FlightSite
 Array = NDArray[np.float64]
 
 
-def flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
+def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
 
     Raises:

@@ -30,7 +30,7 @@ class Aims(NamedTuple):
     pitch: Array
 
 
-def perturbed_poses(aims: Aims, wind: Wind, rng: np.random.Generator) -> Array:
+def perturb_poses(aims: Aims, wind: Wind, rng: np.random.Generator) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of planned exposures in the wind."""
     centres = aims.centres + wind.position_jitter_m * rng.standard_normal(aims.centres.shape)
     return gimbal_poses(centres, aims.heading, aims.pitch, wind.attitude_jitter_deg, rng)

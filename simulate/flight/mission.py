@@ -333,8 +333,8 @@ class Aircraft:
 
     def _advance(self, place: Callable[[float], Array], flown: float, until: float) -> None:
         """Fly on along a way, from ``flown`` to ``until`` metres of it, and take photographs."""
-        timed = self._triggers.timed
-        speed = self._vehicle.known_speed() if timed is None else self._vehicle.speed(timed)
+        timed = self._triggers.timer
+        speed = self._vehicle.speed_or_none() if timed is None else self._vehicle.speed(timed)
         left = max(until - flown, 0.0)
         self._triggers.require_few(left, left / speed if speed else 0.0)
         while True:
@@ -350,7 +350,7 @@ class Aircraft:
 
     def _hold(self, command: Command) -> None:
         """Stay for the time that a command says in its first parameter; photographs go on."""
-        timed = self._triggers.timed
+        timed = self._triggers.timer
         if timed is None and self._turning_s <= 0:
             return
         left = command.number(0, "time")

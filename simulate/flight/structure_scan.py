@@ -73,7 +73,7 @@ class StructureScan(BaseModel):
             InputError: The fields tell no flight.
         """
         self._check(where)
-        corners = [(float(lat), float(lon)) for lat, lon in self._flown(where)]
+        corners = [(float(lat), float(lon)) for lat, lon in self._flight_corners(where)]
         step = -self.layer_m if self.from_top else self.layer_m
         height = (self.top_m if self.from_top else self.bottom_m) + step / 2
         look = (0.0, 0.0, 0.0, 0.0, self.pitch_deg, 0.0, _TO_THE_RIGHT_DEG)
@@ -111,7 +111,7 @@ class StructureScan(BaseModel):
         if any(abs(lat) > 90 or abs(lon) > 180 for lat, lon in self.polygon):
             raise InputError(f"{where} has a polygon that is not on earth: correct it")
 
-    def _flown(self, where: str) -> Array:
+    def _flight_corners(self, where: str) -> Array:
         """Return latitude and longitude of the corners of the flight, (N, 2) degrees."""
         origin = Geodetic(*self.polygon[0], 0.0)
         places = [Geodetic(lat, lon, 0.0) for lat, lon in self.polygon]

@@ -75,7 +75,7 @@ class Triggers:
         return next((r.command for r in self.running.values() if r.count != 0), None)
 
     @property
-    def timed(self) -> Command | None:
+    def timer(self) -> Command | None:
         """The command of a running trigger that goes by time; None where there is none."""
         return next((r.command for r in self.running.values() if r.timed and r.count != 0), None)
 

@@ -59,7 +59,7 @@ class Vehicle:
         """Return whether the aircraft cannot stop in the air now."""
         return self.kind == _PLANE or (self.is_vtol and self.transitioned)
 
-    def known_speed(self) -> float | None:
+    def speed_or_none(self) -> float | None:
         """Return the speed, metres per second; None where the plan does not tell it."""
         if self.told_m_s is not None:
             return self.told_m_s
@@ -73,7 +73,7 @@ class Vehicle:
         Raises:
             InputError: The plan does not tell it.
         """
-        speed = self.known_speed()
+        speed = self.speed_or_none()
         if speed is None:
             name = "cruiseSpeed" if self.glides else "hoverSpeed"
             raise InputError(

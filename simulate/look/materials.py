@@ -39,9 +39,9 @@ def build_materials(
     materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
     for style in Facade:
         name = textures.facade_material(style)
-        materials[name] = build.textured(name, textures.facade(style))
+        materials[name] = build.add_textured(name, textures.facade(style))
     for kind in textures.ROOFINGS:
-        materials[f"roof_{kind}"] = build.textured(f"roof_{kind}", textures.roof(kind))
+        materials[f"roof_{kind}"] = build.add_textured(f"roof_{kind}", textures.roof(kind))
     materials["plain"] = build.plain()
     materials["paint"] = build.paint()
     materials["glass"] = build.glass()
@@ -107,7 +107,7 @@ class _Builder:
         graph.finish(surface)
         return graph.material
 
-    def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+    def add_textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
         """Make a material of an image.
 
         Its alpha is the share by which the polygon's tint multiplies it.
@@ -116,26 +116,26 @@ class _Builder:
         texture = graph.image(self.image(name, pixels), extension="REPEAT")
         tinted = graph.multiply(texture.outputs["Color"], graph.attribute("tint"))
         colour = graph.mix(texture.outputs["Alpha"], texture.outputs["Color"], tinted)
-        graph.finish(graph.diffuse(self._snowed(graph, colour)))
+        graph.finish(graph.diffuse(self._add_snow(graph, colour)))
         return graph.material
 
     def plain(self) -> Any:
         """Make a material that has the polygon's tint."""
         graph = _Graph(self.data, "plain")
-        graph.finish(graph.diffuse(self._snowed(graph, graph.attribute("tint"))))
+        graph.finish(graph.diffuse(self._add_snow(graph, graph.attribute("tint"))))
         return graph.material
 
     def paint(self) -> Any:
         """Make a slightly glossy material: the object's colour times the polygon's tint."""
         graph = _Graph(self.data, "paint")
         colour = graph.multiply(graph.object_colour(), graph.attribute("tint"))
-        graph.finish(graph.glossy(self._snowed(graph, colour), roughness=0.35))
+        graph.finish(graph.glossy(self._add_snow(graph, colour), roughness=0.35))
         return graph.material
 
     def glass(self) -> Any:
         """Make dark, shiny glass."""
         graph = _Graph(self.data, "glass")
-        colour = self._snowed(graph, graph.attribute("tint"), share=0.6)
+        colour = self._add_snow(graph, graph.attribute("tint"), share=0.6)
         graph.finish(graph.glossy(colour, roughness=0.12))
         return graph.material
 
@@ -145,10 +145,10 @@ class _Builder:
         depth = graph.red(graph.attribute("tint"))
         between = graph.mix(depth, graph.rgb(inner), graph.rgb(tip))
         colour = graph.multiply(between, graph.object_colour())
-        graph.finish(graph.diffuse(self._snowed(graph, colour, share=0.75)))
+        graph.finish(graph.diffuse(self._add_snow(graph, colour, share=0.75)))
         return graph.material
 
-    def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
+    def _add_snow(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
         """Return the colour made wet, then covered with patches of snow on what faces up."""
         if self.condition.weather.wet > 0:
             value = 1 - _WET_DARKENING * self.condition.weather.wet
@@ -185,10 +185,10 @@ class _Graph:
         """Add a node. Inputs are values or sockets by name, with underscores for spaces."""
         node = self.tree.nodes.new(kind)
         for name, value in inputs.items():
-            self._set(node.inputs[name.replace("_", " ")], value)
+            self._assign(node.inputs[name.replace("_", " ")], value)
         return node
 
-    def _set(self, socket: Any, value: Any) -> None:
+    def _assign(self, socket: Any, value: Any) -> None:
         if hasattr(value, "is_output"):
             self.tree.links.new(value, socket)
         else:
@@ -232,15 +232,15 @@ class _Graph:
     def math(self, operation: str, a: Any, b: Any) -> Any:
         node = self.tree.nodes.new("ShaderNodeMath")
         node.operation = operation
-        self._set(node.inputs[0], a)
-        self._set(node.inputs[1], b)
+        self._assign(node.inputs[0], a)
+        self._assign(node.inputs[1], b)
         return node.outputs[0]
 
     def mix(self, factor: Any, a: Any, b: Any, blend: str = "MIX") -> Any:
         node = self.tree.nodes.new("ShaderNodeMixRGB")
         node.blend_type = blend
         for socket, value in zip(node.inputs, (factor, a, b), strict=True):
-            self._set(socket, value)
+            self._assign(socket, value)
         return node.outputs[0]
 
     def multiply(self, a: Any, b: Any) -> Any:
@@ -250,7 +250,7 @@ class _Graph:
         """Mix two surfaces: ``a`` where ``factor`` is 0, ``b`` where it is 1."""
         node = self.tree.nodes.new("ShaderNodeMixShader")
         for socket, value in zip(node.inputs, (factor, a, b), strict=True):
-            self._set(socket, value)
+            self._assign(socket, value)
         return node.outputs[0]
 
     def diffuse(self, colour: Any) -> Any:

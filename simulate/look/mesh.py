@@ -35,20 +35,20 @@ class Mesh:
     material: NDArray[np.int32]
     materials: tuple[str, ...]
 
-    def scaled(self, scale: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
+    def scale_by(self, scale: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
         """Return the mesh with its vertices times ``scale`` (3,) plus ``offset`` (3,)."""
         vertices = (self.vertices * np.asarray(scale) + np.asarray(offset)).astype(np.float32)
         return Mesh(
             vertices, self.corners, self.sizes, self.uv, self.tint, self.material, self.materials
         )
 
-    def fitted(self) -> Mesh:
+    def fit_to_cube(self) -> Mesh:
         """Return the mesh scaled and moved into the unit cube [-0.5, 0.5]^3."""
         low, high = self.vertices.min(0), self.vertices.max(0)
         scale = 1.0 / np.maximum(high - low, 1e-6)
-        return self.scaled(scale, -0.5 * (low + high) * scale)
+        return self.scale_by(scale, -0.5 * (low + high) * scale)
 
-    def triangulated(self) -> Mesh:
+    def triangulate(self) -> Mesh:
         """Return the mesh with each quad cut into two triangles, from its first to its third
         corner.
 
@@ -177,7 +177,7 @@ def triangle_mesh(
     )
 
 
-def merged(meshes: Sequence[Mesh]) -> Mesh:
+def merge(meshes: Sequence[Mesh]) -> Mesh:
     """Join several meshes into one."""
     names = tuple(dict.fromkeys(name for m in meshes for name in m.materials))
     base = np.cumsum([0, *(len(m.vertices) for m in meshes)])

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.look.mesh import Mesh, MeshBuilder, merged, triangle_mesh
+from simulate.look.mesh import Mesh, MeshBuilder, merge, triangle_mesh
 from simulate.place.world import Heightfield, WorldObject
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def broadleaf(variant: int) -> Mesh:
     parts = [_foliage(rng, lumps, leaves=4200, leaf_m=0.34)]
     parts += [_lump(centre, 0.86 * radius, rng) for centre, radius in lumps]
     parts.append(_trunk(3.8, 0.24))
-    return merged(parts)
+    return merge(parts)
 
 
 def bare(variant: int) -> Mesh:
@@ -63,7 +63,7 @@ def conifer(variant: int) -> Mesh:
     for a, b in zip(foot, np.roll(foot, -1, 0), strict=True):
         cone.polygon([a, b, (0, 0, 8.6)], "leaf", (0.05, 0, 0))
     parts += [cone.build(), _trunk(2.0, 0.18)]
-    tree = merged(parts)
+    tree = merge(parts)
     evergreen = tuple("needle" if name == "leaf" else name for name in tree.materials)
     return replace(tree, materials=evergreen)
 
@@ -103,7 +103,7 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
     # Leaves outside the box are moved onto its sides.
     limit = 0.5 * hedge.size
     vertices = np.clip(foliage.vertices, [-limit[0], -limit[1], -np.inf], limit)
-    return merged([body.build(), replace(foliage, vertices=vertices.astype(np.float32))])
+    return merge([body.build(), replace(foliage, vertices=vertices.astype(np.float32))])
 
 
 def fence_mesh(fence: WorldObject, terrain: Heightfield) -> Mesh:

@@ -41,14 +41,14 @@ def shape_mesh(name: str) -> Mesh:
     """
     kind, _, variant = name.rpartition("_")
     if kind == "broadleaf":
-        return broadleaf(int(variant)).fitted()
+        return broadleaf(int(variant)).fit_to_cube()
     if kind == "bare":
-        return bare(int(variant)).fitted()
+        return bare(int(variant)).fit_to_cube()
     if kind == "conifer":
-        return conifer(int(variant)).fitted()
+        return conifer(int(variant)).fit_to_cube()
     if name in _CAR_SHAPES:
-        return _car(*_CAR_SHAPES[name]).fitted()
-    return _SHAPES[name]().fitted()
+        return _car(*_CAR_SHAPES[name]).fit_to_cube()
+    return _SHAPES[name]().fit_to_cube()
 
 
 def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist: float) -> Mesh:

@@ -24,7 +24,7 @@ _LINEAR = np.where(
 ).astype(np.float32)
 
 
-def bake_surveyed(world: World, condition: Condition) -> NDArray[np.uint8]:
+def bake_albedo(world: World, condition: Condition) -> NDArray[np.uint8]:
     """Return the albedo (n, n, 3) uint8 sRGB of a surveyed place; row 0 is south.
 
     Vegetation and ground get the colours of the season by the ratio to those of the season that
@@ -47,7 +47,7 @@ def bake_surveyed(world: World, condition: Condition) -> NDArray[np.uint8]:
     return out
 
 
-def mirror_surveyed(world: World, condition: Condition) -> NDArray[np.uint8]:
+def bake_gloss(world: World, condition: Condition) -> NDArray[np.uint8]:
     """Return how much a surveyed place reflects like a mirror, (n, n) uint8 from 0 to 255."""
     labels = world.ground.labels
     standing = np.where(labels == CLASSES["water"], 255, 0).astype(np.uint8)

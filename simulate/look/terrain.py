@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.look.conditions import Condition
-from simulate.look.mesh import Mesh, grid_mesh, merged
+from simulate.look.mesh import Mesh, grid_mesh, merge
 from simulate.place.world import MIRRORED_M, Kerb, World
 
 Array = NDArray[np.float64]
@@ -48,14 +48,14 @@ def ground_mesh(world: World, light: Condition) -> Mesh:
         mesh, tint=tint, material=country.astype(np.int32), materials=("ground", "plain")
     )
     # Walls of a surface model would be quads that are far from flat.
-    return mesh if world.imagery is None else mesh.triangulated()
+    return mesh if world.imagery is None else mesh.triangulate()
 
 
 def kerbs_mesh(world: World) -> Mesh | None:
     """Return the raised pavements (kerb, top and far edge), or None where a place has none."""
     if not world.kerbs:
         return None
-    mesh = merged([_kerb_mesh(kerb, world) for kerb in world.kerbs])
+    mesh = merge([_kerb_mesh(kerb, world) for kerb in world.kerbs])
     mesh.uv[:] = mesh.uv / world.area_m + 0.5
     return mesh
 

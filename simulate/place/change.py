@@ -84,18 +84,18 @@ class ChangedWorld:
     declared: DeclaredChange
 
 
-def changed_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]:
+def change_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]:
     """Return the world after each change. An id means the same object in all of them.
 
     Raises:
-        InputError: as ``changed_world``.
+        InputError: as ``change_world``.
     """
     known: dict[Change, ChangedWorld] = {}
     worlds = []
     free_id = _free_id(base)
     for change in changes:
         if change not in known:
-            known[change] = changed_world(base, change, free_id)
+            known[change] = change_world(base, change, free_id)
             free_id = max(free_id, _free_id(known[change].world))
         worlds.append(known[change])
     return worlds
@@ -110,7 +110,7 @@ def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObje
     return tuple(objects[number] for number in sorted(objects))
 
 
-def changed_world(base: World, change: Change, first_new_id: int = 0) -> ChangedWorld:
+def change_world(base: World, change: Change, first_new_id: int = 0) -> ChangedWorld:
     """Return the world after a change. Equal arguments give equal worlds.
 
     Objects that stay keep their id and their box. An object in a new place gets a new id: the next

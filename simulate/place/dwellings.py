@@ -18,7 +18,7 @@ def housing(site: Site, block: Block) -> None:
         count = max(1, round(block.length / site.rng.uniform(14.5, 19.0)))
         width = block.length / count
         for i in range(count):
-            parcel = block.front(side).shifted(i * width)
+            parcel = block.front(side).shift(i * width)
             _parcel(site, parcel, width, depth, back_line=side > 0, last=i == count - 1)
 
 
@@ -142,7 +142,7 @@ def flats(site: Site, block: Block) -> None:
     length = block.length - lot_start - 4.0
     exit_ = at.quad(-PAVEMENT_M - 1.0, lot_start + 1, middle - 3, middle + 3)
     site.paint("parking", exit_, 0.5)
-    car_park(site, at.shifted(lot_start, middle - 0.5 * strip), length, rows=1)
+    car_park(site, at.shift(lot_start, middle - 0.5 * strip), length, rows=1)
     for a in (1.2, block.length - 2.0):
         b = middle + rng.uniform(3.5, 6.0)
         skip = ObjectSpec("container", "skip", (3.2, 1.7, 1.35), site.choose(STEEL))

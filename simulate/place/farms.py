@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulate.place.objects import barrier, building, car, fenced, small, tree
+from simulate.place.objects import barrier, building, car, place_fences, small, tree
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import hall_style, house_style
@@ -17,7 +17,7 @@ def farm(site: Site, block: Block) -> None:
     length, depth = block.length, block.depth
     site.paint("field", at.quad(1, length - 1, 0.7 * depth, depth - 1), float(rng.random()))
     wide = min(length, 70.0)
-    yard = at.shifted(0.5 * (length - wide))
+    yard = at.shift(0.5 * (length - wide))
     far = 8.0 + min(18.0, 0.3 * depth)  # where the yard ends
     site.paint("path", yard.quad(0.12 * wide, 0.88 * wide, 8, far), float(rng.random()))
     drive = yard.quad(0.5 * wide - 2, 0.5 * wide + 2, -PAVEMENT_M - 1, 9)
@@ -39,7 +39,7 @@ def farm(site: Site, block: Block) -> None:
     for _ in range(2):
         a = rng.uniform(0.58, 0.86) * wide
         car(site, yard.point(a, 9.5), yard.yaw(a, 9.5) + np.pi / 2)
-    fenced(site, at, length, depth, rng.uniform(1.0, 1.3))
+    place_fences(site, at, length, depth, rng.uniform(1.0, 1.3))
     _hedge(site, at, length, 0.68 * depth)
     for _ in range(int(0.006 * length * depth) + 6):
         a, b = rng.uniform(1, length - 1), rng.uniform(2, 0.66 * depth)
@@ -69,7 +69,7 @@ def pasture(site: Site, block: Block) -> None:
     at = block.front(1)
     length, depth = block.length, block.depth
     site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
-    fenced(site, at, length, depth, rng.uniform(1.0, 1.3))
+    place_fences(site, at, length, depth, rng.uniform(1.0, 1.3))
     for _ in range(int(0.002 * length * depth) + 3):
         a, b = rng.uniform(3, length - 3), rng.uniform(3, depth - 3)
         tree(site, at.point(a, b), rng.uniform(2.0, 4.5))

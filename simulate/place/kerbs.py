@@ -41,15 +41,15 @@ def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
     return tuple(kerbs)
 
 
-def raised(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
+def raise_objects(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
     """Return the objects, with those on raised pavements lifted by the pavement's height."""
     rises = Rises(kerbs)
 
-    def lifted(item: WorldObject) -> WorldObject:
+    def lift(item: WorldObject) -> WorldObject:
         rise = 0.0 if item.class_name in _HUNG else rises.at(item.centre[:2])
         return replace(item, centre=item.centre + np.array([0, 0, rise])) if rise else item
 
-    return tuple(lifted(item) for item in objects)
+    return tuple(lift(item) for item in objects)
 
 
 class Rises:

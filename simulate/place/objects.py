@@ -139,7 +139,7 @@ def barrier(
     site.place(spec, 0.5 * (p + q), yaw, Footing(gap_m=0.02))
 
 
-def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
+def place_fences(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
     """Place fences along both sides and the back of a block, in pieces that follow its bends."""
     for b in np.arange(0.8, depth - 13.0, 12.0):
         for a in (0.3, length - 0.3):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from objconnect.scene.errors import InputError
-from simulate.place.kerbs import lay_kerbs, raised
+from simulate.place.kerbs import lay_kerbs, raise_objects
 from simulate.place.paint import paint
 from simulate.place.relief import relief
 from simulate.place.site import Site
@@ -109,7 +109,7 @@ class Plan:
             terrain=site.terrain,
             roads=site.roads,
             ground=ground,
-            objects=raised(site.objects, kerbs),
+            objects=raise_objects(site.objects, kerbs),
             kerbs=kerbs,
             surroundings=tuple(
                 Surroundings(quarter.name, outline)

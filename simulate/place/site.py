@@ -142,7 +142,7 @@ class Site:
 
     def free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
         """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
-        return not self._taken(rectangle(at, size, yaw), on_reserved=False)
+        return not self._is_occupied(rectangle(at, size, yaw), on_reserved=False)
 
     def reserve(self, polygon: Array) -> None:
         """Reserve a rectangle (4, 2). Only objects placed ``on_reserved`` may stand there later."""
@@ -179,7 +179,7 @@ class Site:
             return False
         gap_m = footing.gap_m
         grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
-        if self._taken(grown, footing.on_reserved):
+        if self._is_occupied(grown, footing.on_reserved):
             return False
         if not footing.on_road and self.roads_within(_outline(grown), PAVEMENT_M):
             return False
@@ -279,7 +279,7 @@ class Site:
         self._reserved.append(reserved)
         self._claims.append(corners)
 
-    def _taken(self, corners: Array, on_reserved: bool) -> bool:
+    def _is_occupied(self, corners: Array, on_reserved: bool) -> bool:
         centre = corners.mean(0)
         return any(
             overlap(corners, self._claims[k])

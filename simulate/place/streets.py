@@ -59,7 +59,7 @@ class Frame:
     v: float
     sign: int = 1
 
-    def shifted(self, a: float, b: float = 0.0) -> Frame:
+    def shift(self, a: float, b: float = 0.0) -> Frame:
         """Return the same frame with its origin moved to (a, b)."""
         return Frame(self.warp, self.u + self.sign * a, self.v + self.sign * b, self.sign)
 

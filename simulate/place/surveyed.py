@@ -16,13 +16,13 @@ from simulate.place.world import Ground, Heightfield, Imagery, World
 _GREY: Final = 128  # tone of ground cover that has no parcels
 
 
-def surveyed_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
+def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
     """Return the ground cover of a surveyed place from its labels (n, n) uint8."""
     tone = np.broadcast_to(np.uint8(_GREY), labels.shape)
     return Ground(texel_m, labels, tone, ())
 
 
-def save_surveyed(path: Path, world: World) -> None:
+def save_site(path: Path, world: World) -> None:
     """Write a surveyed place, whole or not at all.
 
     Raises:
@@ -47,7 +47,7 @@ def save_surveyed(path: Path, world: World) -> None:
         )
 
 
-def load_surveyed(path: Path, seed: int) -> World:
+def load_site(path: Path, seed: int) -> World:
     """Read a surveyed place. The seed decides how snow and puddles lie.
 
     Raises:
@@ -61,7 +61,7 @@ def load_surveyed(path: Path, seed: int) -> World:
                 area_m=float(file["area_m"]),
                 terrain=Heightfield(file["surface"].astype(float), spacing_m),
                 roads=(),
-                ground=surveyed_ground(file["labels"], float(file["texel_m"])),
+                ground=make_ground(file["labels"], float(file["texel_m"])),
                 objects=(),
                 imagery=Imagery(file["albedo"], file["snow"], str(file["season"])),
                 bare=Heightfield(file["bare"].astype(float), spacing_m),

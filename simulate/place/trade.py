@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulate.place.objects import CONTAINER_M, building, fenced, small, steel, tree, truck
+from simulate.place.objects import CONTAINER_M, building, place_fences, small, steel, tree, truck
 from simulate.place.parking import AISLE_M, BAY_M, car_park
 from simulate.place.site import PAVEMENT_M, ObjectSpec, Site
 from simulate.place.streets import Block
@@ -20,7 +20,7 @@ def trade(site: Site, block: Block) -> None:
     site.paint("parking", at.quad(0.35 * length, 0.35 * length + 7, -PAVEMENT_M - 1, 1), 0.4)
     rows = 2 if depth > 66 else 1
     lot = rows * (2 * BAY_M[1] + AISLE_M)
-    car_park(site, at.shifted(2.0, 2.5), 0.86 * length, rows)
+    car_park(site, at.shift(2.0, 2.5), 0.86 * length, rows)
 
     b0, b1 = lot + 5.0, depth - 2.0
     count = 2 if length > 52 and site.chance(0.5) else 1
@@ -59,7 +59,7 @@ def works(site: Site, block: Block) -> None:
     site.paint("parking", at.quad(0, length, 0, depth), float(rng.random()))
     site.paint("parking", at.quad(0.3 * length, 0.3 * length + 7, -PAVEMENT_M - 1, 1), 0.4)
     lot = 2 * BAY_M[1] + AISLE_M
-    car_park(site, at.shifted(2.0, 2.0), 0.6 * length, rows=1)
+    car_park(site, at.shift(2.0, 2.0), 0.6 * length, rows=1)
     b0, b1 = lot + 5.0, depth - 2.5
     count = 1 + int(0.58 * length > 40.0)
     for i in range(count):
@@ -85,7 +85,7 @@ def works(site: Site, block: Block) -> None:
             yaw = at.yaw(a, b)
             container = ObjectSpec("container", shape, CONTAINER_M[shape], steel(site))
             site.place(container, at.point(a, b), yaw)
-    fenced(site, at, length, depth, 2.0)
+    place_fences(site, at, length, depth, 2.0)
 
 
 def tank_farm(site: Site, block: Block) -> None:
@@ -103,4 +103,4 @@ def tank_farm(site: Site, block: Block) -> None:
     for a in np.arange(7.0, length - 5.0, 10.0):
         if site.chance(0.5):
             truck(site, at.point(a, 5.0), at.yaw(a, 5.0))
-    fenced(site, at, length, depth, 2.0)
+    place_fences(site, at, length, depth, 2.0)

@@ -32,7 +32,7 @@ def fronts(site: Site, block: Block) -> None:
     court = length - 2 * inner - 2.0, depth - 2 * inner - 2.0
     if court[0] > 3 * BAY_M[0] and court[1] > 2 * BAY_M[1] + AISLE_M:
         middle = 0.5 * (depth - 2 * BAY_M[1] - AISLE_M)
-        car_park(site, block.front(1).shifted(inner + 1.0, middle), court[0], rows=1)
+        car_park(site, block.front(1).shift(inner + 1.0, middle), court[0], rows=1)
     for share in site.rng.uniform(0.2, 0.8, (6, 2)):
         spot = block.front(1).point(*(share * (length, depth)))
         tree(site, spot, site.rng.uniform(1.2, 2.2))

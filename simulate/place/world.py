@@ -20,7 +20,7 @@ MIRRORED_M = 64.0
 """Width (m) of the strip around a place in which the ground is the place's mirror image."""
 
 
-def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+def _reflect(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """Reflect whole-cell indices into [0, size): ... 1 0 | 0 1 ... size-1 | size-1 ..."""
     index = np.mod(index, 2 * size)
     return np.where(index < size, index, 2 * size - 1 - index)
@@ -130,7 +130,7 @@ class Ground:
         n = len(self.labels)
         beyond = np.maximum(np.abs(x), np.abs(y)) - 0.5 * n * self.texel_m
         column, row = (
-            _mirrored(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
+            _reflect(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
             for c in (x, y)
         )
         return np.asarray(

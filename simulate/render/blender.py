@@ -29,10 +29,10 @@ from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
-from simulate.look.surveyed import bake_surveyed, mirror_surveyed
+from simulate.look.surveyed import bake_albedo, bake_gloss
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
-from simulate.place.change import changed_world
+from simulate.place.change import change_world
 from simulate.place.presets import preset
 from simulate.place.world import World, WorldObject
 from simulate.render.board import board_mesh
@@ -65,7 +65,7 @@ def main(chunk_path: str) -> None:
         _build_board(job.board)
     else:
         base = preset(job.preset, job.prepared)(job.seed, job.area_m)
-        world = changed_world(base, job.change, job.first_new_id).world
+        world = change_world(base, job.change, job.first_new_id).world
         light = condition(job.condition, job.origin)
         _build_scene(world, light)
         stage = _Stage(world, light)
@@ -92,7 +92,7 @@ def main(chunk_path: str) -> None:
             if chunk.rays is not None:
                 c = job.camera
                 xy, small = c.f * rays + [c.cx, c.cy], caster.small(pose, c.f)
-                arrays = resample(arrays, xy, rays, caster.seen_from(pose), small)
+                arrays = resample(arrays, xy, rays, caster.cast_from(pose), small)
             if world is not None:
                 shift = row_shift(travel, len(rays))
                 arrays["semantic"] = semantic_labels(world, rays, pose, shift, arrays)
@@ -123,7 +123,7 @@ def _build_scene(world: World, light: Condition) -> None:
         albedo = ground.bake(world.ground, light, world.seed)
         mirror = ground.mirror(world.ground, light, world.seed)
     else:
-        albedo, mirror = bake_surveyed(world, light), mirror_surveyed(world, light)
+        albedo, mirror = bake_albedo(world, light), bake_gloss(world, light)
     materials = build_materials(bpy.data, light, albedo, mirror)
     # Meshes come first, because adding a material to a mesh takes time for every existing object.
     surfaces = [

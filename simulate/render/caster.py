@@ -49,7 +49,7 @@ class Caster:
         chosen = np.flatnonzero(ahead & (area < _SMALL_PX))
         return {self._numbers[k]: boxes[k] for k in chosen}
 
-    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+    def cast_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
         """Return the function that casts rays of the camera at a pose."""
         world_from_cam = np.linalg.inv(cam_from_world)
 

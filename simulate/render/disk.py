@@ -15,7 +15,7 @@ _RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype
 _PACKED = 0.5 * _RAW
 
 
-def bytes_needed(left: dict[str, tuple[int, int]], pixels: int) -> int:
+def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int) -> int:
     """Return an upper bound of the disk space that sessions still need, bytes.
 
     Args:

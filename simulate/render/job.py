@@ -36,7 +36,7 @@ class RenderJob(BaseModel):
     - ``poses`` maps frame numbers to ``cam_from_world`` (4, 4), OpenCV axes, metres.
     - ``samples`` is the number of paths per pixel before denoising, and ``denoising`` its quality.
     - ``origin`` is the geodetic origin, from which the position of the sun follows.
-    - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.changed_world``.
+    - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.change_world``.
     - ``prepared`` is the file of a surveyed place, which is read instead of built.
     - ``lens`` is the camera of the photographs as ``str(Camera)``, when it is
       not the pinhole ``camera``, which then covers its view.

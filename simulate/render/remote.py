@@ -44,14 +44,14 @@ def render_remotely(
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
-    with closing(workers.map(divided(job, missing, workers.cores))) as files:
+    with closing(workers.map(divide(job, missing, workers.cores))) as files:
         for frame, data in files:
             with atomic_write(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)
             on_frame(frame)
 
 
-def divided(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
+def divide(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
     """Yield shares of a job's frames for workers with ``cores`` cores."""
     for share in split_work(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
         yield job.model_copy(update={"poses": {i: job.poses[i] for i in share}})

@@ -16,16 +16,16 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.look.conditions import condition
 from simulate.look.ground import srgb
 from simulate.look.sun import sun_position
-from simulate.place.surveyed import surveyed_ground
+from simulate.place.surveyed import make_ground
 from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
 from simulate.twin.albedo import even_walls, reflectance, soften_shadows
 from simulate.twin.classes import NAMES, classify, from_mask
 from simulate.twin.options import SiteConfig, digests
-from simulate.twin.photographs import Photograph, colours_seen
+from simulate.twin.photographs import Photograph, sample_colours
 from simulate.twin.report import SiteReport
-from simulate.twin.sampling import Cells, colours, heights, known_reach, known_square, labels
+from simulate.twin.sampling import Cells, colours, heights, inner_square, labels, outer_square
 from simulate.twin.snow import snow_that_stays
-from simulate.twin.source import Files, opened
+from simulate.twin.source import Files, open_rasters
 from simulate.twin.terrain import close_holes, drop_islands, ground_below, steepness, sunlit
 
 Float = NDArray[np.float32]
@@ -63,7 +63,7 @@ def build_site(
     """
     if digests(site.model_dump()) != site.sha256:
         raise InputError("a file of the site is no longer the scene's: restore it")
-    with opened(site, beside) as files:
+    with open_rasters(site, beside) as files:
         return _build(site, files, area_m, origin, seed)
 
 
@@ -78,7 +78,7 @@ def _build(
     flat = _holes(surface, grids.nodes, grids.margin_m, site.most_closed, "surface model")
     surface, closed = close_holes(surface, grids.nodes.spacing_m)
     fine = _finer(surface, n)
-    rgb = _painted(rgb, fine, grids.texels, files.photographs)
+    rgb = _paint(rgb, fine, grids.texels, files.photographs)
     holes = _holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
     rgb, _ = close_holes(rgb, texel_m)
     bare = ground_below(surface, grids.nodes.spacing_m)
@@ -103,7 +103,7 @@ def _build(
         area_m=float(area_m),
         terrain=Heightfield(surface.astype(float), grids.nodes.spacing_m),
         roads=(),
-        ground=surveyed_ground(found, texel_m),
+        ground=make_ground(found, texel_m),
         objects=(),
         imagery=Imagery(srgb(albedo), np.rint(255 * snow).astype(np.uint8), site.season),
         bare=Heightfield(bare.astype(float), grids.nodes.spacing_m),
@@ -116,7 +116,7 @@ def _build(
 def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
     """Choose the grids of a place and of as much of what is around it as is known."""
     rasters = (files.colours, files.heights)
-    known_m = known_square(rasters, origin)
+    known_m = inner_square(rasters, origin)
     if known_m <= 0:
         raise InputError(
             f"{files.colours.path.name} and {files.heights.path.name} do not both show the origin "
@@ -124,7 +124,7 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
             "leave the origin out"
         )
     if files.photographs:  # what lies around is painted as far as they show it
-        known_m = known_reach(files.colours, origin)
+        known_m = outer_square(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
     half_m = 0.5 * area_m + margin_m
     pixel, step = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
@@ -163,7 +163,7 @@ def _holes(values: Float, cells: Cells, margin_m: float, most: float, what: str)
     return share
 
 
-def _painted(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photograph]) -> Float:
+def _paint(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photograph]) -> Float:
     """Return the colours (n, n, 3) with those that photographs show where there were none.
 
     The heights (n, n) of the surface are closed there, so that what stands in such a hole lies
@@ -174,7 +174,7 @@ def _painted(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photog
         return rgb
     x, y, z = cells.axis[columns], cells.axis[rows], fine[rows, columns]
     painted = rgb.copy()
-    painted[rows, columns] = colours_seen(photographs, np.stack([x, y, z], -1).astype(float))
+    painted[rows, columns] = sample_colours(photographs, np.stack([x, y, z], -1).astype(float))
     return painted
 
 

@@ -96,7 +96,7 @@ class SiteConfig(Config):
 
     @field_validator("season")
     @classmethod
-    def _known_season(cls, name: str) -> str:
+    def _check_season(cls, name: str) -> str:
         SEASONS.load(name)
         return name
 

@@ -75,7 +75,7 @@ def map_photographs(scene: Scene) -> list[Photograph]:
     ]
 
 
-def photographed_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
+def covered_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
     """Return the side of the largest square around the origin that two photographs see.
 
     Args:
@@ -100,7 +100,7 @@ def photographed_square(photographs: Sequence[Photograph], height: float, most_m
     return float(sides[order][good[-1]]) if len(good) else 0.0
 
 
-def colours_seen(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
+def sample_colours(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
     """Return the colours of world points in the photograph that looks at each most from above.
 
     Args:

@@ -77,7 +77,7 @@ def labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
     return np.asarray(np.concatenate(parts), np.uint8)
 
 
-def known_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
+def inner_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
     """Return the half side, metres, of the largest square around an origin inside two rasters.
 
     It is not positive where the origin lies outside one of them.
@@ -85,7 +85,7 @@ def known_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
     return float(min(_reach(raster, origin).min() for raster in rasters))
 
 
-def known_reach(raster: Raster, origin: Geodetic) -> float:
+def outer_square(raster: Raster, origin: Geodetic) -> float:
     """Return the half side, metres, of the square around an origin that reaches a far edge."""
     return float(_reach(raster, origin).max())
 

@@ -48,11 +48,11 @@ def snow_that_stays(
     kept[list(_KEPT)] = list(_KEPT.values())
     share = np.asarray(kept[found])
     paved = found == PAVED
-    share[paved] = _on_paved(paved, albedo, texel_m)[paved]
+    share[paved] = _snow_on_pavement(paved, albedo, texel_m)[paved]
     share = cv2.GaussianBlur(share, (0, 0), _SPLASH_M / texel_m)
     share[found == WATER] = 0.0
     share[paved & (above > _STANDS_M)] = _ON_THINGS
-    crown = _opened(found == CROWN, _RIM_M, texel_m)  # what is thinner is the rim of a wall
+    crown = _open_mask(found == CROWN, _RIM_M, texel_m)  # what is thinner is the rim of a wall
     share[crown] = _KEPT[CROWN]
     return np.asarray(share * np.where(crown, np.float32(1), lies), np.float32)
 
@@ -77,10 +77,10 @@ def where_snow_lies(surface: Float, spacing_m: float, n: int) -> Float:
     return np.asarray(cv2.resize(share, (n, n), interpolation=cv2.INTER_LINEAR))
 
 
-def _on_paved(paved: Mask, albedo: Float, texel_m: float) -> Float:
+def _snow_on_pavement(paved: Mask, albedo: Float, texel_m: float) -> Float:
     """Return the share of the snow that stays on paved ground (n, n), by its width and colour."""
-    narrow = ~_opened(paved, _PATH_M, texel_m)
-    wide = _opened(paved, _LOT_M, texel_m)
+    narrow = ~_open_mask(paved, _PATH_M, texel_m)
+    wide = _open_mask(paved, _LOT_M, texel_m)
     share = np.where(wide, _ON_LOTS, _ON_ROADS).astype(np.float32)
     value = cv2.GaussianBlur(albedo.mean(-1), (0, 0), _PAINT_M / texel_m)
     driven = paved & ~narrow
@@ -91,7 +91,7 @@ def _on_paved(paved: Mask, albedo: Float, texel_m: float) -> Float:
     return share
 
 
-def _opened(mask: Mask, width_m: float, texel_m: float) -> Mask:
+def _open_mask(mask: Mask, width_m: float, texel_m: float) -> Mask:
     """Return the parts of a mask (n, n) that a disc of this diameter fits into."""
     radius = 0.5 * width_m / texel_m
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > radius

@@ -18,8 +18,8 @@ from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.scratch import scratch
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
-from simulate.twin.photographs import Photograph, map_photographs, photographed_square
-from simulate.twin.sampling import known_square
+from simulate.twin.photographs import Photograph, covered_square, map_photographs
+from simulate.twin.sampling import inner_square
 
 _FEWEST = 8  # photographs that show a site
 # Photographs lie on one line when they leave it by less than this share of its length.
@@ -54,7 +54,7 @@ class Extent(NamedTuple):
 
 
 @contextmanager
-def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
+def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
     """Open the rasters of a site; those of a scene are fused into a temporary folder.
 
     Raises:
@@ -67,7 +67,7 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
         yield Files(colours, heights, site.taken, notes=notes)
         return
     scene = Scene.open(site.scene)
-    notes, taken = _surveyed_by(scene)
+    notes, taken = _survey_credit(scene)
     with scratch(beside) as folder:
         sessions = {name: scene.frames(name) for name in scene.sessions}
         ortho.write(scene, sessions, folder, folder)
@@ -95,7 +95,7 @@ def extent(site: SiteConfig, sized: bool = False) -> Extent:
         return Extent(scene.manifest.origin, _side(scene))
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
-    side_m = 2 * known_square((colours, heights), origin)
+    side_m = 2 * inner_square((colours, heights), origin)
     if side_m < LEAST_SITE_M and not sized:
         raise InputError(
             f"{site.ortho} and {site.dsm} show a square of {max(side_m, 0):.0f} m in common: a "
@@ -141,7 +141,7 @@ def _side(scene: Scene) -> float:
     if not len(points):
         raise InputError(f"the map of {scene.path} has no points")
     most_m = min(2 * float(np.abs(points[:, :2]).max()), _MOST_M)
-    side_m = photographed_square(photographs, float(np.median(points[:, 2])), most_m)
+    side_m = covered_square(photographs, float(np.median(points[:, 2])), most_m)
     if side_m < LEAST_SITE_M:
         raise InputError(
             f"two photographs of {scene.path} see a square of {side_m:.0f} m around its origin: a "
@@ -150,7 +150,7 @@ def _side(scene: Scene) -> float:
     return float(np.floor(side_m))
 
 
-def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
+def _survey_credit(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
     """Return what is to be said of the photographs of a map, and their mean time.
 
     Raises:

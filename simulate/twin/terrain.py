@@ -67,11 +67,11 @@ def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
         if not share.any():
             break
         weight = share if closed.ndim == 2 else share[..., None]
-        closed = closed + weight * (_blurred(closed, sigma) - closed)
+        closed = closed + weight * (_blur(closed, sigma) - closed)
     return closed, hole
 
 
-def _blurred(values: Float, sigma: float) -> Float:
+def _blur(values: Float, sigma: float) -> Float:
     """Smooth a grid; a wide filter works on fewer cells, which takes a fraction of the time."""
     n = len(values)
     m = min(n, max(4, round(n * _SIGMA / sigma)))

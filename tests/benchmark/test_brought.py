@@ -11,7 +11,7 @@ import pytest
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import evaluate
-from objconnect.methods import create, known
+from objconnect.methods import create, method_names
 from objconnect.scene.errors import InputError
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "nearest"
@@ -40,7 +40,7 @@ def test_the_example_runs_as_it_stands(install: Install, made_flight: Path, tmp_
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
     for name, value in project["entry-points"]["objconnect.localizers"].items():
         install(name, value)
-    assert "nearest" in known()
+    assert "nearest" in method_names()
     (dataset,) = open_datasets(made_flight)
     results = evaluate(dataset, create("nearest", {"ignore_altitude": False}), tmp_path / "out")
     assert results.method.config == {"ignore_altitude": False}

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
-from objconnect.methods import create, known
+from objconnect.methods import create, method_names
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Estimate, Localizer, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -183,7 +183,7 @@ def test_vismatch_is_needed_only_when_it_is_used(
     vismatch(sift_matches)
     with pytest.raises(InputError, match=r"matcher=roma on device=cpu: Matcher roma not yet.*d\.$"):
         ready(create("vismatch", {"matcher": "roma"}))
-    assert {"vismatch", "hloc"} <= set(known())
+    assert {"vismatch", "hloc"} <= set(method_names())
 
 
 def write_hloc(folder: Path, query_first: bool = True, separator: str = "/") -> dict[str, Path]:

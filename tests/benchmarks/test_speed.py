@@ -16,7 +16,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 import objconnect.localization.align.linearise as linearising
 from objconnect.learning.folding import fold
-from objconnect.learning.quantization import largest_values, quantized
+from objconnect.learning.quantization import largest_values, quantize
 from objconnect.localization.align.residuals import Level, LevelCost
 from objconnect.localization.align.sampling import CellTable, stencil
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
@@ -223,7 +223,7 @@ def test_network(benchmark: BenchmarkFixture, way: str) -> None:
             pytest.skip("the processor has no units for integers (VNNI)")
         with torch.inference_mode(), largest_values(network) as largest:
             network(image)
-        network = quantized(network, channel_scales(largest), network.config.strides)
+        network = quantize(network, channel_scales(largest), network.config.strides)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=half):
         assert len(benchmark(network, image)) == 3
 

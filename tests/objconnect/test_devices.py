@@ -23,7 +23,7 @@ from objconnect.mapping.dense.command import dense
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.methods import create, trainable
 from objconnect.network.connect import Connector
-from objconnect.network.landmarks import merged
+from objconnect.network.landmarks import merge
 from objconnect.network.scene_landmarks import find_landmarks
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
@@ -161,7 +161,7 @@ def test_poses_are_those_of_the_processor(
 
 def test_objects_connect_as_on_the_processor() -> None:
     xyz, vectors = test_landmarks.things(count=60)
-    landmarks = merged(test_landmarks.views(xyz, vectors))[0]
+    landmarks = merge(test_landmarks.views(xyz, vectors))[0]
     view = test_landmarks.photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.3), xyz, vectors)
 
     def found(device: str) -> list[torch.Tensor]:

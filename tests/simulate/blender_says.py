@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from objconnect.scene.geometry.camera import Camera
-from simulate.camera.lens import rendered_through
+from simulate.camera.lens import split_lens
 from simulate.render.job import RenderJob
 from tests.blender import require_blender
 
@@ -50,7 +50,7 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
     pose[:3, :3] = matrix * np.linalg.det(matrix)
     pose[:3, 3] = [3, -5, 2]
     points = (local - pose[:3, 3]) @ pose[:3, :3]
-    pinhole, lens = rendered_through(camera)
+    pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=0, area_m=1, condition="summer-noon", camera=pinhole, lens=lens, samples=_SAMPLES,
         poses={0: pose.tolist()},

@@ -15,8 +15,8 @@ from simulate.place.change import (
     LOOSE,
     VEHICLES,
     Change,
-    changed_world,
-    changed_worlds,
+    change_world,
+    change_worlds,
     every_object,
 )
 from simulate.place.kerbs import Rises
@@ -32,7 +32,7 @@ def town() -> World:
 
 
 def test_what_is_not_declared_stays(town: World) -> None:
-    changed = changed_world(town, MUCH)
+    changed = change_world(town, MUCH)
     declared, before = changed.declared, {o.id: o for o in town.objects}
     after = {o.id: o for o in changed.world.objects}
     assert len(after) == len(changed.world.objects)
@@ -56,17 +56,17 @@ def test_what_is_not_declared_stays(town: World) -> None:
 def test_shares_are_kept(town: World) -> None:
     loose = [o for o in town.objects if o.class_name in LOOSE]
     vehicles = [o for o in loose if o.class_name in VEHICLES]
-    declared = changed_world(town, Change(objects_removed=0.25)).declared
+    declared = change_world(town, Change(objects_removed=0.25)).declared
     assert len(declared.removed) == round(0.25 * len(loose))
     assert not (declared.moved or declared.added or declared.bare)
-    declared = changed_world(town, Change(cars_moved=0.3)).declared
+    declared = change_world(town, Change(cars_moved=0.3)).declared
     assert 0.8 * 0.3 * len(vehicles) < len(declared.moved) <= round(0.3 * len(vehicles))
     assert {old for old, _ in declared.moved} <= {o.id for o in vehicles}
-    assert changed_world(town, Change()).world.objects == town.objects
+    assert change_world(town, Change()).world.objects == town.objects
 
 
 def test_new_places_are_free_and_on_the_ground(town: World) -> None:
-    changed = changed_world(town, MUCH)
+    changed = change_world(town, MUCH)
     items = changed.world.objects
     new = {*changed.declared.added, *(number for _, number in changed.declared.moved)}
     assert len(new) > 15
@@ -83,7 +83,7 @@ def test_new_places_are_free_and_on_the_ground(town: World) -> None:
 
 def test_an_id_means_one_object_in_every_session(town: World) -> None:
     other = MUCH.model_copy(update={"seed": 1})
-    none, first, again, second = changed_worlds(town, [Change(), MUCH, MUCH, other])
+    none, first, again, second = change_worlds(town, [Change(), MUCH, MUCH, other])
     assert first is again
     assert none.world.objects == town.objects
     new = [{o.id for o in w.world.objects} - {o.id for o in town.objects} for w in (first, second)]
@@ -92,7 +92,7 @@ def test_an_id_means_one_object_in_every_session(town: World) -> None:
     listed = [o.id for o in every_object(town, [none, first, second])]
     assert listed == sorted({o.id for o in town.objects} | new[0] | new[1])
     # A renderer that is told the change and the first id makes the same world.
-    told = changed_world(town, other, second.first_new_id)
+    told = change_world(town, other, second.first_new_id)
     assert told.declared == second.declared
     for a, b in zip(told.world.objects, second.world.objects, strict=True):
         assert (a.id, a.shape, a.yaw, *a.centre) == (b.id, b.shape, b.yaw, *b.centre)
@@ -100,7 +100,7 @@ def test_an_id_means_one_object_in_every_session(town: World) -> None:
 
 def test_too_many_objects_are_refused(town: World) -> None:
     with pytest.raises(InputError, match="more than 32767 objects: lower cars_moved"):
-        changed_world(town, MUCH, MAX_OBJECT_ID)
+        change_world(town, MUCH, MAX_OBJECT_ID)
 
 
 def test_bare_trees_fill_the_box_of_the_tree() -> None:

@@ -20,15 +20,15 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from objconnect.scene.storage.images import read_exif, read_rgb
 from objconnect.scene.storage.locks import write_lock
-from simulate.command import _frames, finished_scene, lasting_noise, simulate
+from simulate.command import _frames, find_finished, lasting_noise, simulate
 from simulate.config import SimulateConfig
-from simulate.render.disk import bytes_needed
+from simulate.render.disk import estimate_bytes
 from simulate.render.libraries import PACKAGES, require_libraries
 from tests.conftest import RENDERED
 
 
 def test_scene_is_whole(rendered: Scene) -> None:
-    assert rendered.changed_files() == []
+    assert rendered.find_changed_files() == []
     assert rendered.manifest.seed == RENDERED.seed
     assert set(rendered.splits.queries) == {
         "summer-noon-nadir-query",
@@ -149,7 +149,7 @@ def test_killed_at_ten_random_moments_is_the_same_scene(rendered: Scene, tmp_pat
     resumed = simulate(RENDERED, out)
     assert resumed.manifest.sha256 == digests_without_map(rendered)
     assert resumed.manifest.pixels_sha256 == rendered.manifest.pixels_sha256
-    assert resumed.changed_files() == []
+    assert resumed.find_changed_files() == []
     assert not list(out.rglob(".*"))
     print(f"{kills} kills, finished {finished} times between them")
 
@@ -165,14 +165,14 @@ def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path)
     (session / ".objconnect-abcd1234.partial").write_bytes(b"half")
     (session / ".objconnect-rendered").mkdir()
     (session / ".objconnect-rendered" / "000000.npz").write_bytes(b"whole")
-    assert simulate(RENDERED, rendered_copy).changed_files() == []
+    assert simulate(RENDERED, rendered_copy).find_changed_files() == []
     assert not list(rendered_copy.rglob(".*"))
     # Killed while it claimed the folder.
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / ".objconnect-efgh5678.partial").write_bytes(b"")
     with pytest.raises(InputError, match="not a finished scene"):
         Scene.open(tmp_path / "new")
-    assert finished_scene(tmp_path / "new", RENDERED) is None, "it may be claimed"
+    assert find_finished(tmp_path / "new", RENDERED) is None, "it may be claimed"
 
 
 def test_finished_scene_is_left_alone(rendered: Scene) -> None:
@@ -186,9 +186,9 @@ def test_scenes_from_before_there_was_a_choice_of_denoiser_stay_what_they_were(
 ) -> None:
     """Their configuration does not name one; it was the one that is now called high."""
     assert "denoising" not in rendered.manifest.config
-    assert finished_scene(rendered.path, RENDERED) is not None
+    assert find_finished(rendered.path, RENDERED) is not None
     with pytest.raises(InputError, match="another configuration"):
-        finished_scene(rendered.path, RENDERED.model_copy(update={"denoising": "fast"}))
+        find_finished(rendered.path, RENDERED.model_copy(update={"denoising": "fast"}))
 
 
 def test_another_configuration_is_refused(rendered: Scene) -> None:
@@ -224,9 +224,9 @@ def test_a_full_disk_is_said_before_anything_is_rendered(
 def test_the_estimate_holds_what_a_scene_takes(rendered: Scene) -> None:
     sessions = {name: (n, n) for name, n in zip("abc", (12, 4, 3), strict=True)}
     packed = sum(file.stat().st_size for file in rendered.images_root.rglob("*") if file.is_file())
-    needed = bytes_needed(sessions, RENDERED.size**2)
+    needed = estimate_bytes(sessions, RENDERED.size**2)
     assert packed + 13 * 12 * RENDERED.size**2 < needed < 3 * packed + 13 * 12 * RENDERED.size**2
-    assert bytes_needed({}, 512**2) == 0
+    assert estimate_bytes({}, 512**2) == 0
 
 
 @pytest.mark.parametrize(

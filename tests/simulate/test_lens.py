@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from objconnect.scene.checks.depth_check import DepthFrames, check_depth
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
-from simulate.camera.lens import PRESETS, rendered_through
+from simulate.camera.lens import PRESETS, split_lens
 from simulate.camera.resample import resample
 from simulate.config import SimulateConfig
 from simulate.flight.config import NadirFlight, ObliqueFlight
@@ -44,7 +44,7 @@ def rays_of(camera: Camera) -> np.ndarray:
 def test_depth_is_exact_at_edges_and_on_planes(name: str) -> None:
     """A box on a tilted ground, of which the truth is known at every pixel."""
     camera = LENSES[name]
-    pinhole, lens = rendered_through(camera)
+    pinhole, lens = split_lens(camera)
     assert lens is not None
 
     def ground(rays: np.ndarray) -> np.ndarray:
@@ -108,7 +108,7 @@ def test_colours_are_taken_from_where_they_are() -> None:
 @pytest.mark.parametrize("name", [name for name in CAMERAS if name != "fisheye"])  # 160 degrees
 def test_the_pinhole_covers_the_view_as_finely(name: str) -> None:
     camera = CAMERAS[name]
-    pinhole, lens = rendered_through(camera)
+    pinhole, lens = split_lens(camera)
     if camera.model == "SIMPLE_PINHOLE":
         assert lens is None
         assert (pinhole.width, pinhole.height) == (camera.width, camera.height)
@@ -132,7 +132,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     down = plan_nadir(NadirFlight(altitude_m=50.0), windy, 6, rng)[2:4]
     oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), site, 12, rng)
     poses = np.concatenate([down, oblique[:2]])
-    pinhole, lens = rendered_through(camera)
+    pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=SEED, area_m=AREA, condition="summer-noon", camera=pinhole, lens=lens, samples=1,
         poses={i: pose.tolist() for i, pose in enumerate(poses)},

@@ -7,7 +7,7 @@ from typing import Final
 
 from benchmark.report.board.cells import ALL, cells
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.paper import Cell, Line, measured, pooled, reported
+from benchmark.report.paper import Cell, Line, paper_lines, pool, source_text
 from benchmark.tracks.queries import CHANGED
 
 # Each column of the paper with our track and part beside it, in the order of ``paper.columns``.
@@ -40,16 +40,16 @@ def lines(boards: Sequence[TrackBoard]) -> list[Line]:
         (run.start, run.method, run.declared) for board in boards for run in board.runs
     )
     ours = (
-        Line(method, measured(start, declared), False, tuple(_cells(boards, start, method)))
+        Line(method, source_text(start, declared), False, tuple(_cells(boards, start, method)))
         for start, method, declared in runs
     )
-    return reported() + list(ours)
+    return paper_lines() + list(ours)
 
 
 def _cells(boards: Sequence[TrackBoard], start: str, method: str) -> Iterator[Cell | None]:
     for track, part in _BESIDE.values():
         found = [
-            _pooled(board, run, part)
+            _pool(board, run, part)
             for board in boards
             for run in board.runs
             if (board.track.name, run.start, run.method) == (track, start, method)
@@ -57,9 +57,9 @@ def _cells(boards: Sequence[TrackBoard], start: str, method: str) -> Iterator[Ce
         yield found[0] if found else None
 
 
-def _pooled(board: TrackBoard, run: BoardRun, part: str) -> Cell | None:
+def _pool(board: TrackBoard, run: BoardRun, part: str) -> Cell | None:
     for cell in cells(board.queries):
         if (cell.season, cell.part) == (CHANGED, part):
             answers = run.of(cell.rows)
-            return pooled(answers) if answers else None
+            return pool(answers) if answers else None
     return None

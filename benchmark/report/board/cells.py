@@ -25,7 +25,7 @@ ALL: Final = ALL_CONDITIONS
 # A cell says how wide its intervals are where recall is 90 %.
 _RECALL: Final = 0.9
 RISK: Final = 0.01
-"""Share of wrong answers that ``bounded_recall`` stays below."""
+"""Share of wrong answers that ``recall_at_risk`` stays below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(query.row.condition for query in queries))
 
 
-def bounded_recall(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
+def recall_at_risk(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
     """Return the recall of the surest answers, of which fewer than 1 % are wrong.
 
     Answers are believed in the order of ``uncertainty.doubt``, as far as the share of

@@ -95,7 +95,7 @@ class Bin(NamedTuple):
     recall: Interval | None
 
 
-def binned(bins: NDArray[np.int64], correct: NDArray[np.bool_], count: int) -> list[Bin]:
+def bin_recall(bins: NDArray[np.int64], correct: NDArray[np.bool_], count: int) -> list[Bin]:
     """Return the recall of each of ``count`` bins.
 
     Args:

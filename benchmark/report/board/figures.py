@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.report.board.cells import Cell, bounded_recall, cells, conditions, parts
-from benchmark.report.board.difficulty import AXES, Axis, Bin, binned
+from benchmark.report.board.cells import Cell, cells, conditions, parts, recall_at_risk
+from benchmark.report.board.difficulty import AXES, Axis, Bin, bin_recall
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.page import figures_of, nees_of, paired, rounded
+from benchmark.report.page import compare_paired, figures_of, nees_of, round_figure
 from benchmark.report.tables import start_in_words
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import THRESHOLDS, Interval
@@ -35,7 +35,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
         "methods": board.track.methods,
         "missing": board.missing,
         "datasets": [[place.dataset, ", ".join(place.renders)] for place in board.track.places],
-        "queries": _listed(board),
+        "queries": _list_queries(board),
         "starts": [
             {
                 "name": start,
@@ -49,7 +49,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
     }
 
 
-def _listed(board: TrackBoard) -> dict[str, Any]:
+def _list_queries(board: TrackBoard) -> dict[str, Any]:
     """Return the list of queries, by column: the page reads many."""
     places = [place.dataset for place in board.track.places]
     part_names, condition_names = parts(board.queries), conditions(board.queries)
@@ -60,7 +60,9 @@ def _listed(board: TrackBoard) -> dict[str, Any]:
         "condition": [condition_names.index(query.row.condition) for query in board.queries],
         "same": [int(query.same) for query in board.queries],
         **{
-            axis.key: [rounded(getattr(query.row.difficulty, axis.key)) for query in board.queries]
+            axis.key: [
+                round_figure(getattr(query.row.difficulty, axis.key)) for query in board.queries
+            ]
             for axis in AXES
         },
     }
@@ -89,7 +91,7 @@ def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, 
         "part": cell.part,
         "queries": len(cell.rows),
         "flights": len(np.unique(board.flights[cell.rows])),
-        "half": rounded(cell.half_width),
+        "half": round_figure(cell.half_width),
         "runs": [_run(board, cell, run) for run in runs],
         "pairs": [list(_pairs(board, cell, runs, number)) for number in range(len(THRESHOLDS))],
     }
@@ -102,7 +104,7 @@ def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
     if not answers:
         return None
     summary = summarize(answers, 0.0, None)
-    bounded = [bounded_recall(answers, threshold) for threshold in THRESHOLDS]
+    bounded = [recall_at_risk(answers, threshold) for threshold in THRESHOLDS]
     return {
         "summary": figures_of(summary),
         "nees": nees_of(summary.uncertainty),
@@ -132,7 +134,7 @@ def _curves(
     """Yield the bins of an axis at every threshold."""
     of = axis.bins([getattr(board.queries[row].row.difficulty, axis.key) for row in rows])
     for right in run.correct:
-        yield binned(of, right[rows], len(axis.labels))
+        yield bin_recall(of, right[rows], len(axis.labels))
 
 
 def _bin(thresholds: Sequence[Bin]) -> list[Any]:
@@ -150,5 +152,5 @@ def _pairs(
         if len(both):
             before, after = first.correct[number, both], second.correct[number, both]
             flights = board.flights[both].tolist()
-            change = paired(before.tolist(), after.tolist(), flights)
+            change = compare_paired(before.tolist(), after.tolist(), flights)
             yield {"a": a, "b": b, "flights": len(set(flights))} | change

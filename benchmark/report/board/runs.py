@@ -153,7 +153,7 @@ def read_board(name: str, board: Path) -> TrackBoard:
         for place in track.places
     }
     missing = list(_missing(track, paths))
-    loaded = _loaded(track, {key: path for key, path in paths.items() if path is not None})
+    loaded = _load(track, {key: path for key, path in paths.items() if path is not None})
     if not loaded:
         missing = ["no results yet"]
     queries = tuple(_queries(folder, track, loaded))
@@ -173,7 +173,7 @@ def _missing(track: Track, paths: Mapping[_Key, Path | None]) -> Iterator[str]:
                 yield f"no results of {method} from start {start} on {which}"
 
 
-def _loaded(track: Track, paths: Mapping[_Key, Path]) -> dict[_Key, Results]:
+def _load(track: Track, paths: Mapping[_Key, Path]) -> dict[_Key, Results]:
     places = {place.dataset: place for place in track.places}
     loaded = {}
     with progress_bar(f"{track.name} results", len(paths)) as advance:

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from benchmark.report.board import beside_paper
-from benchmark.report.board.cells import RISK, Cell, bounded_recall, cells
+from benchmark.report.board.cells import RISK, Cell, cells, recall_at_risk
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.markdown import escaped, line, nees_text, number, paper_markdown, recall_text
+from benchmark.report.markdown import escape, line, nees_text, number, paper_markdown, recall_text
 from benchmark.report.tables import start_in_words
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS
@@ -52,7 +52,7 @@ def headline(board: TrackBoard) -> Iterator[HeadlineRow]:
 
 def _row(cell: Cell, run: BoardRun) -> HeadlineRow:
     answers = run.of(cell.rows)
-    surest = bounded_recall(answers, THRESHOLDS[1])
+    surest = recall_at_risk(answers, THRESHOLDS[1])
     return HeadlineRow(
         start=run.start,
         season=cell.season,
@@ -84,13 +84,13 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         f"{RISK:.0%} of those are wrong.",
     ]
     for board, figures in zip(boards, rows, strict=True):
-        lines += ["", f"## {escaped(board.track.name)}: {escaped(board.track.title)}"]
+        lines += ["", f"## {escape(board.track.name)}: {escape(board.track.title)}"]
         for start in dict.fromkeys(row.start for row in figures):
-            lines += ["", f"### Start: {escaped(start_in_words(start))}", ""]
+            lines += ["", f"### Start: {escape(start_in_words(start))}", ""]
             lines += _table([row for row in figures if row.start == start])
         if not figures:
             lines += ["", "Nothing is measured yet."]
-        lines += ["", *(f"- Missing: {escaped(sentence)}." for sentence in board.missing)]
+        lines += ["", *(f"- Missing: {escape(sentence)}." for sentence in board.missing)]
     text = "\n".join(lines).rstrip() + "\n"
     return text + paper_markdown(
         beside_paper.lines(boards), beside_paper.note(), beside_paper.columns()
@@ -107,10 +107,10 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
         summary, consistent = row.summary, row.summary.uncertainty
         yield line(
             [
-                escaped(row.season),
-                escaped(row.part),
-                escaped(row.method),
-                _asked(summary.queries, row.cell_queries),
+                escape(row.season),
+                escape(row.part),
+                escape(row.method),
+                _count_asked(summary.queries, row.cell_queries),
                 f"{row.half_width:.1f}",
                 *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 "–" if row.surest is None else recall_text(row.surest),
@@ -122,6 +122,6 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
         )
 
 
-def _asked(asked: int, of: int) -> str:
+def _count_asked(asked: int, of: int) -> str:
     """Return how many queries of a cell a method was asked; a part of them is no equal footing."""
     return str(asked) if asked == of else f"{asked} of {of}"

@@ -123,7 +123,7 @@ def photograph_orthophoto(
     collar = [f"{orthophoto.name}: {survey.collar}"] if survey.collar else []
     notes = (*colours.notes(place), *collar, *heights.notes(place, undulation))
     camera = camera_of(options)
-    planned = _planned(survey, camera, options)
+    planned = _plan_views(survey, camera, options)
     if len(planned.poses) < _FEWEST:
         raise InputError(
             f"{len(planned.poses)} views of {orthophoto} on {dsm} show enough surface, {_FEWEST} "
@@ -195,7 +195,7 @@ def _survey(
     """Read both rasters whole, and find what they cover."""
     collar = collar_of(_strips(colours))  # damage is found before the views are rendered
     low, high = np.inf, -np.inf
-    for known in _known(heights):
+    for known in _valid_rows(heights):
         low, high = min(low, float(known.min())), max(high, float(known.max()))
     if not np.isfinite(low):
         raise InputError(f"surface model {heights.path} has no height")
@@ -218,7 +218,7 @@ def _survey(
     return _Survey(surface, ground, first, last, altitude, collar)
 
 
-def _known(raster: Raster) -> Iterator[NDArray[np.float32]]:
+def _valid_rows(raster: Raster) -> Iterator[NDArray[np.float32]]:
     """Read a whole raster; yield the values of some rows that have data, (N,), N > 0."""
     for values in _strips(raster):
         known = values[np.isfinite(values)]
@@ -249,9 +249,9 @@ class _Planned(NamedTuple):
     left_out: int
 
 
-def _planned(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
+def _plan_views(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
     """Choose the poses (N, 4, 4) of views that show enough surface, by small renders."""
-    small = camera.resized(_SMALL, _SMALL)
+    small = camera.resize(_SMALL, _SMALL)
     farthest = _FARTHEST * survey.altitude
     aims = directions(options)
     spots = places(survey.low, survey.high, survey.altitude, options)
@@ -261,7 +261,7 @@ def _planned(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
             centre = survey.above_ground(place)
             for heading, tilt in aims:
                 pose = looking(centre, heading, tilt)
-                if survey.surface.render(small, pose, farthest).seen >= _LEAST_SEEN:
+                if survey.surface.render(small, pose, farthest).coverage >= _LEAST_SEEN:
                     poses.append(pose)
             advance((k + 1) * len(aims))
     return _Planned(np.array(poses).reshape(-1, 4, 4), len(spots) * len(aims) - len(poses))

@@ -45,7 +45,7 @@ class View(NamedTuple):
     depth: NDArray[np.float32]
 
     @property
-    def seen(self) -> float:
+    def coverage(self) -> float:
         """Return the share of pixels that show the surface."""
         return float((self.depth > 0).mean())
 
@@ -189,7 +189,7 @@ class _Image:
 
     def sample(self, x: Tensor, y: Tensor, mode: str = "bilinear") -> Tensor:
         """Return values (bands, N) at normal coordinates (N,)."""
-        return _sampled(self.values, x, y, mode)
+        return _sample(self.values, x, y, mode)
 
     def ceiling(self) -> Tensor:
         """Return the highest value in each cell and the eight around it, (1, bands, h, w)."""
@@ -198,7 +198,7 @@ class _Image:
         return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
 
 
-def _sampled(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
+def _sample(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     at = torch.stack([x, y], -1)[None, None]
     found: Tensor = torch.nn.functional.grid_sample(
         values, at, mode=mode, padding_mode="border", align_corners=False
@@ -228,7 +228,7 @@ class _Parabolas(NamedTuple):
         parts = (constant, (b * scale).T, (c * scale).T)
         return _Parabolas(*(torch.from_numpy(part.astype(np.float32)) for part in parts))
 
-    def chosen(self, which: Tensor) -> _Parabolas:
+    def select(self, which: Tensor) -> _Parabolas:
         """Return some of them."""
         return _Parabolas(*(part[:, which] for part in self))
 
@@ -246,7 +246,7 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     which = np.flatnonzero(rays.meet)
     zero = undulation + float(np.nanmin(patch.values))
     image.values -= zero - undulation
-    lines = _Parabolas.of(rays, local, image, zero).chosen(torch.from_numpy(which))
+    lines = _Parabolas.of(rays, local, image, zero).select(torch.from_numpy(which))
     first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
     across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
     # Depth in which a ray crosses a pixel; upright rays take a pixel of depth.
@@ -256,7 +256,7 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     hit = torch.nonzero(deep > 0)[:, 0]
     depth = np.zeros(len(rays.first))
     if len(hit):
-        found = _entry(lines.chosen(hit), image, shallow[hit], deep[hit])
+        found = _entry(lines.select(hit), image, shallow[hit], deep[hit])
         depth[which[hit.numpy()]] = found.double().numpy()
     return depth
 
@@ -278,10 +278,10 @@ def _before_surface(
     stride = (_CELL - 1) * step
     active = torch.nonzero(depth < last)[:, 0]
     while len(active):
-        now = lines.chosen(active)
+        now = lines.select(active)
         x, y, _ = now.at(depth[active])
         below = now.at(depth[active] + stride[active])[2]
-        free = below > _sampled(ceiling, x, y, "nearest")[0]
+        free = below > _sample(ceiling, x, y, "nearest")[0]
         active = active[free]
         depth[active] += stride[active]
         active = active[depth[active] < last[active]]
@@ -294,7 +294,7 @@ def _step_of_entry(
     """Return the depths (N,) around the step in which each ray enters the surface, or zeros."""
     shallow, deep = torch.zeros_like(first), torch.zeros_like(first)
     active = torch.nonzero(first < last)[:, 0]
-    now, depth = lines.chosen(active), first[active]
+    now, depth = lines.select(active), first[active]
     before = torch.full_like(depth, math.nan)
     while len(active):
         clear = _clearance(now, image, depth)
@@ -302,7 +302,7 @@ def _step_of_entry(
         met = active[entered]
         deep[met], shallow[met] = depth[entered], (depth - step[active])[entered]
         kept = ~(clear <= 0) & (depth < last[active])
-        active, before, now = active[kept], clear[kept], now.chosen(kept)
+        active, before, now = active[kept], clear[kept], now.select(kept)
         depth = depth[kept] + step[active]
     return shallow, deep
 

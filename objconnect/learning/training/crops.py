@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.learning.training.pairs import Pinhole
-from objconnect.scene.geometry.views import resampled, roll_rotation
+from objconnect.scene.geometry.views import resample, roll_rotation
 
 
 class Crop(NamedTuple):
@@ -53,7 +53,7 @@ def crop(
     turn = roll_rotation(angle)
     linear = scale * turn[:2, :2]
     affine = np.column_stack([linear, size / 2 - linear @ centre])
-    cut = resampled(image, affine, np.array([size, size]))
+    cut = resample(image, affine, np.array([size, size]))
     seen_by = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
     crop_from_camera = np.eye(4)
     crop_from_camera[:3, :3] = turn

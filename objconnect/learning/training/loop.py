@@ -23,7 +23,7 @@ from objconnect.learning.checkpoint import fault_of, write_weights
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
-from objconnect.scene.config import as_recorded
+from objconnect.scene.config import take_recorded
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.runtime.device import torch_device
 from objconnect.scene.runtime.progress import progress_bar
@@ -116,7 +116,7 @@ class PairSources:
     photographs: PairSource | None = None
     validation: PairSource | None = None
 
-    def drawn(self, photograph_share: float, seed: int) -> _Drawn:
+    def draw(self, photograph_share: float, seed: int) -> _Drawn:
         """Return the training pairs, of which a share is made of photographs if there are any."""
         if self.photographs is None:
             return _Drawn([self.rendered], [1.0], seed)
@@ -166,7 +166,7 @@ def train_loop(
     with _naming_the_dead(), _log(out / LOG, first, rank) as log, bar as advance:
         for begin, end in pairwise(borders):
             share = config.photograph_share * (1 if begin == 0 else 0.5)
-            drawn = sources.drawn(share, config.seed)
+            drawn = sources.draw(share, config.seed)
             start = max(first, begin)
             stretch = _Stretch(start, max(start, end), config.batch, rank, world)
             loader = _loader(drawn, stretch, config.workers)
@@ -251,7 +251,7 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
             before = parse_json(described)
             # Settings that did not exist when the run began have their defaults, and those that are
             # constants now do not count.
-            recorded = as_recorded(TrainConfig, dict(before["config"]))
+            recorded = take_recorded(TrainConfig, dict(before["config"]))
             before["config"] = TrainConfig.model_validate(recorded).model_dump(mode="json")
             before["config"] |= {name: run["config"][name] for name in _FREE}
         except (ValueError, KeyError, TypeError):
@@ -362,7 +362,7 @@ def _restore(
 _FIGURES: Final = TypeAdapter(dict[str, float])
 
 
-def _logged(path: Path, until: int) -> Iterator[str]:
+def _read_log(path: Path, until: int) -> Iterator[str]:
     """Yield the lines of a log of steps before ``until``, without incomplete lines."""
     for number, line in enumerate(read_text(path, "training log").splitlines(), 1):
         if not line.endswith("}"):
@@ -388,7 +388,7 @@ def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
     if rank > 0:
         yield lambda step, figures: None
         return
-    kept = _logged(path, first) if path.is_file() else ()
+    kept = _read_log(path, first) if path.is_file() else ()
     write_text(path, "".join(f"{line}\n" for line in kept))
     with path.open("a") as file:
 

@@ -60,11 +60,11 @@ class PlanePairs:
         """See ``PairSource``."""
         while True:
             photograph = read_rgb(self._paths[rng.integers(len(self._paths))])
-            pair = self._seen_twice(photograph, rng)
+            pair = self._render_pair(photograph, rng)
             if pair is not None:
                 return pair
 
-    def _seen_twice(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
+    def _render_pair(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
         size, (height, width) = self._size, photograph.shape[:2]
         options = self._options
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
@@ -75,8 +75,8 @@ class PlanePairs:
         away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
         b_from_ground = _looking_down(middle + away, rng, options)
         b_from_a = b_from_ground @ np.linalg.inv(a_from_ground)
-        image_a = _seen(photograph, ground, camera, a_from_ground, size)
-        image_b = _seen(photograph, ground, camera, b_from_ground, size)
+        image_a = _render(photograph, ground, camera, a_from_ground, size)
+        image_b = _render(photograph, ground, camera, b_from_ground, size)
         xy_a = keypoints(image_a, 4 * self._points, rng)
         # The points are where rays meet the ground, z = 0.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
@@ -123,7 +123,7 @@ def _looking_down(
     return pose
 
 
-def _seen(
+def _render(
     photograph: NDArray[np.uint8],
     metres_per_pixel: float,
     camera: Pinhole,

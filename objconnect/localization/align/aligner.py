@@ -49,7 +49,7 @@ class Alignment:
     failure: Tensor
 
     @property
-    def failed(self) -> Tensor:
+    def has_failed(self) -> Tensor:
         """Return (...) where alignment failed, so that the pose must not be used."""
         return self.failure != _ALIGNED
 
@@ -104,7 +104,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     points = problem.points
     owner = torch.arange(len(points), device=points.device).repeat_interleave(starts_per_query)
 
-    def unflattened(t: Tensor) -> Tensor:
+    def unflatten(t: Tensor) -> Tensor:
         return t.view(*shape, *t.shape[1:])
 
     pose = tree_map(lambda t: t.reshape(len(owner), *t.shape[len(shape) :]), local.start)
@@ -121,18 +121,18 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         now = torch.where(is_finite(state.around), _ALIGNED, _NOT_FINITE)
         now = torch.where(seen < options.min_points, _TOO_FEW, now)
         failure = torch.where(alive, now, failure)
-        by_level.append(local.in_world(tree_map(unflattened, pose)))
+        by_level.append(local.in_world(tree_map(unflatten, pose)))
     failed = failure != _ALIGNED
     last = state.around
     unknown = failed if with_covariance else torch.ones_like(failed)
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(_covariance(last, unknown)),
-        cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
-        iterations=unflattened(iterations),
-        seen=unflattened(seen),
-        failure=unflattened(failure),
+        covariance=unflatten(_covariance(last, unknown)),
+        cost=unflatten(torch.where(failed, torch.inf, last.mean_cost())),
+        iterations=unflatten(iterations),
+        seen=unflatten(seen),
+        failure=unflatten(failure),
     )
 
 

@@ -24,7 +24,7 @@ from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.state import State
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics
-from objconnect.scene.runtime.loops import compiled
+from objconnect.scene.runtime.loops import compile_loop
 from objconnect.scene.runtime.tuning import worker_threads
 
 
@@ -50,7 +50,7 @@ _DESCEND: Final = types.void(_LEVEL, _POINTS, _MOVING, _RULES, i8, i8)
 _WORTH_THREADS: Final = 1024
 
 
-def descended(
+def descend_compiled(
     cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
 ) -> State:
     """Return what ``descent.descend`` does, with careful steps."""
@@ -77,7 +77,7 @@ def descended(
         min_points=options.min_points,
     )
     _in_parts(
-        partial(compiled(kernels.descend, _DESCEND), level, points, moving, rules), *used.shape
+        partial(compile_loop(kernels.descend, _DESCEND), level, points, moving, rules), *used.shape
     )
     to = Pose(*map(torch.from_numpy, moving.poses))
     there = Linearisation(*map(torch.from_numpy, moving.around))
@@ -102,7 +102,7 @@ def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None
 def around(cost: LevelCost, pose: Pose) -> Linearisation:
     """Return what ``LevelCost.linearise`` does."""
     still = torch.zeros(len(cost.first), dtype=torch.bool)
-    return descended(cost, pose, still, torch.zeros(6), Options()).around
+    return descend_compiled(cost, pose, still, torch.zeros(6), Options()).around
 
 
 def _level(cost: LevelCost) -> records.Level:

@@ -9,7 +9,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from objconnect.localization.align.damping import moved
+from objconnect.localization.align.damping import apply_step
 from objconnect.localization.align.linearise import linearise
 from objconnect.localization.align.local import Local
 from objconnect.localization.align.problem import Problem
@@ -193,7 +193,7 @@ def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:
 def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     """Return the gradients (B, K, 6) of half the summed cost after steps (B, K, 6) from poses."""
     owner = torch.arange(len(steps), device=steps.device).repeat_interleave(steps.shape[1])
-    shifted = moved(rows(pose, owner), steps.flatten(0, 1))
+    shifted = apply_step(rows(pose, owner), steps.flatten(0, 1))
     return linearise(cost.rows(owner), shifted).gradient.double().view_as(steps)
 
 
@@ -212,7 +212,7 @@ def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
     Both are means over the grids. Points thus count as the less dependent the farther apart they
     are, as in Bartlett's window (Conley, Journal of Econometrics 1999).
     """
-    scatter = torch.stack([_unbiased(pull, count) for pull, count in grids]).mean(0)
+    scatter = torch.stack([_unbiased_scatter(pull, count) for pull, count in grids]).mean(0)
     return scatter, torch.stack([count for _, count in grids]).double().mean(0)
 
 
@@ -230,7 +230,7 @@ def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
     return torch.stack([a.sum(-1).square() / a.square().sum(-1) for a in each]).mean(0)
 
 
-def _unbiased(pull: Tensor, count: Tensor) -> Tensor:
+def _unbiased_scatter(pull: Tensor, count: Tensor) -> Tensor:
     """Return the scatter (M, 6, 6) of the pulls (M, P, 6) that a pose was fitted to."""
     used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
     return pull.transpose(-1, -2) @ pull * used[:, None, None]

@@ -15,7 +15,7 @@ CHANGE = 10.0
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e8
 
 
-def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
+def solve_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
     """Compute the steps -(H + damping * diag H)^-1 g (Marquardt), in double precision.
 
     Where the damped Hessian is not positive definite, only its diagonal is used.
@@ -35,7 +35,7 @@ def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
     return -torch.cholesky_solve(g[..., None], factor)[..., 0]
 
 
-def moved(cam_from_world: Pose, step: Tensor) -> Pose:
+def apply_step(cam_from_world: Pose, step: Tensor) -> Pose:
     """Apply steps (M, 6) to poses (M): turn about the camera, then shift.
 
     Rotation and translation are updated separately, which is the exponential of SE(3) to first

@@ -11,8 +11,8 @@ from objconnect.localization.align.damping import (
     CHANGE,
     LEAST_FACTOR,
     MOST_FACTOR,
-    damped_step,
-    moved,
+    apply_step,
+    solve_step,
 )
 from objconnect.localization.align.linearise import can_be_compiled, linearise
 from objconnect.localization.align.options import Options
@@ -39,9 +39,9 @@ def descend(
         options: how the level is minimised.
     """
     if options.careful and can_be_compiled(cost):
-        from objconnect.localization.align.compiled import descended
+        from objconnect.localization.align.compiled import descend_compiled
 
-        return descended(cost, pose, alive, damping, options)
+        return descend_compiled(cost, pose, alive, damping, options)
     around = linearise(cost, pose)
     none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
     state = State(pose, around, none, torch.ones_like(none, dtype=torch.float64)[:, None])
@@ -55,8 +55,8 @@ def descend(
             number, state, cost = number[moving], rows(state, moving), cost.rows(moving)
         if not len(number):
             break
-        step = damped_step(state.around.gradient, state.around.hessian, damping * state.damping)
-        trial_pose = moved(state.pose, step)
+        step = solve_step(state.around.gradient, state.around.hessian, damping * state.damping)
+        trial_pose = apply_step(state.pose, step)
         state = replace(state, iterations=state.iterations + 1)
         trial = replace(state, pose=trial_pose, around=linearise(cost, trial_pose))
         if options.careful:

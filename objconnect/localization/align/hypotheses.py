@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from objconnect.localization.align.aligner import Alignment, align
-from objconnect.localization.align.damping import moved
+from objconnect.localization.align.damping import apply_step
 from objconnect.localization.align.local import Local
 from objconnect.localization.align.options import WIDTH, SearchRadius, Width
 from objconnect.localization.align.problem import Problem
@@ -78,7 +78,7 @@ def around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg: flo
     each = tree_map(
         lambda t: t[:, None].expand(-1, grid.shape[1], *t.shape[1:]).flatten(0, 1), start
     )
-    poses = moved(each, grid.flatten(0, 1))
+    poses = apply_step(each, grid.flatten(0, 1))
     return tree_map(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), poses)
 
 
@@ -99,7 +99,7 @@ def gain_over_chance(level: Level, local: Local, poses: Pose, robust_scale: floa
     if level.reference_confidence is not None:
         gain = gain * level.reference_confidence[..., None]
 
-    xy, seen = _projected(local, poses)
+    xy, seen = _project(local, poses)
     size = torch.tensor([width, height], dtype=points.dtype, device=points.device)
     place = 2 * xy / (per_axis(level.stride, points) * size) - 1
     place = torch.where(seen[..., None], place, 3).clamp(-3, 3)  # 3 is out of the picture
@@ -124,20 +124,20 @@ def align_from_many(problem: Problem, radius: SearchRadius, width: Width = WIDTH
         return align(problem)
     local, scale = Local.of(problem), problem.options.robust_scale
     coarsest = problem.coarsest().first_points(width.coarse_points)
-    aligned, iterations = _refined_on_coarsest(coarsest, radius, width)
+    aligned, iterations = _refine_on_coarsest(coarsest, radius, width)
     if problem.levels[1:]:
         finalists = _best(aligned, coarsest.levels[0], scale, width.finalists)
         finalists = _distinct(finalists, local, problem.levels[1])
         aligned = align(problem.finer().starting_at(finalists.pose), with_covariance=False)
         iterations = iterations + aligned.iterations.sum(-1)
-        failure = torch.where(finalists.failed, finalists.failure, aligned.failure)
+        failure = torch.where(finalists.has_failed, finalists.failure, aligned.failure)
         aligned = replace(aligned, failure=failure, by_level=finalists.by_level + aligned.by_level)
     last = problem.levels[-1] if problem.levels[1:] else coarsest.levels[-1]
     winner = _best(aligned, last, scale, 1)
     return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
 
 
-def _refined_on_coarsest(
+def _refine_on_coarsest(
     coarsest: Problem, radius: SearchRadius, width: Width
 ) -> tuple[Alignment, Tensor]:
     """Refine the prior and the best hypotheses of a grid on the coarsest level.
@@ -166,23 +166,23 @@ def _refined_on_coarsest(
         chosen = tree_map(lambda t: t[:, some], starts)
         return align(short.starting_at(chosen), with_covariance=False)
 
-    def ranked(begun: Alignment) -> Alignment:
+    def rank(begun: Alignment) -> Alignment:
         return _best(begun, level, solver.robust_scale, begun.seen.shape[1])
 
     first = width.first_refined
-    begun = ranked(begin(slice(first)))
+    begun = rank(begin(slice(first)))
     iterations = begun.iterations.sum(-1)
     met = _same(begun, local, level)[:, 0].sum(-1) > 1
     if starts.translation.shape[1] > first and not bool(met.all()):
         others = begin(slice(first, None))
         iterations = iterations + others.iterations.sum(-1)
-        begun = ranked(_joined(begun, others))
+        begun = rank(_concatenate(begun, others))
     begun = _distinct(begun, local, level)
     aligned = align(coarsest.starting_at(begun.pose).with_options(rough), with_covariance=False)
     return aligned, iterations + aligned.iterations.sum(-1)
 
 
-def _joined(some: Alignment, others: Alignment) -> Alignment:
+def _concatenate(some: Alignment, others: Alignment) -> Alignment:
     """Return the alignments (B, K) of both."""
     return tree_map(lambda *parts: torch.cat(parts, 1), some, others)
 
@@ -209,7 +209,7 @@ def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> 
     """
     chance = _cost_by_chance(level, robust_scale)
     gain = aligned.seen * (chance[:, None] - aligned.cost)
-    gain = torch.where(aligned.failed, -torch.inf, gain)
+    gain = torch.where(aligned.has_failed, -torch.inf, gain)
     kept = gain.argsort(dim=1, descending=True, stable=True)[:, :count]
     query = torch.arange(len(kept), device=kept.device)[:, None]
     return tree_map(lambda t: t[query, kept], aligned)
@@ -235,7 +235,7 @@ def _same(aligned: Alignment, local: Local, level: Level) -> Tensor:
 
     Distances are in cells of the level that they go on to.
     """
-    xy, seen = _projected(local, local.from_world(aligned.pose))
+    xy, seen = _project(local, local.from_world(aligned.pose))
     cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
@@ -244,7 +244,7 @@ def _same(aligned: Alignment, local: Local, level: Level) -> Tensor:
     return same
 
 
-def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
+def _project(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
     """Project the points at poses (B, K) to pixels (B, K, N, 2), with their validity (B, K, N)."""
     points, intrinsics = local.points, local.intrinsics
     own = intrinsics.focal.ndim > 1

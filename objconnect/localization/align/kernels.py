@@ -82,7 +82,7 @@ def descend(
                 factors[k] = min(max(factor, rules.least), rules.most)
             if ended or tried[k] == rules.steps or not _gradient(here, rules.min_points, gradient):
                 break
-            _damped_step(gradient, here.hessian, factors[k] * rules.damping, rules.floor, step)
+            _solve_step(gradient, here.hessian, factors[k] * rules.damping, rules.floor, step)
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
@@ -138,10 +138,10 @@ def _falls(here: Around, there: Around, min_points: int) -> bool:
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
-def _damped_step(
+def _solve_step(
     gradient: Doubles, hessian: Singles, damping: Doubles, floor: float, out: Doubles
 ) -> None:
-    """Write the step of ``damping.damped_step``."""
+    """Write the step of ``damping.solve_step``."""
     system = np.empty((6, 7))
     for row in range(6):
         own = hessian[row, row]

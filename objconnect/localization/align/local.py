@@ -56,7 +56,7 @@ class Local:
             usable=usable,
             intrinsics=tree_map(lambda t: t.to(dtype), problem.intrinsics),
             origin=origin,
-            start=_shifted(begin, origin),
+            start=_shift_poses(begin, origin),
             finite=finite,
         )
 
@@ -73,14 +73,14 @@ class Local:
 
     def from_world(self, cam_from_world: Pose) -> Pose:
         """Return ``cam_from_local`` of poses (B) or (B, K)."""
-        return _shifted(cam_from_world, self.origin)
+        return _shift_poses(cam_from_world, self.origin)
 
     def in_world(self, cam_from_local: Pose) -> Pose:
         """Return ``cam_from_world`` of poses (B) or (B, K)."""
-        return _shifted(cam_from_local, -self.origin)
+        return _shift_poses(cam_from_local, -self.origin)
 
 
-def _shifted(cam_from_world: Pose, origin: Tensor) -> Pose:
+def _shift_poses(cam_from_world: Pose, origin: Tensor) -> Pose:
     """Return the poses (B, ...) for points from which the origins (B, 3) were subtracted."""
     between = [1] * (cam_from_world.translation.ndim - 2)
     origin = origin.view(len(origin), *between, 3, 1)

@@ -170,7 +170,7 @@ class LevelCost:
             intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
         )
 
-    def sampled(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
+    def sample(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
         """Return the query's features (M, N, C) where poses (M) project the points, and their
         confidence (M, N), zero where the query does not show them."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
@@ -179,7 +179,7 @@ class LevelCost:
         values = self.table.value(index, weights).to(cells)
         return values, self._trust(seen, index, weights)
 
-    def _projected(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
+    def _project(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
         """Return points in the frames of cameras (M, N, 3), and their pixels with derivatives."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         return in_camera, self.intrinsics.project(in_camera, jacobian=True)
@@ -201,7 +201,7 @@ class LevelCost:
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
-        in_camera, projected = self._projected(cam_from_world)
+        in_camera, projected = self._project(cam_from_world)
         assert projected.jacobian is not None
         cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)

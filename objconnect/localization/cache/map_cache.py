@@ -115,13 +115,13 @@ class MapCache:
         """
         path = self._path(kind, made_of)
 
-        def unchanged() -> Rows:
+        def cached_rows() -> Rows:
             yield from rows(self.earlier(kind))
             files = [self.images / name for name in self.digests]
             require_unchanged(files, list(self.digests.values()))
 
         if not path.is_file():
-            write_store(path, unchanged())
+            write_store(path, cached_rows())
         return Store(path)
 
     def earlier(self, kind: str) -> Earlier:
@@ -138,7 +138,7 @@ class MapCache:
 
 
 @contextmanager
-def opened(sparse_map: SparseMap, images: Path, folder: Path | None) -> Iterator[MapCache]:
+def open_cache(sparse_map: SparseMap, images: Path, folder: Path | None) -> Iterator[MapCache]:
     """Yield the cache of a map in a folder, or in a temporary one that goes after the block.
 
     Files that were opened in it stay open. The errors are those of ``MapCache.of``.

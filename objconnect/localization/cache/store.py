@@ -95,7 +95,7 @@ class Store:
             self._count = len(keys)
             self.rows = {key.decode(): row for row, key in enumerate(keys) if key}
         except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
+            raise self._damage_error(error) from None
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -104,7 +104,7 @@ class Store:
     def row(self, key: str) -> int:
         """Return the number of the row that was made of a key."""
         if key not in self.rows:
-            raise self._damaged(KeyError("a photograph is missing"))
+            raise self._damage_error(KeyError("a photograph is missing"))
         return self.rows[key]
 
     def read(self, row: int, name: str) -> NDArray[Any]:
@@ -118,18 +118,18 @@ class Store:
             values, ends = self._arrays[name]
             return np.asarray(values[ends[row] : ends[row + 1]])
         except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
+            raise self._damage_error(error) from None
 
     def arrays(self, row: int, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Read arrays of a row by their names."""
         return {name: self.read(row, name) for name in names}
 
-    def made(self, row: int, names: Iterable[str], of: Callable[[Arrays], T]) -> T:
+    def make(self, row: int, names: Iterable[str], of: Callable[[Arrays], T]) -> T:
         """Return what ``of`` makes of arrays of a row; where it fails, they are damaged."""
         try:
             return of(self.arrays(row, names))
         except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
+            raise self._damage_error(error) from None
 
-    def _damaged(self, error: Exception) -> InputError:
+    def _damage_error(self, error: Exception) -> InputError:
         return InputError(f"{self._path} is damaged ({error}): delete it")

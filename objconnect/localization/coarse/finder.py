@@ -17,10 +17,10 @@ from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, PlaceSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
-from objconnect.localization.resolution import metres_per_pixel, observed, of_map, scale_to
+from objconnect.localization.resolution import metres_per_pixel, observed_xyz, of_map, scale_to
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose, so3_exp
-from objconnect.scene.geometry.views import WarpedImage, levelled, map_angle, tilt
+from objconnect.scene.geometry.views import WarpedImage, level_rotation, map_angle, tilt
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
@@ -97,12 +97,12 @@ class PlaceFinder:
             yield "", self._make(sparse_map, kept.images).arrays()
 
         store = kept.store("mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGEST, rows=rows)
-        self._mosaic = store.made(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
+        self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
         self._search = PlaceSearch(self._mosaic)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
-            own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+            own = metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
             largest = self._extract.largest_scale(image.camera)
             scale = scale_to(self._resolution, own, largest)
             angle = map_angle(image.cam_from_world[:3, :3])
@@ -125,7 +125,7 @@ class PlaceFinder:
         def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
             rotation, turn = pose.rotation.numpy(), None
             if tilt(rotation) > _MOST_TILT:
-                turn = levelled(rotation, _MOST_TILT) @ rotation.T
+                turn = level_rotation(rotation, _MOST_TILT) @ rotation.T
             axis = rotation[2] if turn is None else turn[2] @ rotation
             down = max(_FLATTEST, -float(axis[2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))

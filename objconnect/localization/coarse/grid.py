@@ -63,7 +63,7 @@ def ground_grid(xyz: NDArray[np.float64], cell: float) -> GroundGrid:
     column, row = np.floor((xyz[:, :2] - low) / cell).astype(int).T
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     heights = _medians(row[inside] * columns + column[inside], xyz[inside, 2], rows * columns)
-    return GroundGrid(low, cell, _filled(heights.reshape(rows, columns)))
+    return GroundGrid(low, cell, _fill_gaps(heights.reshape(rows, columns)))
 
 
 def _medians(
@@ -79,7 +79,7 @@ def _medians(
     return medians
 
 
-def _filled(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fill_gaps(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return heights (H, W) with every NaN replaced by the height of the nearest cell with one."""
     empty = np.isnan(heights)
     _, labels = cv2.distanceTransformWithLabels(

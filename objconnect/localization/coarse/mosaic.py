@@ -40,7 +40,7 @@ class Mosaic:
     mean: Tensor
     components: Tensor
 
-    def reduced_map(self, features: Tensor) -> Tensor:
+    def reduce_channels(self, features: Tensor) -> Tensor:
         """Return features (1, C, h, w) as the mosaic holds its own, (1, K, h, w)."""
         cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
         reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
@@ -112,7 +112,7 @@ def make_mosaic(
         image = sparse_map.images[name]
         if looks_down(image.cam_from_world[:3, :3]):
             view, level = look(image)
-            rows, features, confidence = _shown(view, level, image.pose, cells)
+            rows, features, confidence = _visible_cells(view, level, image.pose, cells)
             if total is None:
                 total = torch.zeros(len(cells), features.shape[1])
             total[rows] += confidence[:, None] * features
@@ -132,7 +132,7 @@ def make_mosaic(
     return Mosaic(grid, placed, known.float().reshape(shape), mean, components)
 
 
-def _shown(
+def _visible_cells(
     view: WarpedImage, level: FeatureMap, pose: Pose, cells: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return rows of the cells (M, 3) that a photograph shows, their unit features (N, C) and

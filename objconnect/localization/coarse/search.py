@@ -139,12 +139,12 @@ class PlaceSearch:
         centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
         view, level = look(Pose(rotation, -rotation @ centre))
         reduced = FeatureMap(
-            self._mosaic.reduced_map(level.features), level.confidence, level.stride
+            self._mosaic.reduce_channels(level.features), level.confidence, level.stride
         )
         turned = rotation @ so3_exp(turns[:, None] * UP)
         footprint = self._footprint(view, turned)
         for altitude in hypotheses.altitudes:
-            laid = self._laid_out(view, reduced, turned, footprint, altitude)
+            laid = self._lay_out(view, reduced, turned, footprint, altitude)
             if laid is not None:
                 for score, x, y, turn in self._correlate(laid, hypotheses.within):
                     yield _Peak(score, x, y, altitude, turned[turn])
@@ -208,7 +208,7 @@ class PlaceSearch:
         spectrum: Tensor = torch.fft.rfft2(layers, s=size)
         return spectrum
 
-    def _laid_out(
+    def _lay_out(
         self,
         view: WarpedImage,
         level: FeatureMap,

@@ -39,7 +39,7 @@ class GreyPhotograph:
         height, width = (side // factor * factor for side in self.grey.shape)
         size = (width // factor, height // factor)
         small = cv2.resize(self.grey.numpy()[:height, :width], size, interpolation=cv2.INTER_AREA)
-        camera = replace(self.camera, width=width, height=height).resized(*size)
+        camera = replace(self.camera, width=width, height=height).resize(*size)
         return replace(self, grey=torch.from_numpy(small), camera=camera)
 
     @property

@@ -93,12 +93,12 @@ class Neighbours:
         different sides: those that share points, then those that have it in view."""
         row = self._row_of[name]
         here = self._rows[row]
-        shared = self._shared(here)
+        shared = self._count_shared(here)
         shared[row] = 0
         enough = np.flatnonzero(shared >= _MIN_SHARED_POINTS)
         middle = np.median(self._map.xyz[here], axis=0) if len(here) else self._centres[row]
         distance = float(np.linalg.norm(middle - self._centres[row]))
-        worth = shared * self._angled(row, distance)
+        worth = shared * self._rate_angles(row, distance)
         chosen = self._spread(row, enough, worth[enough], [])
         if len(chosen) < self._options.neighbours:
             chosen = self._spread(row, *self._in_view(row, chosen), chosen)
@@ -116,7 +116,7 @@ class Neighbours:
             order = np.argsort(away, kind="stable").tolist()
         found, count = [], 0
         for other in order:
-            found.append(self._observed(other))
+            found.append(self._observed_depths(other))
             count += len(found[-1])
             if count >= options.least_depths:
                 break
@@ -127,13 +127,13 @@ class Neighbours:
         near, far = near * (1 - _DEPTH_MARGIN), far * (1 + _DEPTH_MARGIN)
         return min(near, options.nearest_depth * float(z.median())) if few else near, far
 
-    def _observed(self, row: int) -> Tensor:
+    def _observed_depths(self, row: int) -> Tensor:
         """Return the depths of the points that a photograph observes in front of it."""
         pose = self._map.images[self._map.names[row]].pose
         z = pose.transform(torch.from_numpy(self._map.xyz[self._rows[row]]))[:, 2]
         return z[z > 0]
 
-    def _shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _count_shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return how many of some points each photograph observes, in the order of their names."""
         photographs, ends = self._observers
         first = np.concatenate([[0], ends])[points]
@@ -142,7 +142,7 @@ class Neighbours:
         picked = np.repeat(first - before, counts) + np.arange(counts.sum())
         return np.bincount(photographs[picked], minlength=len(self._rows))
 
-    def _angled(self, row: int, distance: float) -> NDArray[np.float64]:
+    def _rate_angles(self, row: int, distance: float) -> NDArray[np.float64]:
         """Return 1 for photographs (N,) whose rays cross this one's at the best angle at a
         distance, and less for others."""
         away = np.linalg.norm(self._centres - self._centres[row], axis=1)
@@ -163,7 +163,7 @@ class Neighbours:
         if not math.isfinite(far):
             return np.empty(0, np.int64), np.empty(0)
         inverse = np.linspace(1 / far, 1 / near, _DEPTHS)
-        angled = self._angled(row, float(1 / np.median(inverse)))
+        angled = self._rate_angles(row, float(1 / np.median(inverse)))
         angled[[row, *but]] = 0
         asked = np.argsort(-angled, kind="stable")[:_ASKED]
         world = self._places(name, inverse)

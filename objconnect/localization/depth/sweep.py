@@ -160,11 +160,11 @@ class Sweeper:
         score = np.zeros(len(xy))
         for begin in range(0, len(placed), _CHUNK):
             part = placed[begin : begin + _CHUNK]
-            found = self._placed(here, pixels[part], others, tried[part].float())
+            found = self._place_pixels(here, pixels[part], others, tried[part].float())
             xyz[part], sure[part], score[part] = found
         return Swept(xyz, sure, score)
 
-    def made_of(self, name: str, digests: Mapping[str, str]) -> str:
+    def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
         """Return all that decides the places of a photograph's pixels but the options.
 
         Args:
@@ -255,7 +255,7 @@ class Sweeper:
         tried: Tensor = low[:, None] + (high - low)[:, None] * share
         return tried
 
-    def _placed(
+    def _place_pixels(
         self,
         here: GreyPhotograph,
         xy: Tensor,

@@ -49,7 +49,7 @@ class WindowSweep:
         self._pose, self._border = photograph.pose, border
         self._window = window.float()
         x, y = (xy[:, None] + window - 0.5).float().unbind(-1)
-        own = _looked_up(photograph.grey.numpy(), x.numpy(), y.numpy())
+        own = _interpolate(photograph.grey.numpy(), x.numpy(), y.numpy())
         own -= own.mean(-1, keepdims=True)
         length = np.linalg.norm(own, axis=-1, keepdims=True)
         # Windows that vary by less than a grey level are plain.
@@ -93,10 +93,10 @@ class WindowSweep:
         corners = way[:, :, None] + reach[:, None]
         inside = other.camera.contains(corners, self._border).all(-1) & valid[:, None]
         offsets = across.transpose(1, 2) @ self._window.T
-        found = self._compared((way - 0.5).numpy(), offsets.numpy(), other.grey.numpy())
+        found = self._correlate((way - 0.5).numpy(), offsets.numpy(), other.grey.numpy())
         return np.where(inside.numpy(), found, np.float32(-1))
 
-    def _compared(
+    def _correlate(
         self, way: NDArray[np.float32], offsets: NDArray[np.float32], grey: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Return the correlation of windows with middles (N, D, 2), as OpenCV counts pixels, and
@@ -106,7 +106,7 @@ class WindowSweep:
             part = slice(begin, begin + _CHUNK)
             # Pairs of coordinates would take ten times as long to add.
             x, y = (way[part, :, axis, None] + offsets[part, None, axis] for axis in (0, 1))
-            theirs = _looked_up(grey, x, y)
+            theirs = _interpolate(grey, x, y)
             products, mean = np.moveaxis(theirs @ self._own[part], -1, 0)
             squares = np.einsum("ndp,ndp->nd", theirs, theirs)
             length = np.sqrt(np.maximum(squares - theirs.shape[-1] * mean * mean, 0))
@@ -114,7 +114,7 @@ class WindowSweep:
         return found
 
 
-def _looked_up(
+def _interpolate(
     grey: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Interpolate a picture (H, W) at x and y, (..., P) each, as OpenCV counts pixels."""

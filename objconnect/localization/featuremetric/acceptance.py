@@ -61,15 +61,15 @@ class AcceptanceModel(BesideWeights):
         model = self.aligned
         terms = evidence.terms()
         weights = (model.peak, model.halves, model.curvature)
-        return _bounded(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
+        return _clip_log_odds(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
 
     def of_matches(self, inliers: int) -> float:
         """Return the log odds of a pose by matches; minus infinity without an inlier."""
         if inliers < 1:
             return -math.inf
-        return _bounded(self.matched.bias + self.matched.inliers * math.log(inliers))
+        return _clip_log_odds(self.matched.bias + self.matched.inliers * math.log(inliers))
 
-    def rated(self, matched: Estimate) -> Estimate:
+    def rate(self, matched: Estimate) -> Estimate:
         """Return a pose by matches with the probability that it is right."""
         if matched.status is not Status.OK:
             return matched
@@ -80,14 +80,14 @@ def log_odds_of(probability: float | None) -> float:
     """Return the log odds of a probability; minus infinity of none, or of 0."""
     if not probability:
         return -math.inf
-    return _bounded(math.log(probability) - math.log1p(-min(probability, 1 - 1e-12)))
+    return _clip_log_odds(math.log(probability) - math.log1p(-min(probability, 1 - 1e-12)))
 
 
 def _probability(log_odds: float) -> float:
     return 1 / (1 + math.exp(-log_odds))
 
 
-def _bounded(log_odds: float) -> float:
+def _clip_log_odds(log_odds: float) -> float:
     return min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
 
 

@@ -14,7 +14,7 @@ from objconnect.localization.align.aligner import Alignment
 from objconnect.localization.align.covariance import Spread, spread
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.acceptance import best_probability
-from objconnect.localization.featuremetric.calibration import calibrated
+from objconnect.localization.featuremetric.calibration import calibrate_covariance
 from objconnect.localization.featuremetric.evidence import Evidence, evidence
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.problem import fit
@@ -62,9 +62,9 @@ class Attempt:
     log_odds: float
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether there is no pose."""
-        return bool(self.alignment.failed[0])
+        return bool(self.alignment.has_failed[0])
 
     @property
     def pose(self) -> Pose:
@@ -72,7 +72,7 @@ class Attempt:
         return photograph_pose(self.view, self.alignment)
 
 
-def judged(found: Found, options: SearchOptions) -> Attempt:
+def evaluate_alignment(found: Found, options: SearchOptions) -> Attempt:
     """Measure how far the pose of an alignment may be off, and what tells whether it is right.
 
     Args:
@@ -81,7 +81,7 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
     """
     assert options.acceptance is not None
     view, problem, alignment = found.view, found.problem, found.alignment
-    if alignment.failed[0]:
+    if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
     around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
     told = evidence(problem, alignment.pose, float(around.curvature[0]))
@@ -104,7 +104,7 @@ def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Riv
         rivals: poses that were found otherwise.
     """
     best, probability = best_of(attempts, rivals)
-    return not best.failed and probability >= 1 - options.risk
+    return not best.has_failed and probability >= 1 - options.risk
 
 
 def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
@@ -113,7 +113,7 @@ def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Riv
     return not _why_not(best, probability, len(attempts), options)
 
 
-def estimated(
+def select_estimate(
     attempts: Sequence[Attempt],
     begin: Sequence[Pose],
     begun: By,
@@ -157,7 +157,7 @@ def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
 
 def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
     """Return why the likeliest of some attempts is no answer; empty where it is one."""
-    if best.failed:
+    if best.has_failed:
         return best.alignment.reason(0)
     which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
     if probability < 1 - options.risk:
@@ -181,7 +181,7 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
     if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
     assert options.covariance is not None
-    of_view = calibrated(attempt.spread, attempt.fit, options.covariance)
+    of_view = calibrate_covariance(attempt.spread, attempt.fit, options.covariance)
     return attempt.view.photograph_covariance(of_view[0])
 
 

@@ -26,7 +26,7 @@ class BesideWeights(Config):
         return cls(**dict(zip(cls.model_fields, values, strict=True)))
 
     @classmethod
-    def shipped(cls) -> Path:
+    def shipped_path(cls) -> Path:
         """Return the file of the networks that come with the project."""
         return Path(__file__).with_name(f"{cls.kind}.yaml")
 
@@ -46,7 +46,7 @@ class BesideWeights(Config):
             InputError: the file holds something else.
         """
         own = None if weights is None else cls.file(weights)
-        return load_config(cls, own if own is not None and own.exists() else cls.shipped(), {})
+        return load_config(cls, own if own is not None and own.exists() else cls.shipped_path(), {})
 
     def write(self, path: Path, command: str) -> None:
         """Write the file that ``beside`` reads.

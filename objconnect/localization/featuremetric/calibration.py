@@ -12,7 +12,7 @@ from objconnect.localization.featuremetric.beside_weights import BesideWeights
 
 
 class CovarianceNumbers(BesideWeights):
-    """The numbers of the covariance of one network's poses, as ``calibrated`` uses them.
+    """The numbers of the covariance of one network's poses, as ``calibrate_covariance`` uses them.
 
     ``python -m experiments.covariance`` finds them.
     """
@@ -62,7 +62,7 @@ class CovarianceNumbers(BesideWeights):
     )
 
 
-def calibrated(
+def calibrate_covariance(
     around: Spread, fit: float | NDArray[np.float64], by: CovarianceNumbers
 ) -> NDArray[np.float64]:
     """Return the covariances (B, 6, 6) of aligned poses.

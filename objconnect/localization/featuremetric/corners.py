@@ -87,14 +87,14 @@ class CornerFinder:
         swept = self._sweep(name, xy)
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
-    def made_of(self, name: str, digests: Mapping[str, str]) -> str:
+    def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
         """Return all that decides the corners of a photograph but the options, as a digest.
 
         Args:
             name: of the photograph.
             digests: of the bytes of the map's photographs, by name.
         """
-        return self._sweep.made_of(name, digests)
+        return self._sweep.digest_inputs(name, digests)
 
 
 def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
@@ -111,7 +111,7 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
 
     def rows(earlier: Earlier) -> Rows:
         def of_photograph(name: str) -> Row:
-            key = digest_of(_FORMAT, *parts, find.made_of(name, kept.digests))
+            key = digest_of(_FORMAT, *parts, find.digest_inputs(name, kept.digests))
             return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
         with progress_bar("corners of the map", len(kept.names)) as advance:

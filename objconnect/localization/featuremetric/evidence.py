@@ -92,7 +92,7 @@ def _height(problem: Problem, pose: Pose) -> float:
     cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
     side = _STEP_CELLS * torch.arange(-_SHIFTS, _SHIFTS + 1, device=cells.device).float()
     shifts = torch.cartesian_prod(side, side)
-    gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
+    gain, share = _gains_at_shifts(level, cells, projected.valid[0], shifts, problem)
     length = shifts.norm(dim=-1)
     here = int(length.argmin())
     aside = (length >= _CORE_CELLS) & (share >= _LEAST_SHARE * share[here])
@@ -102,7 +102,7 @@ def _height(problem: Problem, pose: Pose) -> float:
     return float((gain[here] - others.mean()) / others.std().clamp_min(1e-12))
 
 
-def _shifted_gains(
+def _gains_at_shifts(
     level: Level, cells: Tensor, valid: Tensor, shifts: Tensor, problem: Problem
 ) -> tuple[Tensor, Tensor]:
     """Return mean gains over chance (K,) of points that are all shifted, and how many are in view.
@@ -159,7 +159,7 @@ def _between_halves(problem: Problem, pose: Pose) -> float:
     at = []
     for half in (black, ~black):
         aligned = align(replace(begin.starting_at(pose), mask=seen & half), with_covariance=False)
-        if aligned.failed[0]:
+        if aligned.has_failed[0]:
             return math.inf
         at.append(problem.intrinsics.project(aligned.pose.transform(problem.points)).xy)
     return float((((at[0] - at[1]) / stride).norm(dim=-1))[seen].median())

@@ -17,9 +17,9 @@ from objconnect.localization.featuremetric.attempt import (
     Attempt,
     Rivals,
     best_of,
-    estimated,
     is_answered,
     is_believed,
+    select_estimate,
 )
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.priors import may_be_at, says_where
@@ -126,15 +126,15 @@ class GlobalSearch:
     def _finders(self, query: Query) -> Sequence[_Find]:
         """Return what finds places, the one that is asked first in front."""
         if self.other is None:
-            return [self._found_places]
-        finders = [self._of_other, self._found_places]
+            return [self._find_candidates]
+        finders = [self._of_other, self._find_candidates]
         return finders if self.other.is_first else finders[::-1]
 
     def _best(
         self, attempts: Sequence[Attempt], begin: Candidate, clock: Stopwatch, rivals: Rivals
     ) -> Estimate:
         options = self.refine.config.search
-        return estimated(attempts, [begin.pose], begin.by, options, clock, rivals)
+        return select_estimate(attempts, [begin.pose], begin.by, options, clock, rivals)
 
     def _near_matches(
         self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
@@ -168,7 +168,7 @@ class GlobalSearch:
             places = self.other.find(query)
         return [place for place in places if may_be_at(query.prior, place.pose)]
 
-    def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
+    def _find_candidates(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the starts of the place search, or of the photographs that look most like it."""
         if self.places is None:
             return []

@@ -22,15 +22,15 @@ from torch import nn
 
 from objconnect.learning.quantization import require_quantizable
 from objconnect.localization.align.options import Options
-from objconnect.localization.cache.map_cache import MapCache, opened
+from objconnect.localization.cache.map_cache import MapCache, open_cache
 from objconnect.localization.coarse.finder import PlaceFinder
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
     best_of,
-    estimated,
     is_answered,
     is_believed,
+    select_estimate,
 )
 from objconnect.localization.featuremetric.global_search import GlobalSearch, OtherFinder, is_answer
 from objconnect.localization.featuremetric.maps import MapExtractor, Network
@@ -39,7 +39,7 @@ from objconnect.localization.featuremetric.options import FeaturemetricConfig
 from objconnect.localization.featuremetric.prepared import Preparation, Prepared
 from objconnect.localization.featuremetric.priors import says_all, says_where, search_radius
 from objconnect.localization.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
-from objconnect.localization.featuremetric.quantized import quantized_extractor
+from objconnect.localization.featuremetric.quantized import quantize_extractor
 from objconnect.localization.featuremetric.references import ReferenceSource, references, write_part
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.tracking import Tracking
@@ -50,7 +50,7 @@ from objconnect.scene.localizer import By, Estimate, MapPart, Query, Status, Sto
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.runtime.tuning import return_freed, return_freed_above, spare_collector
+from objconnect.scene.runtime.tuning import return_freed_above, spare_collector, trim_heap
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Steps per level that are tried: of queries that end well, nearly all take fewer.
@@ -86,7 +86,7 @@ class FeaturemetricLocalizer:
         if config.quantized:
             assert isinstance(network, nn.Module)
             require_quantizable(network)
-        config = config.calibrated()
+        config = config.with_calibration()
         assert config.search.acceptance is not None
         self.name = name
         self.weights_sha256: str | None = weights_sha256
@@ -98,12 +98,12 @@ class FeaturemetricLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
-        with opened(sparse_map, images, cache) as kept:
+        with open_cache(sparse_map, images, cache) as kept:
             self._prepare_matches(kept)
             self._preparation()
 
     @property
-    def prepared(self) -> Prepared:
+    def map_state(self) -> Prepared:
         """Return what alignment needs of the map, which is made now where it was left."""
         return self._preparation()
 
@@ -116,7 +116,7 @@ class FeaturemetricLocalizer:
 
     def _prepare_matches(self, kept: MapCache) -> None:
         config, self._map = self.config, kept.sparse_map
-        kept_mb = self._kept_mb(config.max_magnification)
+        kept_mb = self._memory_left_mb(config.max_magnification)
         self._matches = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
             least_mb = min(kept_mb, config.matches.memory_mb)
@@ -137,7 +137,7 @@ class FeaturemetricLocalizer:
         observations = references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
-            extract = quantized_extractor(source)
+            extract = quantize_extractor(source)
         problems = ProblemBuilder(
             extract,
             observations,
@@ -158,7 +158,7 @@ class FeaturemetricLocalizer:
             problems,
             retrieval,
             self._matches,
-            self._kept_mb(1.0) * MEGABYTE,
+            self._memory_left_mb(1.0) * MEGABYTE,
             kept_mb * MEGABYTE,
         )
         places = None
@@ -173,7 +173,7 @@ class FeaturemetricLocalizer:
     def _settle(self) -> None:
         """Give back what preparing took, and note what memory queries begin with."""
         spare_collector()
-        return_freed()
+        trim_heap()
         self._most_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
@@ -205,10 +205,10 @@ class FeaturemetricLocalizer:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
-        if (followed := self._followed(query, clock)) is not None:
+        if (followed := self._follow(query, clock)) is not None:
             return followed
         return_freed_above(self._most_bytes)
-        if self._is_searched(query) and (found := self._searched(query, clock)) is not None:
+        if self._is_searched(query) and (found := self._search(query, clock)) is not None:
             return found
         refine = self._preparation.in_query(clock).refine
         with clock.stage("retrieval"):
@@ -217,24 +217,24 @@ class FeaturemetricLocalizer:
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.same_place_m)
         attempts = self._attempts(refine, query, chosen, begin, clock)
-        return estimated(attempts, begin, start_of(query.prior), self.config.search, clock)
+        return select_estimate(attempts, begin, start_of(query.prior), self.config.search, clock)
 
     def _is_searched(self, query: Query) -> bool:
         """Return whether the pose of an image is searched for, of which no prior says all."""
         return self.config.multistart and query.references is None and not says_all(query.prior)
 
-    def _searched(self, query: Query, clock: Stopwatch) -> Estimate | None:
+    def _search(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose by matches where they are sure, else by a search; None where nothing says
         where to look."""
         matched = None
         if self._matches is not None:
             with clock.stage("matches"):
-                matched = self._acceptance.rated(self._matches.localize(query))
+                matched = self._acceptance.rate(self._matches.localize(query))
             if is_answer(matched, self.config.search):
                 return replace(matched, seconds=clock.seconds)
         return self._preparation.in_query(clock).search(query, matched, clock)
 
-    def _followed(self, query: Query, clock: Stopwatch) -> Estimate | None:
+    def _follow(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose near the one that the images before predict; None if unconfirmed."""
         if self.config.tracking is None or not query.tracked or not says_all(query.prior):
             return None
@@ -244,7 +244,7 @@ class FeaturemetricLocalizer:
         if attempt is None:
             return None
         begin, options = [attempt.pose], self.config.search
-        found = estimated([attempt], begin, By.TRACKING, options, clock)
+        found = select_estimate([attempt], begin, By.TRACKING, options, clock)
         return replace(found, by=By.TRACKING)
 
     # More than six parameters: they are what every way to refine a start takes.
@@ -262,13 +262,13 @@ class FeaturemetricLocalizer:
         its probability is above the risk.
         """
         options = self.config.search
-        attempts = self._tried(refine, query, chosen, begin, clock)
+        attempts = self._try_starts(refine, query, chosen, begin, clock)
         enough = not self.config.multistart or options.again == 1
         if enough or is_answered(attempts, options):
             return attempts
         thorough = refine.wider(options.again)
         if says_all(query.prior):
-            return attempts + self._tried(thorough, query, chosen, begin, clock)
+            return attempts + self._try_starts(thorough, query, chosen, begin, clock)
         best, probability = best_of(attempts)
         if probability > options.risk:
             attempts.append(thorough.near(self._near_query(query), best.pose, clock))
@@ -282,7 +282,7 @@ class FeaturemetricLocalizer:
         """Return a query near a pose that was found: photographs it names gave but the start."""
         return replace(query, references=None) if self._has_no_position(query) else query
 
-    def _tried(
+    def _try_starts(
         self,
         refine: Refiner,
         query: Query,
@@ -310,7 +310,7 @@ class FeaturemetricLocalizer:
                     break
         return attempts
 
-    def _kept_mb(self, magnification: float) -> int:
+    def _memory_left_mb(self, magnification: float) -> int:
         """Return what is left of ``memory_mb`` beside a pass of images magnified so much."""
         cameras = (image.camera for image in self._map.images.values())
         return max(1, self.config.memory_mb - self._extract.pass_megabytes(cameras, magnification))

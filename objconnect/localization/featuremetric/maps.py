@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from objconnect.learning.folding import resolved
+from objconnect.learning.folding import resolve_precision
 from objconnect.localization.align.sampling import sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, level_image, warp_image
-from objconnect.scene.runtime.tuning import keep_freed
+from objconnect.scene.runtime.tuning import retain_heap
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
@@ -102,11 +102,11 @@ class MapExtractor:
     """
 
     def __init__(self, network: Network, longest: int, precision: str) -> None:
-        keep_freed()
+        retain_heap()
         self.network = network
         self.longest = longest
         self._precision = precision
-        self._bfloat16 = resolved(precision) == "bfloat16"
+        self._bfloat16 = resolve_precision(precision) == "bfloat16"
 
     @property
     def device(self) -> torch.device:
@@ -167,14 +167,14 @@ class MapExtractor:
         strides = self.network.config.strides
         sides = seen.picture.shape[:2]
         size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in sides)
-        finest = None if seen.whole else _shown(seen, size, strides[-1])
+        finest = None if seen.whole else _covered_cells(seen, size, strides[-1])
         made, maps = self._pass(seen, levels, finest), []
         for stride in strides[:levels]:
             features, confidence = made.pop(0)  # what the network made can go once it is converted
             confidence = confidence.float()
             if finest is not None:
                 last = stride == strides[-1]
-                shown = finest if last else _shown(seen, confidence.shape[-2:], stride)
+                shown = finest if last else _covered_cells(seen, confidence.shape[-2:], stride)
                 confidence = confidence * torch.from_numpy(shown).to(self.device)
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
@@ -205,7 +205,7 @@ class MapExtractor:
         return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)
 
 
-def _shown(seen: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
+def _covered_cells(seen: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
     """Return which cells (h, w) of a level show the photograph."""
     height, width = size
     x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)

@@ -150,7 +150,7 @@ class FeaturemetricConfig(Config):
     """Where nothing is known of a query, photographs farther apart than this (metres) are starts of
     their own, though they share a heading; None for never."""
 
-    def calibrated(self) -> Self:
+    def with_calibration(self) -> Self:
         """Return the options with the acceptance model and the covariance of their weights.
 
         Raises:

@@ -21,7 +21,7 @@ _PRIOR_SIGMAS: Final = 2.0
 _PLACE_SIGMAS: Final = 3.0
 
 
-def known_pose(pose: Pose) -> Prior:
+def exact_prior(pose: Pose) -> Prior:
     """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
 

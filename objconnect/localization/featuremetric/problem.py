@@ -18,12 +18,12 @@ from objconnect.localization.align.sampling import per_axis
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
-    spaced_order,
+    order_by_coverage,
 )
 from objconnect.localization.resolution import SAME_RESOLUTION, metres_per_pixel, scale_to
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.views import WarpedImage, levelled, north_angle, tilt
+from objconnect.scene.geometry.views import WarpedImage, level_rotation, north_angle, tilt
 from objconnect.scene.localizer import Query
 from objconnect.scene.maps.sparse_map import SparseMap
 
@@ -61,7 +61,7 @@ class Levelling:
         """
         rotation = start.rotation.numpy()
         least = float(np.median(self.tilts[chosen])) + self.most_tilt
-        return levelled(rotation, least) @ rotation.T if tilt(rotation) > least else None
+        return level_rotation(rotation, least) @ rotation.T if tilt(rotation) > least else None
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class ProblemBuilder:
         scale = self.scale(query.camera, chosen, start, turn, coarser)
         return self._warp(query, start, scale, turn)
 
-    def magnified(
+    def magnify(
         self,
         query: Query,
         chosen: NDArray[np.int64],
@@ -221,7 +221,7 @@ class ProblemBuilder:
         visible = inside.numpy() & view.shows(projected.xy.numpy())
         seen = np.flatnonzero(visible)
         size = np.array([view.camera.width, view.camera.height])
-        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen])
+        order = order_by_coverage(projected.xy.numpy()[seen] / size, -turn[seen])
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]
@@ -272,7 +272,7 @@ def fit(problem: Problem, pose: Pose) -> float:
     other = torch.roll(order, len(order) // 2)
     local = Local.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
     cost = local.cost(level, options)
-    values, trust = cost.sampled(local.start)
+    values, trust = cost.sample(local.start)
 
     def mean_cost(which: torch.Tensor) -> float:
         weight = trust

@@ -6,7 +6,7 @@ from typing import Final
 
 from torch import nn
 
-from objconnect.learning.quantization import Channelwise, largest_values, quantized
+from objconnect.learning.quantization import Channelwise, largest_values, quantize
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 
@@ -27,7 +27,7 @@ def channel_scales(largest: Channelwise) -> Channelwise:
     }
 
 
-def quantized_extractor(source: ReferenceSource) -> MapExtractor:
+def quantize_extractor(source: ReferenceSource) -> MapExtractor:
     """Return an extractor whose network is quantized for pictures like those of a map.
 
     Args:
@@ -43,4 +43,4 @@ def quantized_extractor(source: ReferenceSource) -> MapExtractor:
     with largest_values(network) as largest:
         for name in names[:: -(-len(names) // _PHOTOGRAPHS)]:
             views(sparse_map.images[name])
-    return extract.of(quantized(network, channel_scales(largest), network.config.strides))
+    return extract.of(quantize(network, channel_scales(largest), network.config.strides))

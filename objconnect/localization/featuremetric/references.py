@@ -20,7 +20,7 @@ from objconnect.localization.featuremetric.corners import CornerFinder, CornerOp
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
     metres_per_pixel,
-    observed,
+    observed_xyz,
     of_map,
     scale_to,
 )
@@ -28,7 +28,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, north_angle
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.runtime.tuning import trim_heap
 from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache, room
@@ -83,7 +83,7 @@ class ReferenceSource:
     corners: CornerOptions | None = None
 
     @property
-    def made_by(self) -> tuple[object, ...]:
+    def identity(self) -> tuple[object, ...]:
         """Return all that decides the observations beside the map and its photographs."""
         corners = self.corners and self.corners.model_dump_json()
         return _FORMAT, self.points, corners, self.extractor_key
@@ -171,7 +171,7 @@ def references(
         InputError: a photograph is broken or changed meanwhile.
     """
     store = source.kept.store(
-        source.name, *source.made_by, rows=partial(_observed_rows, source, watch)
+        source.name, *source.identity, rows=partial(_compute_rows, source, watch)
     )
     return ReferenceFeatures(store, source.arrays, source.metres_per_pixel, room(memory_mb))
 
@@ -181,13 +181,13 @@ def write_part(source: ReferenceSource, watch: Watch | None) -> None:
 
     The arguments and errors are those of ``references``, which copies what this has written.
     """
-    if not source.kept.holds(source.name, *source.made_by):
+    if not source.kept.holds(source.name, *source.identity):
         references(source, 0, watch)
         if watch is not None:
             watch.write()
 
 
-def _observed_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier) -> Rows:
+def _compute_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier) -> Rows:
     """Run the network on photographs of a map and yield the features at their points.
 
     Args:
@@ -217,7 +217,7 @@ def _observed_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlie
                 found: list[NDArray[Any]] = [seen.xyz, seen.confidence, *seen.features]
                 arrays = dict(zip(source.arrays, found, strict=True))
                 del view, maps
-                return_freed()
+                trim_heap()
             yield key, arrays
             advance(done)
 
@@ -239,17 +239,19 @@ class MapViews:
             InputError: the photograph is missing, broken or not of its camera's size.
         """
         rgb = read_rgb(self._source.kept.images / image.name, image.camera)
-        return self._source.extract(rgb, image.camera, *self._turned_and_scaled(image))
+        return self._source.extract(rgb, image.camera, *self._rotation_and_scale(image))
 
     def key(self, image: MapImage) -> str:
         """Return a digest of all that the feature maps of a photograph are made of."""
-        source, how = self._source, self._turned_and_scaled(image)
+        source, how = self._source, self._rotation_and_scale(image)
         return digest_of(source.kept.digests[image.name], image.camera, *how, source.extractor_key)
 
-    def _turned_and_scaled(self, image: MapImage) -> tuple[float, float]:
+    def _rotation_and_scale(self, image: MapImage) -> tuple[float, float]:
         """Return by how much a photograph is turned (rad) and resized."""
         source = self._source
-        own = metres_per_pixel(image.pose, image.camera, observed(image, source.kept.sparse_map))
+        own = metres_per_pixel(
+            image.pose, image.camera, observed_xyz(image, source.kept.sparse_map)
+        )
         largest = source.extract.largest_scale(image.camera)
         scale = scale_to(source.metres_per_pixel, own, largest)
         return north_angle(image.cam_from_world[:3, :3]), scale
@@ -281,7 +283,7 @@ def observe(
     seen = np.flatnonzero(inside & (confidence > 0).all(-1).cpu().numpy())
     size = np.array([view.camera.width, view.camera.height])
     worth = confidence.log().sum(-1).cpu().numpy()[seen]
-    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth)[:points]]
+    kept = seen[order_by_coverage(projected.xy.numpy()[seen] / size, worth)[:points]]
     return Observations(
         xyz[kept],
         tuple(features[kept].to(torch.float16).cpu().numpy() for features, _ in levels),
@@ -296,7 +298,7 @@ def _reliable_points(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float
     return np.asarray(sparse_map.xyz[reliable if len(reliable) >= _MIN_POINTS else rows])
 
 
-def spaced_order(
+def order_by_coverage(
     xy: NDArray[np.float64], worth: NDArray[Any], grid: int = GRID
 ) -> NDArray[np.int64]:
     """Order points so that any first few of them cover the picture.

@@ -12,10 +12,15 @@ from numpy.typing import NDArray
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.align.options import WIDTH, SearchRadius, Width
-from objconnect.localization.featuremetric.attempt import Attempt, Found, judged, photograph_pose
+from objconnect.localization.featuremetric.attempt import (
+    Attempt,
+    Found,
+    evaluate_alignment,
+    photograph_pose,
+)
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
-from objconnect.localization.featuremetric.priors import AROUND, known_pose, says_where
+from objconnect.localization.featuremetric.priors import AROUND, exact_prior, says_where
 from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.localization.featuremetric.references import POINTS
 from objconnect.localization.matching.retrieval import References
@@ -84,10 +89,10 @@ class Refiner:
                 found = Found(view, problem, align_from_many(few, radius, self.width))
             else:
                 found = Found(view, problem, align(problem, with_covariance=False))
-        if many and not found.alignment.failed[0]:
-            found = self._realigned(query, maps, found, clock)
+        if many and not found.alignment.has_failed[0]:
+            found = self._realign(query, maps, found, clock)
         with clock.stage("alignment"):
-            return judged(found, self.config.search)
+            return evaluate_alignment(found, self.config.search)
 
     def wider(self, factor: int) -> Refiner:
         """Return a refiner whose searches compare so many times the starts and points."""
@@ -97,7 +102,7 @@ class Refiner:
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
     ) -> Attempt:
         """Refine a start that says more than the query's own prior."""
-        near = replace(query, prior=known_pose(start))
+        near = replace(query, prior=exact_prior(start))
         return self(near, self.photographs(near), start, clock, radius or AROUND)
 
     def photographs(self, query: Query) -> NDArray[np.int64]:
@@ -108,15 +113,15 @@ class Refiner:
         most = self.config.references
         if self.matches is not None and query.references is None and not says_where(query.prior):
             return self.matches.similar(query, most)
-        return self.retrieval.choose(query, most, lambda: self.described(query), tilted=False)
+        return self.retrieval.choose(query, most, lambda: self.describe(query), tilted=False)
 
-    def described(self, query: Query) -> NDArray[np.float32]:
+    def describe(self, query: Query) -> NDArray[np.float32]:
         """Return unit features (n, C) of all coarse cells of the image as it was taken."""
         _, maps = self.extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).cpu().numpy()
 
-    def _realigned(
+    def _realign(
         self, query: Query, maps: list[FeatureMap], found: Found, clock: Stopwatch
     ) -> Found:
         """Align once more, to all points in view from the aligned pose.
@@ -126,8 +131,8 @@ class Refiner:
         """
         view, most = found.view, self.config.max_magnification
         pose = photograph_pose(view, found.alignment)
-        chosen = self.photographs(replace(query, prior=known_pose(pose)))
-        larger = self.problems.magnified(query, chosen, pose, view, most)
+        chosen = self.photographs(replace(query, prior=exact_prior(pose)))
+        larger = self.problems.magnify(query, chosen, pose, view, most)
         if larger is not None:
             return_freed_above(self.kept_magnified_bytes)
             with clock.stage("features"):
@@ -137,7 +142,7 @@ class Refiner:
             # The coarsest level has no more to say of a pose that a finer one of it found.
             skipped = larger is None and len(after.levels) > 1
             final = align(after.finer() if skipped else after, with_covariance=False)
-        if final.failed[0]:
+        if final.has_failed[0]:
             return found
         iterations = found.alignment.iterations + final.iterations
         return Found(view, after, replace(final, iterations=iterations))

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.problem import Problem
-from objconnect.localization.featuremetric.attempt import Attempt, Found, is_answered, judged
+from objconnect.localization.featuremetric.attempt import (
+    Attempt,
+    Found,
+    evaluate_alignment,
+    is_answered,
+)
 from objconnect.localization.featuremetric.options import SearchOptions, TrackingOptions
 from objconnect.localization.featuremetric.priors import pose_of
 from objconnect.localization.featuremetric.problem import ProblemBuilder
@@ -67,8 +72,8 @@ class Tracking:
             first = _first_level(problem, _unsure_px(problem, prior))
             if first is None:
                 return None
-            found = Found(view, problem, _aligned(problem, first))
-            attempt = judged(found, self.search)
+            found = Found(view, problem, _align(problem, first))
+            attempt = evaluate_alignment(found, self.search)
         return attempt if is_answered([attempt], self.search) else None
 
 
@@ -90,7 +95,7 @@ def _first_level(problem: Problem, unsure_px: float) -> int | None:
     return None
 
 
-def _aligned(problem: Problem, first: int) -> Alignment:
+def _align(problem: Problem, first: int) -> Alignment:
     """Align from a level on; before the finest only few points, until steps are rather small."""
     options = problem.options
     iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
@@ -102,7 +107,7 @@ def _aligned(problem: Problem, first: int) -> Alignment:
             level = level.first_points(_ROUGH_POINTS).with_options(rough)
         alignment = align(level, with_covariance=False)
         iterations = iterations + alignment.iterations
-        if alignment.failed[0]:
+        if alignment.has_failed[0]:
             break
         problem = problem.starting_at(alignment.pose)
     return replace(alignment, iterations=iterations)

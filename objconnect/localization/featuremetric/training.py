@@ -39,7 +39,7 @@ def both(batch: PairBatch) -> Tensor:
     return images.to(memory_format=torch.channels_last)
 
 
-def seen_by_b(batch: PairBatch) -> Seen:
+def view_of_b(batch: PairBatch) -> Seen:
     """Return the points of a batch in the view of the cameras b."""
     return Seen(batch.points, batch.intrinsics_b, batch.valid)
 
@@ -103,7 +103,7 @@ def levels_of(
     return levels
 
 
-def unrolled(
+def unroll(
     levels: Sequence[Level],
     batch: PairBatch,
     damping: Iterable[nn.Module],
@@ -119,7 +119,7 @@ def pixels_of(
     errors: Sequence[Tensor], strides: Sequence[int], batch: PairBatch
 ) -> dict[str, float]:
     """Return the median errors in pixels, at the start and after each level, for the log."""
-    start = reprojection_error(batch.start, batch.b_from_a, *seen_by_b(batch))
+    start = reprojection_error(batch.start, batch.b_from_a, *view_of_b(batch))
     named = zip(("start", *strides), (start, *errors), strict=True)
     return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
 

@@ -52,7 +52,7 @@ class Extractor(ABC):
     turned: bool = True
 
     @property
-    def made_by(self) -> tuple[object, ...]:
+    def identity(self) -> tuple[object, ...]:
         """Return all of this object that decides the features of a photograph."""
         return self.options, self.weights_sha256, self.turned
 
@@ -60,7 +60,7 @@ class Extractor(ABC):
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Extract the features of an image (H, W, 3) uint8."""
 
-    def seen(
+    def extract_warped(
         self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
     ) -> Features:
         """Extract features of a photograph turned and resized, in its own pixels.
@@ -141,9 +141,9 @@ def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]
     Raises:
         InputError: a photograph is damaged or changed meanwhile, or a file of the cache is damaged.
     """
-    if (built_from := _kept_with_map(kept, extractor)) is not None:
+    if (built_from := _reuse_map_features(kept, extractor)) is not None:
         return built_from
-    if kept.holds(extractor.name, *extractor.made_by):
+    if kept.holds(extractor.name, *extractor.identity):
         kept = kept.whole
     keys = {name: _key(kept, extractor, name) for name in kept.names}
 
@@ -160,14 +160,14 @@ def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]
                 left = [name for name in some if name not in found]
                 if left:
 
-                    def advanced(done: int, before: int = first + len(found)) -> None:
+                    def advance_by(done: int, before: int = first + len(found)) -> None:
                         advance(before + done)
 
-                    found |= _extracted(extractor, kept, left, advanced)
+                    found |= _extract_all(extractor, kept, left, advance_by)
                 yield from ((keys[name], found[name]) for name in some)
                 advance(first + len(some))
 
-    return KeptFeatures(kept.store(extractor.name, *extractor.made_by, rows=rows), keys)
+    return KeptFeatures(kept.store(extractor.name, *extractor.identity, rows=rows), keys)
 
 
 def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
@@ -176,10 +176,10 @@ def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
     seen: tuple[object, ...] = ()
     if not extractor.turned:
         seen = north_angle(image.cam_from_world[:3, :3]), image.camera
-    return digest_of(*extractor.made_by, kept.digests[name], *seen)
+    return digest_of(*extractor.identity, kept.digests[name], *seen)
 
 
-def _extracted(
+def _extract_all(
     extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
 ) -> dict[str, Arrays]:
     """Extract features of photographs, all of which are in memory at once.
@@ -198,11 +198,11 @@ def _extracted(
         image = kept.sparse_map.images[name]
         rgb = read_rgb(kept.images / name, image.camera)
         angle = north_angle(image.cam_from_world[:3, :3])
-        extracted[name] = vars(extractor.seen(rgb, image.camera, angle))
+        extracted[name] = vars(extractor.extract_warped(rgb, image.camera, angle))
     return extracted
 
 
-def _kept_with_map(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
+def _reuse_map_features(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
     """Return the features that a map was built from, where an extractor would find the same."""
     path = kept.sparse_map.features
     if path is None or extractor.weights_sha256 is not None or not extractor.turned:
@@ -211,4 +211,4 @@ def _kept_with_map(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
         found = FeatureFile(path)
     except InputError:  # without them, they are extracted
         return None
-    return found if found.made_of == features_key(kept.digests, extractor.options) else None
+    return found if found.inputs_digest == features_key(kept.digests, extractor.options) else None

@@ -23,7 +23,7 @@ _MAX_ROUGHNESS: Final = 0.01
 _DEPTH_MARGIN: Final = 0.02
 
 
-def observed_points(xy: NDArray[np.float32], image: MapImage) -> NDArray[np.int64]:
+def find_observations(xy: NDArray[np.float32], image: MapImage) -> NDArray[np.int64]:
     """Return the map point observed at each keypoint, (N,), -1 where the map has none there.
 
     This is for keypoints that the map was built from.
@@ -44,7 +44,7 @@ def observed_points(xy: NDArray[np.float32], image: MapImage) -> NDArray[np.int6
     return rows
 
 
-def interpolated_points(
+def interpolate_points(
     xy: NDArray[np.float32], image: MapImage, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return world points (N, 3) on the rays of keypoints, NaN where their depth is unknown.

@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from objconnect.localization.cache.map_cache import MapCache, opened
+from objconnect.localization.cache.map_cache import MapCache, open_cache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.matching.features import Extractor, map_features
-from objconnect.localization.matching.lifting import interpolated_points, observed_points
+from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.resolution import metres_per_pixel, of_map, scale_to
@@ -94,7 +94,7 @@ class StructureLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and associate them with its points."""
-        with opened(sparse_map, images, cache) as kept:
+        with open_cache(sparse_map, images, cache) as kept:
             self.prepare_from(kept)
 
     def prepare_from(self, kept: MapCache) -> None:
@@ -104,21 +104,21 @@ class StructureLocalizer:
         store = kept.store(
             f"{self.name}-points",
             _FORMAT,
-            *self._extractor.made_by,
+            *self._extractor.identity,
             self._interpolate,
             rows=lambda _: self._lift(kept, features),
         )
         self._map = sparse_map
 
-        def lifted(row: int) -> _Lifted:
+        def lift_features(row: int) -> _Lifted:
             return _Lifted(**store.arrays(row, _ARRAYS))
 
-        def described(row: int) -> NDArray[np.float32]:
+        def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted = LruCache(lifted, room(self.config.memory_mb))
+        self._lifted = LruCache(lift_features, room(self.config.memory_mb))
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
-        self._references = References.build(sparse_map, OnDemand(described, len(store)))
+        self._references = References.build(sparse_map, OnDemand(describe, len(store)))
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``PreparesParts``."""
@@ -134,12 +134,12 @@ class StructureLocalizer:
         for name in sparse_map.names:
             image, keypoints = sparse_map.images[name], features[name]
             if self._interpolate:
-                xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz)
+                xyz = interpolate_points(keypoints.xy, image, sparse_map.xyz)
                 lifted = np.flatnonzero(np.isfinite(xyz).all(1))
                 points, xyz = np.arange(end, end + len(lifted)), xyz[lifted]
                 end += len(lifted)
             else:
-                rows = observed_points(keypoints.xy, image)
+                rows = find_observations(keypoints.xy, image)
                 lifted = np.flatnonzero(rows >= 0)
                 points, xyz = rows[lifted], sparse_map.xyz[rows[lifted]]
             carried += len(lifted)
@@ -161,30 +161,30 @@ class StructureLocalizer:
         clock = Stopwatch()
 
         @cached
-        def as_taken() -> Features:
+        def extract_upright() -> Features:
             with clock.stage("features"):
                 return self._extractor(query.image)
 
         turned = self._extractor.turned
         if turned:
-            as_taken()
+            extract_upright()
         with clock.stage("retrieval"):
             chosen = self._references.choose(
                 query,
                 self.config.references,
-                lambda: self._extractor.unit(as_taken().descriptors).numpy(),
+                lambda: self._extractor.unit(extract_upright().descriptors).numpy(),
             )
         if not len(chosen):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
         if turned:
-            return self._solved(query, as_taken(), chosen, clock)
+            return self._solve(query, extract_upright(), chosen, clock)
         estimates: list[Estimate] = []
         begin = starts(query.prior, self._map, chosen)
         with progress_within("starts matched", len(begin)) as advance:
             for start in begin:
                 with clock.stage("features"):
-                    features = self._seen(query, chosen, start)
-                estimates.append(self._solved(query, features, chosen, clock))
+                    features = self._extract(query, chosen, start)
+                estimates.append(self._solve(query, features, chosen, clock))
                 advance(len(estimates))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
@@ -193,15 +193,15 @@ class StructureLocalizer:
         described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
         return self._references.index.rank(described, count)
 
-    def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
+    def _extract(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
         """Extract features of the query, turned and scaled as a start suggests."""
         around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
         own = metres_per_pixel(start, query.camera, around)
         scale = scale_to(self._resolution, own, self.config.max_magnification)
         angle = north_angle(start.rotation.numpy())
-        return self._extractor.seen(query.image, query.camera, angle, scale)
+        return self._extractor.extract_warped(query.image, query.camera, angle, scale)
 
-    def _solved(
+    def _solve(
         self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
     ) -> Estimate:
         """Match features to the chosen photographs and solve for the pose."""

@@ -140,7 +140,7 @@ class Located:
         """Return how exact the position on earth is."""
         return combine_accuracies(self.covariance, geography.georeference)
 
-    def stamped(self, geography: Geography) -> StampedPose | None:
+    def to_stamped(self, geography: Geography) -> StampedPose | None:
         """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
         if not self.found or pose is None or centre is None or self.place is None:
@@ -330,17 +330,17 @@ def _geometry(
 
 
 def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return telemetry_log(_stamped(located, geography), geography.undulation_m, _MARK)
+    return telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
 
 
 def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return bag(_stamped(located, geography), _MARK)
+    return bag(_sort_by_time(located, geography), _MARK)
 
 
-def _stamped(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
+def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
     """Return what was found, sorted by time."""
     found = [item for item in located if item.found]
-    poses = [stamped for item in found if (stamped := item.stamped(geography)) is not None]
+    poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
         log.warning(
             "%d of %d photographs have no time: logs and bags lack them",

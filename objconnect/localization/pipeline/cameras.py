@@ -82,13 +82,13 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
         return Calibration(same[0], CameraSource.MAP)
     made = exif.xmp.camera
     if made is not None and _same_aspect((made.width, made.height), size):
-        return Calibration(_fitted(made, size), CameraSource.CALIBRATED)
+        return Calibration(_fit_to_size(made, size), CameraSource.CALIBRATED)
     if alike and _unlike(alike[0], exif) < SAME_LENS:
-        return Calibration(_fitted(alike[0], size), CameraSource.SCALED)
+        return Calibration(_fit_to_size(alike[0], size), CameraSource.SCALED)
     focal = exif.focal_in_longest_sides
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
-    tried = [_fitted(camera, size) for camera in alike]
+    tried = [_fit_to_size(camera, size) for camera in alike]
     tried += [_pinhole(size, focal) for focal in _TRIED]
     return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
 
@@ -106,7 +106,7 @@ def _candidates(
     tried: list[Camera] = []
     for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
         camera = _nearest(focal, alike)
-        tried += [] if camera is None else [_fitted(camera, size)]
+        tried += [] if camera is None else [_fit_to_size(camera, size)]
         tried.append(_pinhole(size, focal))
     tried = list(dict.fromkeys(tried))
     return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
@@ -159,7 +159,7 @@ def estimate_camera(
     curve, slope, _ = np.polyfit(focals - focals[1], misfit[near], 2)
     camera = cameras[best]
     factor = math.exp(-slope / (2 * curve)) if curve > 0 else 1.0
-    return _changed(camera, (camera.width, camera.height), factor, 1.0, 0.0)
+    return _change(camera, (camera.width, camera.height), factor, 1.0, 0.0)
 
 
 def with_focal_error(
@@ -181,7 +181,7 @@ def with_focal_error(
         return estimate
     size = (camera.width, camera.height)
     of_map = any(
-        _same_aspect((c.width, c.height), size) and _fitted(c, size) == camera for c in cameras
+        _same_aspect((c.width, c.height), size) and _fit_to_size(c, size) == camera for c in cameras
     )
     rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
     some = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
@@ -215,13 +215,13 @@ def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
     return abs(first[0] * second[1] / (first[1] * second[0]) - 1) < SAME_ASPECT
 
 
-def _fitted(camera: Camera, size: tuple[int, int]) -> Camera:
+def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
     """Return the camera of a picture that was resized; its aspect ratio may be off by a little."""
     scale = size[0] / camera.width
-    return _changed(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
+    return _change(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
 
 
-def _changed(
+def _change(
     camera: Camera, size: tuple[int, int], focal: float, centre: float, lower: float
 ) -> Camera:
     """Return a camera whose focal length and principal point were scaled, and the latter moved."""

@@ -62,7 +62,7 @@ def measure_disagreement(located: Sequence[Located], geography: Geography) -> Di
     A distance is measured in standard deviations of position and answer together: that on earth
     where the map's place on earth is known, else that within the map.
     """
-    compared = np.array(list(_compared(located, geography))).reshape(-1, 5)
+    compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
     if len(compared) < _FEWEST:
         return None
     across, across_sigmas, within_sigmas = np.median(compared[:, :3], axis=0).tolist()
@@ -109,7 +109,7 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
     )
 
 
-def _compared(located: Sequence[Located], geography: Geography) -> Iterator[_Compared]:
+def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Compared]:
     """Yield distances, and what they are of the standard deviations; NaN for unknown heights."""
     for item in located:
         gps, centre = item.gps, item.centre

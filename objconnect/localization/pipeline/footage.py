@@ -136,7 +136,7 @@ class FrameCameras:
             return None if scale is None else self.base
         source = self.base.source
         source = CameraSource.SCALED if source is CameraSource.MAP else source
-        return Calibration(_zoomed(self.base.camera, scale), source)
+        return Calibration(_zoom(self.base.camera, scale), source)
 
 
 def cameras_of_frames(footage: Footage, camera: Camera | None, place: Place) -> FrameCameras:
@@ -196,7 +196,7 @@ def _scale(said: Telemetry, focal_mm: float | None) -> float | None:
     return None if said.focal_mm is None else said.zoom * said.focal_mm / focal_mm
 
 
-def _zoomed(camera: Camera, scale: float) -> Camera:
+def _zoom(camera: Camera, scale: float) -> Camera:
     """Return the camera of the middle of its picture, enlarged by a scale."""
     middle = {"cx": camera.width / 2, "cy": camera.height / 2}
     params = []
@@ -209,7 +209,7 @@ def _zoomed(camera: Camera, scale: float) -> Camera:
 
 def _warn_of_zoom(footage: Footage) -> None:
     """Warn where one camera is given for frames of several focal lengths."""
-    focals = [said.zoomed_mm for said in footage.flight if said.zoomed_mm is not None]
+    focals = [said.effective_mm for said in footage.flight if said.effective_mm is not None]
     if focals and max(focals) > (1 + _ZOOMED) * min(focals):
         log.warning(
             "%s tells a zoom from %.1f to %.1f mm, and --camera is taken for all frames",

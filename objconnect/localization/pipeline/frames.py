@@ -71,7 +71,7 @@ class TelemetryReader:
         known = said.abs_alt is not None and self.undulation_m is not None
         altitude = (said.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
         fix, sigma = Geodetic(*said.place, altitude), np.full(3, self.options.gps_sigma_m)
-        prior = Prior(*self.place.located(fix, origin, sigma))
+        prior = Prior(*self.place.locate(fix, origin, sigma))
         return None if np.hypot(*prior.position[:2]) > REACH_M else prior
 
 

@@ -90,9 +90,9 @@ class Journal(Generic[Entry]):
         good = 0
         header = _header(lines[0]) if lines else {}
         if header.get("key") != self._key:
-            self.dropped = _parts(header) if _finished(lines[1:], self._model) else None
+            self.dropped = _parts(header) if _parse_entries(lines[1:], self._model) else None
         else:
-            entries = _finished(lines[1:], self._model)
+            entries = _parse_entries(lines[1:], self._model)
             self.done = {entry.name: entry for entry in entries}
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
@@ -100,7 +100,7 @@ class Journal(Generic[Entry]):
         # The rest was cut short by a crash, or belongs to another run.
         self._file.truncate(good)
         if not good:
-            self._put(json.dumps({"key": self._key, "parts": self._parts}))
+            self._append(json.dumps({"key": self._key, "parts": self._parts}))
 
     def __exit__(
         self,
@@ -123,9 +123,9 @@ class Journal(Generic[Entry]):
             WriteError: the disk is full.
         """
         self.done[result.name] = result
-        self._put(result.model_dump_json())
+        self._append(result.model_dump_json())
 
-    def _put(self, line: str) -> None:
+    def _append(self, line: str) -> None:
         data = (line + "\n").encode()
         try:
             # A buffered write that failed would be tried again when the file is closed.
@@ -152,7 +152,7 @@ def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
     return parts
 
 
-def _finished(lines: list[str], model: type[Entry]) -> list[Entry]:
+def _parse_entries(lines: list[str], model: type[Entry]) -> list[Entry]:
     """Return the entries up to the first line that is incomplete or invalid.
 
     Of two entries of one name the later one replaces the earlier one.

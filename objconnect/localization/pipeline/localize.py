@@ -171,7 +171,7 @@ class _Job:
             images = source.images(answering.ask)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
                 for image in images:
-                    located.append(self._located(image, answering(image)))
+                    located.append(self._to_answer(image, answering(image)))
                     advance(min(len(located), source.count))
             self._write(source, located, geography)
         source.warn()
@@ -183,7 +183,7 @@ class _Job:
         known = journal_key(self.place.sparse_map, self.place.images, self.localizer)
         return digest_of(known, "" if self.sequence is None else self.sequence.model_dump_json())
 
-    def _located(self, image: QueryImage, estimate: Estimate) -> Located:
+    def _to_answer(self, image: QueryImage, estimate: Estimate) -> Located:
         """Return the answer to an image with what is known of it."""
         camera = None if image.query is None else image.query.camera
         source = None if image.calibration is None else image.calibration.source

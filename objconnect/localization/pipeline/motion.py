@@ -80,7 +80,7 @@ class Motion:
             covariance: (6, 6) of centre (metres) and attitude (rad), about east, north and up.
             options: how fast the aircraft may be.
         """
-        measured = _floored(covariance, options)
+        measured = _floor(covariance, options)
         unknown = options.speed**2, np.radians(options.turn_deg) ** 2
         position, attitude = np.zeros((6, 6)), np.zeros((6, 6))
         position[:3, :3], attitude[:3, :3] = measured[:3, :3], measured[3:, 3:]
@@ -106,7 +106,7 @@ class Motion:
             + np.radians(options.turn_acceleration_deg) ** 2 * noise,
         )
 
-    def corrected(self, pose: Pose, covariance: Array, options: MotionOptions) -> Motion:
+    def correct(self, pose: Pose, covariance: Array, options: MotionOptions) -> Motion:
         """Return the state after a pose measured at its time.
 
         Args:
@@ -114,7 +114,7 @@ class Motion:
             covariance: (6, 6) of its centre and attitude, about east, north and up.
             options: of the filter.
         """
-        measured = _floored(covariance, options)
+        measured = _floor(covariance, options)
         innovation = self.innovation(pose)
         moved, position = _update(self.position_covariance, innovation[:3], measured[:3, :3])
         turned, attitude = _update(self.attitude_covariance, innovation[3:], measured[3:, 3:])
@@ -138,7 +138,7 @@ class Motion:
 
     def distance(self, pose: Pose, covariance: Array, options: MotionOptions) -> float:
         """Return the squared Mahalanobis distance of a measured pose, of 6 degrees of freedom."""
-        measured = _floored(covariance, options)
+        measured = _floor(covariance, options)
         innovation, total = self.innovation(pose), 0.0
         for rows, own in (
             (slice(3), self.position_covariance),
@@ -169,7 +169,7 @@ class Motion:
         )
 
 
-def _floored(covariance: Array, options: MotionOptions) -> Array:
+def _floor(covariance: Array, options: MotionOptions) -> Array:
     """Return a measured covariance (6, 6) with the least variances added."""
     least = [options.least_sigma_m] * 3 + [np.radians(options.least_sigma_deg)] * 3
     floored: Array = covariance + np.diag(np.square(least))

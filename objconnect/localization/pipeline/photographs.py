@@ -72,7 +72,7 @@ class PhotographReader:
         """
         pixels, exif = read_rgb(path, self.options.camera), self.exif(path)
         calibration = self.calibration(exif, (pixels.shape[1], pixels.shape[0]))
-        measured = self._measured(exif)
+        measured = self._read_prior(exif)
         prior = measured if self.priors is None else self.priors.get(name)
         return QueryImage(
             name,
@@ -119,7 +119,7 @@ class PhotographReader:
         apart = float(np.linalg.norm(enu_from_geodetic(there, origin)))
         return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
 
-    def _measured(self, exif: Exif) -> Prior | None:
+    def _read_prior(self, exif: Exif) -> Prior | None:
         """Return the position in EXIF, with what XMP knows of its sigma and of the attitude.
 
         None without a position, or where the map has none on earth.
@@ -128,7 +128,7 @@ class PhotographReader:
         if exif.position is None or origin is None:
             return None
         sigma = np.array(exif.xmp.rtk_sigma or (self.options.gps_sigma_m,) * 3)
-        prior = Prior(*self.place.located(exif.position, origin, sigma))
+        prior = Prior(*self.place.locate(exif.position, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(

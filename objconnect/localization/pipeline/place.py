@@ -47,7 +47,7 @@ class Place:
         """Return the cameras of the map's photographs."""
         return frozenset(image.camera for image in self.sparse_map.images.values())
 
-    def located(
+    def locate(
         self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return a place on earth in the map's world, (3,) metres, and its standard deviations.

@@ -99,11 +99,11 @@ class Tracker:
             query: the image, with what the aircraft knows of its pose; its ``prior`` may be None.
             seconds: time of the image, later than those before.
         """
-        moving = self._predicted(seconds)
+        moving = self._predict(seconds)
         if moving is None:
             return self._search(query)
         near = self._near(query, moving, tracked=True)
-        if near.tracked and not self._believes(near, moving, query.prior):
+        if near.is_tracked and not self._believes(near, moving, query.prior):
             near = self._near(query, moving, tracked=False)
         if self._believes(near, moving, query.prior):
             return near
@@ -123,16 +123,16 @@ class Tracker:
             if self._failures >= self._config.lost_after:
                 self._motion, self._agreed = None, 0
             return
-        moving = self._predicted(seconds)
+        moving = self._predict(seconds)
         covariance, options = self._covariance(estimate), self._config.motion
         self._failures = 0
         if moving is None or not self._agrees(estimate, moving):
             self._motion, self._agreed = Motion.begin(seconds, pose, covariance, options), 1
         else:
-            self._motion = moving.corrected(pose, covariance, options)
+            self._motion = moving.correct(pose, covariance, options)
             self._agreed += 1
 
-    def _predicted(self, seconds: float) -> Motion | None:
+    def _predict(self, seconds: float) -> Motion | None:
         """Return the state at a time; None where the camera is lost."""
         if self._motion is None:
             return None

@@ -25,13 +25,13 @@ from objconnect.mapping.dense.pictures import draw_cloud, draw_maps
 from objconnect.mapping.dense.planes import normals_of, planes_of
 from objconnect.mapping.dense.report import DenseReport, Fused, read_truth, report
 from objconnect.mapping.dense.sources import choose_all, seeds_in
-from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.warp import StereoView
 from objconnect.mapping.dense.workspace import KINDS, Stage, Workspace
 from objconnect.scene.bundle.scene import Scene, finish_scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
-from objconnect.scene.config import as_recorded
+from objconnect.scene.config import take_recorded
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.depth_views import DENSE as DENSE
 from objconnect.scene.geometry.camera import Camera
@@ -137,7 +137,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     scene.require_lists()
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, asked.size) for i in sparse_map.images.values()}
-    pinhole_map = undistorted_map(sparse_map, cameras)
+    pinhole_map = undistort_map(sparse_map, cameras)
     options = asked.options
     enough = options.confirmed
     pairs = choose_all(pinhole_map, asked.sources, enough)
@@ -202,7 +202,7 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
         if not unfinished.is_same():
             shutil.rmtree(unfinished.path, ignore_errors=True)
             if whole.is_same():
-                _link_finished(whole.path, unfinished.path)
+                _link_complete(whole.path, unfinished.path)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
     unfinished.begin()
@@ -215,7 +215,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
     def difference(record: Path) -> str | None:
         try:
             recorded = dict(json.loads(read_text(record, "dense key")))
-            options = as_recorded(DenseOptions, dict(recorded.get("options", {})))
+            options = take_recorded(DenseOptions, dict(recorded.get("options", {})))
         except (ValueError, TypeError):
             return "key"
         # Options that came later than the folder had the effect of their defaults.
@@ -226,7 +226,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
     return ResumableFolder(folder, folder / KEY, request, difference)
 
 
-def owned(workspace: Workspace) -> set[str]:
+def list_own_files(workspace: Workspace) -> set[str]:
     """Return the files of a workspace that we wrote, as ``atomic_folder`` takes them."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
@@ -236,9 +236,9 @@ def owned(workspace: Workspace) -> set[str]:
     return files
 
 
-def _link_finished(whole: Path, unfinished: Path) -> None:
+def _link_complete(whole: Path, unfinished: Path) -> None:
     """Link finished files into the unfinished folder. The old folder stays unchanged."""
-    cloud, ours = Workspace(whole).cloud.name, owned(Workspace(whole))
+    cloud, ours = Workspace(whole).cloud.name, list_own_files(Workspace(whole))
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
         # COLMAP writes the cloud anew, in place.
@@ -251,7 +251,7 @@ def _finish(scene: Scene, workspace: Workspace) -> None:
     """Put the finished folder in its place, and into the scene's manifest."""
     whole = scene.path / DENSE
     try:
-        replace_folder(whole, workspace.path, owned(Workspace(whole)))
+        replace_folder(whole, workspace.path, list_own_files(Workspace(whole)))
     except OSError as error:
         raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
     finish_scene(scene.path, scene.manifest)
@@ -275,7 +275,7 @@ def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
     with atomic_folder(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
-        write_posed(posed, sparse_map, folder)
+        write_with_poses(posed, sparse_map, folder)
 
 
 def _make_maps(maps: _Maps, cluster: str | None) -> float | None:

@@ -72,7 +72,7 @@ class _Sources(NamedTuple):
     Attributes:
         seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
         best: how many of the sources count, (H, W), see ``Visibility``.
-        grey: the pixels of all pictures, see ``_joined``.
+        grey: the pixels of all pictures, see ``_concatenate``.
         inverse_depths: those of their maps likewise; empty without maps.
         begins: where each picture begins in them, (K,).
         shapes: height and width of each picture, (K, 2).
@@ -136,8 +136,8 @@ class CompiledPhotometry:
         self._sources = _Sources(
             visible.seen.numpy(),
             visible.best.numpy(),
-            _joined([source.grey for source in sources]),
-            _joined(inverse_depths or ()),
+            _concatenate([source.grey for source in sources]),
+            _concatenate(inverse_depths or ()),
             np.cumsum(sizes) - sizes,
             shapes,
             _matrices(there),
@@ -184,7 +184,7 @@ def _matrices(warps: Sequence[Warp]) -> NDArray[np.float32]:
     return np.array([np.column_stack([w.rotation, w.translation]) for w in warps], np.float32)
 
 
-def _joined(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
+def _concatenate(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
     """Return the pixels of pictures of several sizes, one after the other, with ``_MORE``."""
     larger = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
     return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in larger)])
@@ -237,7 +237,7 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
                 continue
             shape = (shapes[k, 0], shapes[k, 1])
             begin, here = begins[k], _WORST
-            at = _warped(there, k, shape, x, y, w)
+            at = _warp(there, k, shape, x, y, w)
             if at.inside:
                 slopes = _slopes(there, k, at, gx, gy)
                 here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
@@ -245,7 +245,7 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
                     pixel = begin + int(at.v) * (shape[1] + _MORE) + int(at.u)
                     known, pixels = inverse_depths[pixel], limit_px
                     if known > 0:
-                        home = _warped(back, k, shape, at.u, at.v, known)
+                        home = _warp(back, k, shape, at.u, at.v, known)
                         pixels = min(np.hypot(home.u - x, home.v - y), pixels)
                     here += weight * pixels
             # Costs so far, in ascending order.
@@ -267,7 +267,7 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
 
 
 @_compiled
-def _warped(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
+def _warp(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
     """Warp a pixel as ``Warp`` k does, into a picture of a shape; a ``_Place``."""
     a = matrices[k, 0, 0] * x + matrices[k, 0, 1] * y + (matrices[k, 0, 2] + matrices[k, 0, 3] * w)
     b = matrices[k, 1, 0] * x + matrices[k, 1, 1] * y + (matrices[k, 1, 2] + matrices[k, 1, 3] * w)

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from objconnect.mapping.dense.photometry import Photometry, PlaneCosts
-from objconnect.mapping.dense.planes import moved, planes_at_nearest, planes_through, resized
+from objconnect.mapping.dense.planes import move, planes_at_nearest, planes_through, resize
 from objconnect.mapping.dense.warp import StereoView
 from objconnect.scene.runtime.device import loops_serve
 from objconnect.scene.runtime.threads import torch_threads
@@ -93,7 +93,7 @@ def first_estimate(
             estimate = search.begin(fitted, nearest)
             rounds, step = _FIRST_ROUNDS, 4.0
         else:
-            planes = resized(planes, height, width)
+            planes = resize(planes, height, width)
             search = _Search(here, others, planes[0], None, generator)
             estimate = search.best_of([planes, nearest])
             rounds, step = _ROUNDS, 1.0
@@ -127,7 +127,7 @@ def _shrunk(view: StereoView, factor: int) -> StereoView:
         return view
     height, width = (max(1, side // factor) for side in view.grey.shape)
     grey = interpolate(view.grey[None, None], (height, width), mode="area")[0, 0]
-    return StereoView(grey, view.camera.resized(width, height), view.cam_from_world)
+    return StereoView(grey, view.camera.resize(width, height), view.cam_from_world)
 
 
 class _Search:
@@ -262,7 +262,7 @@ def _from_neighbour(
     # Where all neighbours are outside the picture, the pixel's own plane is taken.
     inside = torch.isfinite(least)
     dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
-    return moved(planes[:, rows + dy, columns + dx], -dx, -dy)
+    return move(planes[:, rows + dy, columns + dx], -dx, -dy)
 
 
 def _chunks(colour: Tensor) -> Sequence[tuple[Tensor, Tensor]]:

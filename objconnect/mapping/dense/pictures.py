@@ -40,15 +40,15 @@ def draw_maps(
         depth = workspace.depth(name, "geometric")
         surface = truth[name].depth if name in truth else depth
         low, high = np.percentile(surface[surface > 0], [1, 99]) if surface.any() else (0, 1)
-        shown = row[1].imshow(_known(depth), vmin=low, vmax=high, cmap="viridis")
+        shown = row[1].imshow(_valid(depth), vmin=low, vmax=high, cmap="viridis")
         figure.colorbar(shown, ax=row[1], shrink=0.8)
         row[0].imshow(read_rgb(workspace.images / name))
         row[2].imshow(confirmations[name], vmin=0, cmap="magma")
         if name in truth:
             true = truth[name]
-            row[3].imshow(_known(true.depth), vmin=low, vmax=high, cmap="viridis")
+            row[3].imshow(_valid(true.depth), vmin=low, vmax=high, cmap="viridis")
             error = np.abs(depth / np.where(true.depth > 0, true.depth, 1) - 1)
-            error = np.where((depth > 0) & true.judged, error, np.nan)
+            error = np.where((depth > 0) & true.evaluable, error, np.nan)
             shown = row[4].imshow(100 * error, vmin=0, vmax=400 * WITHIN, cmap="inferno")
             figure.colorbar(shown, ax=row[4], shrink=0.8)
     titles = ("photograph", "depth (m)", "sources that confirm it", "true depth", "error (%)")
@@ -74,13 +74,13 @@ def draw_cloud(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], path: Path) -> 
     figure = Figure(figsize=(12, 6), layout="constrained")
     views = ((90.0, 0.0, "from above"), (_ELEVATION, _BEARING, "from the south-west"))
     for ax, (elevation, bearing, title) in zip(figure.subplots(1, 2), views, strict=True):
-        ax.imshow(_splatted(xyz, rgb, elevation, bearing))
+        ax.imshow(_splat(xyz, rgb, elevation, bearing))
         ax.set_title(f"{len(xyz)} points, {title}", fontsize=10)
         ax.set_axis_off()
     _save(figure, path)
 
 
-def _splatted(
+def _splat(
     xyz: NDArray[np.float64], rgb: NDArray[np.uint8], elevation: float, bearing: float
 ) -> NDArray[np.uint8]:
     """Return an orthographic picture (H, W, 3), which is white where there are no points."""
@@ -104,7 +104,7 @@ def _splatted(
     return picture
 
 
-def _known(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def _valid(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(depth > 0, depth, np.nan)
 
 

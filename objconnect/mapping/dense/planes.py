@@ -24,20 +24,20 @@ _NEIGHBOURS = 8
 _RIDGE = 1e-2
 
 
-def moved(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
+def move(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
     """Return planes (3, ...) moved by ``dx``, ``dy`` pixels."""
     w, gx, gy = planes
     return torch.stack([w + gx * dx + gy * dy, gx, gy])
 
 
-def resized(planes: Tensor, height: int, width: int) -> Tensor:
+def resize(planes: Tensor, height: int, width: int) -> Tensor:
     """Resize planes (3, H, W) to those of the picture at another size, (3, height, width)."""
     sy, sx = planes.shape[1] / height, planes.shape[2] / width
     y = (torch.arange(height, device=planes.device) + 0.5) * sy
     x = (torch.arange(width, device=planes.device) + 0.5) * sx
     row, column = y.long(), x.long()
     parents = planes[:, row][:, :, column]
-    w, gx, gy = moved(parents, x - column - 0.5, (y - row - 0.5)[:, None])
+    w, gx, gy = move(parents, x - column - 0.5, (y - row - 0.5)[:, None])
     return torch.stack([w, gx * sx, gy * sy])
 
 
@@ -45,7 +45,7 @@ def normals_of(planes: Tensor, camera: Camera) -> Tensor:
     """Return the unit normals of planes, (3, H, W), in the camera's frame and towards it."""
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     x, y = camera.pixel_grid(planes.dtype).to(planes.device).unbind(-1)
-    ahead, gx, gy = moved(planes, cx - x, cy - y)
+    ahead, gx, gy = move(planes, cx - x, cy - y)
     return -torch.nn.functional.normalize(torch.stack([gx * fx, gy * fy, ahead]), dim=0)
 
 

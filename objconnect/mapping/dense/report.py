@@ -42,7 +42,7 @@ class Truth:
     views: NDArray[np.int16]
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def evaluable(self) -> NDArray[np.bool_]:
         """Return which pixels are evaluated: those whose surface enough photographs see."""
         return (self.depth > 0) & (self.views >= _VIEWS)
 
@@ -191,7 +191,7 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
             continue
         true = truth[name]
         depth = workspace.depth(name, "geometric")
-        judged = true.judged
+        judged = true.evaluable
         error = np.where(depth > 0, np.abs(depth / np.where(judged, true.depth, 1) - 1), np.inf)
         group = groups.of(true.instance)[judged]
         parts["all"].append(error[judged])

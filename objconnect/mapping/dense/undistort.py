@@ -51,19 +51,20 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
         raise InputError(f"camera {camera} cannot be undistorted: its principal point or its "
                          "distortion is out of range")  # fmt: skip
     scale = min(1.0, size / max(camera.width, camera.height))
-    return pinhole.resized(round(camera.width * scale), round(camera.height * scale))
+    return pinhole.resize(round(camera.width * scale), round(camera.height * scale))
 
 
-def undistorted_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> SparseMap:
+def undistort_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> SparseMap:
     """Return the map for undistorted cameras, which ``cameras`` gives by the distorted ones."""
 
-    def undistorted(image: MapImage) -> MapImage:
+    def undistort_image(image: MapImage) -> MapImage:
         camera = cameras[image.camera]
         rays, _ = image.camera.unproject(torch.from_numpy(image.xy))
         return replace(image, camera=camera, xy=camera.project(rays).xy.numpy())
 
     return replace(
-        sparse_map, images={name: undistorted(image) for name, image in sparse_map.images.items()}
+        sparse_map,
+        images={name: undistort_image(image) for name, image in sparse_map.images.items()},
     )
 
 
@@ -79,13 +80,13 @@ def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Pa
             partial.write_bytes(photograph.read_bytes())
             return
         kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
-        pixels = Image.fromarray(_remapped(rgb, camera, pinhole))
+        pixels = Image.fromarray(_remap(rgb, camera, pinhole))
         pixels.save(partial, kind, quality=_QUALITY, subsampling=0)
 
 
-def _remapped(rgb: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:
+def _remap(rgb: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:
     """Resample a photograph at its own resolution first, and average it to a smaller size then."""
-    full = pinhole.resized(camera.width, camera.height)
+    full = pinhole.resize(camera.width, camera.height)
     rays, _ = full.unproject(full.pixel_grid())
     # OpenCV counts pixels from the centre of the first pixel.
     x, y = (camera.project(rays).xy - 0.5).float().unbind(-1)

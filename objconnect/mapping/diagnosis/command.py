@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from objconnect.mapping.diagnosis.drift import Drift, Truth, read_truth
 from objconnect.mapping.diagnosis.masked import check_size, mask_coverage, points_by_label
 from objconnect.mapping.diagnosis.picture import Panel, draw
-from objconnect.mapping.diagnosis.uniformity import Uniformity, seen_cells, uniformity
-from objconnect.network.masks import given_masks
+from objconnect.mapping.diagnosis.uniformity import Uniformity, uniformity, visible_cells
+from objconnect.network.masks import read_masks
 from objconnect.network.segmentation import NOTHING, Labels
 from objconnect.scene.bundle.object_points import ObjectCoverage, coverage
 from objconnect.scene.bundle.scene import Scene
@@ -108,7 +108,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
 
     Args:
         path: finished scene with a map.
-        masks: masks of photographs of the map, as ``given_masks`` takes them. They replace the true
+        masks: masks of photographs of the map, as ``read_masks`` takes them. They replace the true
             objects.
         cell_m: side of the cells over which uniformity is measured, metres.
 
@@ -120,12 +120,12 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
-    added = scene.added_points(sparse_map)
-    given = {} if masks is None else dict(given_masks(masks, sparse_map.names))
+    added = scene.is_added_point(sparse_map)
+    given = {} if masks is None else dict(read_masks(masks, sparse_map.names))
     for name, labels in given.items():
         check_size(labels, sparse_map.images[name])
     truth = read_truth(scene, sparse_map)
-    cells = seen_cells(scene, sparse_map, cell_m)
+    cells = visible_cells(scene, sparse_map, cell_m)
 
     def figures(kept: NDArray[np.bool_]) -> Figures:
         return Figures(
@@ -215,6 +215,6 @@ def _draw(
 def _true_labels(scene: Scene, sparse_map: SparseMap, name: str) -> Labels:
     """Return the label map of the small objects of a photograph, labelled by their ids."""
     small = [item.id for item in scene.objects.objects if item.size_class == "small"]
-    every = scene.mapped_layers(sparse_map, "instance")
+    every = scene.layers_of_map(sparse_map, "instance")
     instance = next(layers["instance"] for image, layers in every if image.name == name)
     return np.where(np.isin(instance, small), instance.astype(np.int64), NOTHING)

@@ -88,14 +88,14 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
     small = [item.id for item in scene.objects.objects if item.size_class == "small"]
     drift = np.full(len(sparse_map.xyz), np.inf)
     instances: list[tuple[MapImage, NDArray[np.uint16]]] = []
-    for image, layers in scene.mapped_layers(sparse_map, "instance"):
+    for image, layers in scene.layers_of_map(sparse_map, "instance"):
         instances.append((image, layers["instance"]))
     if not instances:
         return None
     owners = objects_of_points(len(drift), instances)
     seen = {image.name: np.unique(instance) for image, instance in instances}
     with progress_bar("true surface", len(instances)) as advance:
-        every = scene.mapped_layers(sparse_map, "depth", "instance", "normal")
+        every = scene.layers_of_map(sparse_map, "depth", "instance", "normal")
         for done, (image, layers) in enumerate(every, 1):
             rows = image.point_rows[image.point_rows >= 0]
             near = _distances(image, layers, sparse_map.xyz, owners)

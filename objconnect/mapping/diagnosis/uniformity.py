@@ -48,7 +48,7 @@ class Uniformity:
         )
 
 
-def seen_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np.int64]:
+def visible_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np.int64]:
     """Return the cells that at least two photographs of the map see, (C, 2).
 
     Cells are counted east and north in units of their side. The surface is the scene's depth; where
@@ -58,7 +58,7 @@ def seen_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np
         InputError: a file of the scene is damaged.
     """
     depths = {
-        image.name: layers["depth"] for image, layers in scene.mapped_layers(sparse_map, "depth")
+        image.name: layers["depth"] for image, layers in scene.layers_of_map(sparse_map, "depth")
     }
     views: Counter[tuple[int, int]] = Counter()
     for image in sparse_map.images.values():

@@ -90,7 +90,7 @@ def find(
     objects: Objects | None = None
     if network is not None:
         if network.detector is not None and network.config.segmentation == "none":
-            centres = network.learned_objects(image)[0].xy.double().numpy()
+            centres = network.detect_objects(image)[0].xy.double().numpy()
         else:
             segments = network.segments(image) if labels is None else labels
             objects = network.objects(image, segments)
@@ -114,7 +114,7 @@ def find(
         descriptors, confidence = look / length.clip(1e-6), np.ones(len(xy))
     else:
         index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
-        descriptors, confidence = _described(objects, index)
+        descriptors, confidence = _describe(objects, index)
     smooth = cv2.GaussianBlur(lab, (0, 0), _COLOUR_SIGMA_PX)
     return Blobs(
         Detections(xy, descriptors.astype(np.float32), confidence),
@@ -131,7 +131,7 @@ def _contrast(lab: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(lab, (0, 0), sigma) - wide, np.float32)
 
 
-def _described(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _describe(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return descriptors (N, C) and confidences (N,) of blobs by the objects they lie in.
 
     Blobs outside all objects have zeros.

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from objconnect.learning.checkpoint import load_into, read_weights, shipped
+from objconnect.learning.checkpoint import load_into, read_weights, shipped_path
 from objconnect.mapping.supplement.blobs import Blobs
 from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
@@ -40,7 +40,7 @@ _MOST_SHARE, _MOST_OFF, _MOST_COST = 1.5, 3.0, 3.0
 _SURE_M: Final = 1e-3
 
 
-def measured(
+def measure(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     ground: Ground,
@@ -73,7 +73,7 @@ def measured(
     def deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.sqrt((mean(values**2) - mean(values) ** 2).clip(0)))
 
-    def seen(name: str) -> NDArray[np.float64]:
+    def look_up(name: str) -> NDArray[np.float64]:
         every = np.concatenate([getattr(each, name) for each in blobs])
         return np.asarray(every[blob], np.float64)
 
@@ -88,7 +88,7 @@ def measured(
     sigma = tracks.error_px * pixel / crossing
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
     beside = costs_beside_ground(place_costs, above)
-    strength, look = seen("strength"), seen("look")
+    strength, look = look_up("strength"), look_up("look")
     figures = [
         above,
         np.log(sigma + _SURE_M),
@@ -103,7 +103,7 @@ def measured(
         deviation(strength) / mean(strength).clip(1),
         *spread,
         beside.on_ground,
-        mean(seen("radius")),
+        mean(look_up("radius")),
         *beside.curve.clip(0, _MOST_COST).T,
         *(mean(look[:, k]) for k in range(_LOOK)),
     ]
@@ -149,7 +149,7 @@ def read_classifier(path: Path | None = None) -> PlaceClassifier:
     Raises:
         InputError: the file does not exist, or holds no classifier.
     """
-    path = path or shipped(SHIPPED)
+    path = path or shipped_path(SHIPPED)
     weights = read_weights(path)
     if weights.config.get("figures") != FIGURES:
         raise InputError(f"{path} does not judge places by the {FIGURES} figures of this version")

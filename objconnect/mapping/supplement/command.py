@@ -11,7 +11,7 @@ from objconnect.mapping.supplement.classifier import read_classifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.map import add_to_map
 from objconnect.mapping.supplement.small import supplement_points
-from objconnect.network.masks import given_masks
+from objconnect.network.masks import read_masks
 from objconnect.network.network import read_network
 from objconnect.scene.bundle.scene import Scene
 
@@ -52,7 +52,7 @@ def supplement(
         path: finished scene with a map.
         weights: weights of an object-connect network, whose centres become candidates too; None
             takes blobs alone.
-        masks: masks of objects in the map's photographs, as ``given_masks`` takes them.
+        masks: masks of objects in the map's photographs, as ``read_masks`` takes them.
 
     Returns:
         The added points, with the map's figures before and after. ``pictures/diagnosis.png`` shows
@@ -65,9 +65,9 @@ def supplement(
     scene = Scene.open(path)
     scene.require_lists()
     sparse_map = scene.sparse_map()
-    before = sparse_map.without(scene.added_points(sparse_map))
+    before = sparse_map.without(scene.is_added_point(sparse_map))
     network = None if weights is None else read_network(weights)[0]
-    given = None if masks is None else dict(given_masks(masks, before.names))
+    given = None if masks is None else dict(read_masks(masks, before.names))
     config = SupplementConfig()
     classifier = read_classifier()
     points, detections = supplement_points(

@@ -67,7 +67,7 @@ def lessons(path: Path) -> Lessons:
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
-    sparse_map = sparse_map.without(scene.added_points(sparse_map))
+    sparse_map = sparse_map.without(scene.is_added_point(sparse_map))
     places = find_places(sparse_map, scene.images_root, SupplementConfig())
     truth = read_truth(scene, _as_map(sparse_map, places))
     before = read_truth(scene, sparse_map)

@@ -120,7 +120,7 @@ def _windows(
     unit = np.arange(-radius, radius + 1)
     window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
     pixels = xy[:, None] + window
-    colours = _sampled(picture, pixels)
+    colours = _sample(picture, pixels)
     middle = colours[:, len(window) // 2, None]
     weights = np.exp(-np.abs(colours - middle).sum(2) / _COLOUR_SCALE)
     weights *= np.exp(-(window**2).sum(1) / _DISTANCE_SCALE)
@@ -148,7 +148,7 @@ def _mean_difference(
             continue
         places = windows.places[seen]
         xy, _ = project(image, places.reshape(-1, 3))
-        theirs = _sampled(photograph(other), xy.reshape(*places.shape[:3], 2))
+        theirs = _sample(photograph(other), xy.reshape(*places.shape[:3], 2))
         off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
         off = off.clip(max=_MAX_DIFFERENCE)
         total[seen] += (off * windows.weights[seen][:, None]).sum(2)
@@ -199,7 +199,7 @@ def costs_beside_ground(
     return BesideGround(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
 
 
-def _sampled(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+def _sample(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
     """Sample a picture at pixels (..., 2); returns colours (..., 3)."""
     # OpenCV counts from the first pixel's centre.
     flat = (xy.reshape(-1, 2) - 0.5).astype(np.float32)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from objconnect.mapping.supplement.association import Detections
 from objconnect.mapping.supplement.blobs import Blobs, find
-from objconnect.mapping.supplement.classifier import PlaceClassifier, measured
+from objconnect.mapping.supplement.classifier import PlaceClassifier, measure
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.ground_plane import Ground, nearest
 from objconnect.mapping.supplement.photoconsistency import costs
@@ -83,7 +83,7 @@ def find_places(
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
     tracks = tracks.only((above > _ABOVE_M) & (above < _BELOW_M))
     place_costs = costs(images, folder, blobs, ground, tracks)
-    figures = measured(images, blobs, ground, tracks, place_costs)
+    figures = measure(images, blobs, ground, tracks, place_costs)
     return Places(images, blobs, tracks, figures)
 
 

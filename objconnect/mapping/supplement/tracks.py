@@ -117,7 +117,7 @@ def follow(
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_followed(view, compared, views))
+            parts.append(_follow_one(view, compared, views))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -156,7 +156,7 @@ def project(
     return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, _BORDER_PX)).numpy()
 
 
-def _followed(view: int, compared: _Compared, views: int) -> Tracks:
+def _follow_one(view: int, compared: _Compared, views: int) -> Tracks:
     """Follow the blobs of one photograph, given by its row, into the others; see ``follow``."""
     images, blobs, ground = compared.images, compared.blobs, compared.ground
     own = blobs[view]
@@ -173,7 +173,7 @@ def _followed(view: int, compared: _Compared, views: int) -> Tracks:
         xy, inside = project(images[other], places)
         visible += inside
         at = np.flatnonzero(inside)
-        at, blob, match_score = _matched(
+        at, blob, match_score = _match(
             own, owner[at], blobs[other], compared.tables[other], (at, xy[at])
         )
         score[at] += match_score
@@ -204,7 +204,7 @@ def _overlapping(view: int, images: Sequence[MapImage], ground: NDArray[np.float
     return [k for k in order.tolist() if overlap[k] > _MIN_OVERLAP]
 
 
-def _matched(
+def _match(
     own: Blobs,
     rows: NDArray[np.int64],
     theirs: Blobs,

@@ -88,7 +88,7 @@ def _propose(
         here = pairs.views == view
         if here.any():
             image = sparse_map.images[name]
-            rows[here] = _normalised(image, detections[name].xy)[pairs.rows[here]]
+            rows[here] = _normalise(image, detections[name].xy)[pairs.rows[here]]
             poses[here] = image.cam_from_world[:3]
     return linear_points(rows, poses)
 
@@ -189,7 +189,7 @@ def triangulate(
 
 def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the point (3,) of least reprojection error, by Gauss-Newton from a linear solution."""
-    seen = np.concatenate([_normalised(i, p[None]) for i, p in zip(images, xy, strict=True)])
+    seen = np.concatenate([_normalise(i, p[None]) for i, p in zip(images, xy, strict=True)])
     poses = np.stack([image.cam_from_world[:3] for image in images])
     xyz: NDArray[np.float64] = linear_points(seen[None], poses[None])[0]
     for _ in range(_ROUNDS):
@@ -225,6 +225,6 @@ def _residuals(
     return off, slope
 
 
-def _normalised(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalise(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return x/z and y/z of pixels (K, 2)."""
     return np.asarray(image.camera.unproject(torch.from_numpy(xy))[0][..., :2])

@@ -165,7 +165,7 @@ def write_frames(
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def _open(path: Path) -> Iterator[h5py.File]:
     if not path.is_file():
         raise InputError(f"{path} does not exist")
     try:
@@ -183,7 +183,7 @@ def dense_layers(path: Path) -> Iterator[DenseLayers]:
     Raises:
         InputError: the file is missing or damaged.
     """
-    with _opened(path) as file:
+    with _open(path) as file:
         yield DenseLayers(file, path)
 
 
@@ -194,7 +194,7 @@ def read_frames(path: Path) -> Frames:
         InputError: the file is missing or damaged, an array has the wrong shape, or a number is not
             finite or not on earth; the message names the first frame concerned.
     """
-    with _opened(path) as file:
+    with _open(path) as file:
         try:
             names = tuple(name.decode() for name in array(file, "names"))
             table = [Camera.parse(text.decode().split()) for text in array(file, "cameras")]

@@ -62,12 +62,12 @@ def _contact_sheet(scene: Scene) -> Figure:
             shown = planar.imshow(
                 np.where(depth[k] > 0, depth[k], np.nan), vmin=low, vmax=high, cmap="viridis"
             )
-            objects.imshow(_coloured(instance[k]))
+            objects.imshow(_colour(instance[k]))
         figure.colorbar(shown, ax=list(row), label="depth (m)", shrink=0.9, aspect=15)
     return figure
 
 
-def _coloured(instance: NDArray[Any]) -> NDArray[Any]:
+def _colour(instance: NDArray[Any]) -> NDArray[Any]:
     """Return colours of instance ids, (H, W, 3): consecutive ids differ in hue, the ground is
     black."""
     import matplotlib as mpl

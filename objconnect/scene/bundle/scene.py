@@ -25,7 +25,7 @@ from objconnect.scene.bundle.manifest import (
     read_json,
     write_json,
 )
-from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, added_rows
+from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, is_added_point
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -135,13 +135,13 @@ class Scene:
             raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
         return replace(read_model(self.map_path), features=self.map_path / FEATURES)
 
-    def added_points(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
+    def is_added_point(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
         """Return which points of the map were added after it was built from features, (M,) bool.
 
         Raises:
             InputError: the list of added points is damaged or does not belong to this map.
         """
-        return added_rows(self.map_path, len(sparse_map.xyz))
+        return is_added_point(self.map_path, len(sparse_map.xyz))
 
     def require_lists(self) -> None:
         """Read every list of the scene, before long work that needs them at its end.
@@ -171,7 +171,7 @@ class Scene:
         """
         return dense_layers(self._frames_path(session))
 
-    def mapped_layers(
+    def layers_of_map(
         self, sparse_map: SparseMap, *layers: Layer
     ) -> Iterator[tuple[MapImage, dict[Layer, NDArray[Any]]]]:
         """Yield the photographs of a map with some of their layers.
@@ -194,7 +194,7 @@ class Scene:
             )
         return self.images_root / session / "frames.h5"
 
-    def changed_files(self) -> list[str]:
+    def find_changed_files(self) -> list[str]:
         """Return the files that differ from the manifest's digests, are missing, or were added."""
         present = digests(self.path)
         recorded = self.manifest.sha256

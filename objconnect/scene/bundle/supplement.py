@@ -62,7 +62,7 @@ def read_supplement(folder: Path) -> Supplement | None:
     return read_json(path, Supplement, "list of added points") if os.path.lexists(path) else None
 
 
-def added_rows(folder: Path, points: int) -> NDArray[np.bool_]:
+def is_added_point(folder: Path, points: int) -> NDArray[np.bool_]:
     """Return which points of the map in a folder were added, in the order of ``SparseMap.xyz``.
 
     Args:

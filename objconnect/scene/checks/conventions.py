@@ -25,17 +25,17 @@ def _same(matrices: Array) -> Array:
     return matrices
 
 
-def _inverted(matrices: Array) -> Array:
+def _invert(matrices: Array) -> Array:
     return np.linalg.inv(matrices)
 
 
-def _transposed(matrices: Array) -> Array:
+def _transpose(matrices: Array) -> Array:
     result = matrices.copy()
     result[..., :3, :3] = np.swapaxes(matrices[..., :3, :3], -1, -2)
     return result
 
 
-def _centred(matrices: Array) -> Array:
+def _centre(matrices: Array) -> Array:
     result = matrices.copy()
     result[..., :3, 3] = -np.einsum("...ij,...j->...i", matrices[..., :3, :3], matrices[..., :3, 3])
     return result
@@ -47,7 +47,7 @@ def _opengl(matrices: Array) -> Array:
     return result
 
 
-def shifted(camera: Camera, pixels: float) -> Camera:
+def shift_principal_point(camera: Camera, pixels: float) -> Camera:
     """Return the camera with its principal point moved by ``pixels`` along both axes."""
     names = MODELS[camera.model]
     params = tuple(
@@ -78,9 +78,9 @@ class Reading:
 OURS = Reading("")
 
 POSE_READINGS = (
-    Reading("poses are inverted: world_from_cam where cam_from_world is expected", _inverted),
-    Reading("rotations are transposed: world-from-camera beside a camera translation", _transposed),
-    Reading("translations are camera centres, expected t = -R C", _centred),
+    Reading("poses are inverted: world_from_cam where cam_from_world is expected", _invert),
+    Reading("rotations are transposed: world-from-camera beside a camera translation", _transpose),
+    Reading("translations are camera centres, expected t = -R C", _centre),
     Reading("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
 )
 
@@ -100,7 +100,7 @@ PIXEL_READINGS = (
 READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)
 
 
-def _reordered(matrices: Array, roll: int) -> Array:
+def _reorder(matrices: Array, roll: int) -> Array:
     """Return the poses whose quaternions have their four numbers rolled by so many places."""
     from objconnect.scene.geometry.pose import Pose
 
@@ -112,9 +112,9 @@ def _reordered(matrices: Array, roll: int) -> Array:
     )
 
 
-def _reordered_from_camera(matrices: Array, roll: int) -> Array:
+def _reorder_from_camera(matrices: Array, roll: int) -> Array:
     """Return the same for files that keep world_from_cam: the camera centres stay."""
-    return _inverted(_reordered(_inverted(matrices), roll))
+    return _invert(_reorder(_invert(matrices), roll))
 
 
 @dataclass(frozen=True)
@@ -137,25 +137,25 @@ _XYZW = "quaternions are x y z w where w x y z is expected"
 _WXYZ = "quaternions are w x y z where x y z w is expected"
 
 FOREIGN_READINGS = (
-    PoseReading("poses-inverted", POSE_READINGS[0].fault, _inverted),
-    PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transposed),
-    PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centred),
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, _invert),
+    PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transpose),
+    PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centre),
     PoseReading("axes-flipped", _TURNED_AXES, _opengl),
     # A matrix inverted on disk meets the flip of a reader that expects OpenGL's axes.
-    PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_inverted(_opengl(m)))),
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_invert(_opengl(m)))),
     PoseReading(
         "poses-inverted-axes-flipped",
         f"poses are inverted, and {_TURNED_AXES}",
-        lambda m: _opengl(_inverted(m)),
+        lambda m: _opengl(_invert(m)),
     ),
     PoseReading(
         "poses-inverted-axes-flipped",
         f"poses are inverted, and {_TURNED_AXES}",
-        lambda m: _inverted(_opengl(m)),
+        lambda m: _invert(_opengl(m)),
     ),
-    PoseReading("quaternion-order", _XYZW, lambda m: _reordered(m, 1)),
-    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered(m, -1)),
-    PoseReading("quaternion-order", _XYZW, lambda m: _reordered_from_camera(m, 1)),
-    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered_from_camera(m, -1)),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reorder(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reorder(m, -1)),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reorder_from_camera(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reorder_from_camera(m, -1)),
 )
 """Conventions of poses in the files of other programs, and combinations that readers make."""

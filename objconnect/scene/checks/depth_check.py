@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.bundle.covisibility import overlap_matrix, surface_points
-from objconnect.scene.checks.conventions import EXPLAINS, OURS, READINGS, Reading, shifted
+from objconnect.scene.checks.conventions import (
+    EXPLAINS,
+    OURS,
+    READINGS,
+    Reading,
+    shift_principal_point,
+)
 from objconnect.scene.checks.report import Check
 from objconnect.scene.geometry.camera import Camera
 
@@ -129,7 +135,7 @@ def _figures(agreement: Agreement) -> dict[str, float]:
 def measure(frames: DepthFrames, reading: Reading) -> Agreement:
     """Measure the cross-frame reprojection of a scene in one reading, on a fixed random sample."""
     poses = reading.poses(frames.cam_from_world)
-    cameras = [shifted(camera, reading.principal_shift) for camera in frames.cameras]
+    cameras = [shift_principal_point(camera, reading.principal_shift) for camera in frames.cameras]
     depth = [
         _planar(d, camera) if reading.radial_depth else d
         for d, camera in zip(frames.depth, cameras, strict=True)

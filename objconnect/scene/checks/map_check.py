@@ -13,7 +13,7 @@ from objconnect.scene.checks.conventions import (
     PIXEL_READINGS,
     POSE_READINGS,
     Reading,
-    shifted,
+    shift_principal_point,
 )
 from objconnect.scene.checks.report import Check
 from objconnect.scene.geometry.camera import Camera
@@ -52,7 +52,7 @@ def _median_residual(sparse_map: SparseMap, reading: Reading) -> float:
             image.name: replace(
                 image,
                 cam_from_world=pose,
-                camera=shifted(image.camera, reading.principal_shift),
+                camera=shift_principal_point(image.camera, reading.principal_shift),
             )
             for image, pose in zip(sparse_map.images.values(), poses, strict=True)
         },

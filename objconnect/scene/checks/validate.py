@@ -49,7 +49,7 @@ def _checks(scene: Scene) -> Iterator[Check]:
 
 def _check_files(scene: Scene) -> Check:
     name = "files match their digests"
-    changed = scene.changed_files()
+    changed = scene.find_changed_files()
     if changed:
         return Check(name, False, f"changed, missing or added since: {', '.join(changed[:5])}")
     return Check(name, True, f"{len(scene.manifest.sha256)} files")

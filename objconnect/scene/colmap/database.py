@@ -13,7 +13,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from objconnect.scene.colmap.models import empty_model, extended_model, lens_ids, posed_model
+from objconnect.scene.colmap.models import empty_model, extend_model, lens_ids, make_model
 from objconnect.scene.colmap.native import ROOM, SEED, Progress, native_camera
 from objconnect.scene.colmap.options import (
     EPIPOLAR_PX,
@@ -105,7 +105,7 @@ def match_photographs(
     fill_database(database, ids, job, GUESSED_EPIPOLAR_PX, on_progress)
 
 
-def match_posed(
+def match_with_poses(
     job: MappingJob, database: Path, on_progress: Progress | None
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
     """Fill a database with verified matches of posed images.
@@ -119,11 +119,11 @@ def match_posed(
     """
     images = job.images
     check_photographs(job.root, {image.name: image.camera for image in images})
-    empty, ids = posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
+    empty, ids = make_model(images, {image.name: np.zeros((0, 2)) for image in images})
     require_database(database, empty)
     fill_database(database, ids, job, EPIPOLAR_PX, on_progress)
     features = read_features(database, job.root)
-    return posed_model(images, {name: item.xy for name, item in features.items()})[0], features
+    return make_model(images, {name: item.xy for name, item in features.items()})[0], features
 
 
 def fill_database(
@@ -200,7 +200,7 @@ def _write_features(
             db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
 
 
-def write_matched(
+def write_matches(
     path: Path,
     images: Sequence[PosedImage],
     features: Mapping[str, Features],
@@ -211,7 +211,7 @@ def write_matched(
 
     Args:
         path: new file.
-        images: images in the order of their identifiers, as for ``models.write_posed``.
+        images: images in the order of their identifiers, as for ``models.write_with_poses``.
         features: features of some of them, by name.
         matches: names of two images, and the keypoints of the first and the second, (K, 2).
         photographs: further images, without pose, features and matches.
@@ -220,7 +220,7 @@ def write_matched(
         WriteError: the disk has no space.
     """
     keypoints = {image.name: np.zeros((0, 2)) for image in images}
-    model, ids = extended_model(images, keypoints, photographs)
+    model, ids = extend_model(images, keypoints, photographs)
     size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
     pairs = sum(8 * len(rows) for _, _, rows in matches)
     require_disk_space(path, ROOM + 2 * (size + 2 * pairs))

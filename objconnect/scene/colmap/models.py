@@ -19,7 +19,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.files import require_disk_space
 
 
-def posed_model(
+def make_model(
     images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """Make a model of keypoints (K, 2) and poses, without points.
@@ -41,7 +41,7 @@ def posed_model(
     return model, ids
 
 
-def extended_model(
+def extend_model(
     images: Sequence[PosedImage],
     keypoints: Mapping[str, NDArray[Any]],
     photographs: Sequence[Photograph],
@@ -52,14 +52,14 @@ def extended_model(
     a camera by lens.
 
     Args:
-        images: posed images; identifiers are those of ``posed_model``.
+        images: posed images; identifiers are those of ``make_model``.
         keypoints: keypoints (K, 2) of the posed images.
         photographs: photographs to register.
 
     Returns:
         The model, and the identifier of each image by name.
     """
-    model, ids = posed_model(images, keypoints)
+    model, ids = make_model(images, keypoints)
     numbers: dict[object, int] = {}
     for image in images:
         numbers[image.camera] = model.image(ids[image.name]).camera_id
@@ -101,7 +101,7 @@ def _whole_model(folder: Path) -> pycolmap.Reconstruction:
     return pycolmap.Reconstruction(folder)
 
 
-def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
+def write_with_poses(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
     """Write images with their poses as a binary model.
 
     Args:
@@ -113,7 +113,7 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     mapped = sparse_map.images if sparse_map is not None else {}
     nothing = np.zeros((0, 2))
     keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
-    model, ids = posed_model(images, keypoints)
+    model, ids = make_model(images, keypoints)
     if sparse_map is not None:
         add_map_points(model, {n: k for n, k in ids.items() if n in mapped}, sparse_map)
         model.update_point_3d_errors()

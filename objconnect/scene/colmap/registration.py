@@ -10,8 +10,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from objconnect.scene.colmap.database import MatchingJob, fill_database, is_sound, write_matched
-from objconnect.scene.colmap.models import extended_model, write_model, write_posed
+from objconnect.scene.colmap.database import MatchingJob, fill_database, is_sound, write_matches
+from objconnect.scene.colmap.models import extend_model, write_model, write_with_poses
 from objconnect.scene.colmap.native import ROOM, Progress
 from objconnect.scene.colmap.options import GUESSED_EPIPOLAR_PX
 from objconnect.scene.colmap.structure_from_motion import adjust_robustly
@@ -66,7 +66,7 @@ def match_new(
     """
     if not is_sound(database):
         with atomic_write(database) as partial:
-            write_matched(partial, known.images, known.features, known.matches, photographs)
+            write_matches(partial, known.images, known.features, known.matches, photographs)
     names = [image.name for image in known.images] + [p.name for p in photographs]
     ids = {name: k for k, name in enumerate(names, 1)}
     fill_database(database, ids, job, GUESSED_EPIPOLAR_PX, on_progress)
@@ -97,7 +97,7 @@ def register_photographs(
         The map and the photographs that could be registered.
     """
     nothing = np.zeros((0, 2))
-    model, ids = extended_model(known.images, {i.name: nothing for i in known.images}, photographs)
+    model, ids = extend_model(known.images, {i.name: nothing for i in known.images}, photographs)
     cameras = {name: model.image(k).camera_id for name, k in ids.items()}
     refine_focal = not all(p.focal_known for p in photographs)
     fixed = {cameras[image.name] for image in known.images} | {
@@ -121,7 +121,7 @@ def register_photographs(
     with scratch(out, ROOM) as folder:
         start = folder / "known"
         start.mkdir()
-        write_posed(known.images, known.sparse_map, start)
+        write_with_poses(known.images, known.sparse_map, start)
         models = pycolmap.incremental_mapping(
             database, root, folder, pipeline, input_path=start, next_image_callback=on_image
         )

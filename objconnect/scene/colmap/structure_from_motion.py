@@ -11,7 +11,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from objconnect.scene.colmap.database import MappingJob, match_posed
+from objconnect.scene.colmap.database import MappingJob, match_with_poses
 from objconnect.scene.colmap.models import lens_ids, write_model
 from objconnect.scene.colmap.native import LEAST_VARIANCE, ROOM, SEED, Progress
 from objconnect.scene.colmap.options import ALIGN_M, MIN_ANGLE_DEG, OUTLIER_SIGMAS
@@ -63,7 +63,7 @@ def reconstruct(
     root, images = job.root, job.images
     with scratch(out) as folder:
         database = job.database or folder / "database.db"
-        _, features = match_posed(job, database, on_progress)
+        _, features = match_with_poses(job, database, on_progress)
         matched, registered = len(images) + len(job.pairs), 2  # the pair every model starts from
 
         def report(done: int) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pycolmap
 
-from objconnect.scene.colmap.database import MappingJob, match_posed, write_database
-from objconnect.scene.colmap.models import add_map_points, posed_model, write_model
+from objconnect.scene.colmap.database import MappingJob, match_with_poses, write_database
+from objconnect.scene.colmap.models import add_map_points, make_model, write_model
 from objconnect.scene.colmap.native import ROOM, SEED, Progress
 from objconnect.scene.colmap.sift import read_features
 from objconnect.scene.errors import InputError
@@ -39,7 +39,7 @@ def triangulate(
     """
     with scratch(out) as folder:
         database = job.database or folder / "database.db"
-        posed, features = match_posed(job, database, on_progress)
+        posed, features = match_with_poses(job, database, on_progress)
         return _triangulate(posed, database, job.root, out), features
 
 
@@ -58,7 +58,7 @@ def _triangulate(
     return read_model(out)
 
 
-def triangulate_matched(
+def triangulate_again(
     root: Path,
     images: Sequence[PosedImage],
     database: Path,
@@ -86,7 +86,7 @@ def triangulate_matched(
     size = sum(24 * len(item.xy) for item in wanted.values())
     with scratch(out, ROOM + 2 * size) as folder:
         part = folder / "database.db"
-        posed, ids = posed_model(images, {name: item.xy for name, item in wanted.items()})
+        posed, ids = make_model(images, {name: item.xy for name, item in wanted.items()})
         write_database(part, posed)
         with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
             old = {image.name: image.image_id for image in db.read_all_images()}
@@ -128,11 +128,11 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
     before = {number: point.xyz.copy() for number, point in model.points3D.items()}
     for image_id in sorted(added):
         triangulator.triangulate_image(options.triangulation, image_id)
-    touched = _shown(model, added)
+    touched = _observed_ids(model, added)
     for _ in range(options.ba_global_max_refinements):
-        changed = triangulator.complete_tracks(options.triangulation, _shown(model, added))
-        changed += triangulator.merge_tracks(options.triangulation, _shown(model, added))
-        shown = _shown(model, added)
+        changed = triangulator.complete_tracks(options.triangulation, _observed_ids(model, added))
+        changed += triangulator.merge_tracks(options.triangulation, _observed_ids(model, added))
+        shown = _observed_ids(model, added)
         if not shown:
             break
         touched |= shown
@@ -143,12 +143,12 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
         if changed <= options.ba_global_max_refinement_change * len(shown):
             break
     # An image whose observation of a point was filtered does not change it.
-    for number in (touched - _shown(model, added)) & before.keys():
+    for number in (touched - _observed_ids(model, added)) & before.keys():
         if model.exists_point3D(number):
             model.point3D(number).xyz = before[number]
 
 
-def _shown(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
+def _observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
     """Return the identifiers of the points that some images of a model observe."""
     return {
         point.point3D_id

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.cmu_names import (
     CAMERAS,
@@ -155,7 +155,7 @@ def _write_slice(
             f"the map of {scene.path} has no point that two photographs of its "
             f"{surroundings(number)} part see: fly more map frames there"
         )
-    write_posed(images, sparse_map, folder / "sparse")
+    write_with_poses(images, sparse_map, folder / "sparse")
     ground_truth = "".join(p.line() for p in references)
     (folder / f"ground-truth-database-images-{name}.txt").write_text(ground_truth, "utf-8")
     listed = "".join(f"{p.name}\n" for p in queries)
@@ -176,7 +176,7 @@ def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
     row_of = np.full(len(seen) + 1, -1)  # the last stands for no point
     row_of[kept] = np.arange(len(kept))
 
-    def renamed(photograph: _Photograph) -> MapImage:
+    def rename(photograph: _Photograph) -> MapImage:
         image = whole.images[photograph.source]
         return dataclasses.replace(
             image,
@@ -186,7 +186,7 @@ def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
         )
 
     return SparseMap(
-        images={str(p.name): renamed(p) for p in mapped},
+        images={str(p.name): rename(p) for p in mapped},
         xyz=whole.xyz[kept],
         rgb=whole.rgb[kept],
         error=whole.error[kept],

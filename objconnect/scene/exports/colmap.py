@@ -12,16 +12,16 @@ from pathlib import Path
 
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.colmap.database import write_matched
-from objconnect.scene.colmap.models import write_posed
-from objconnect.scene.exports.matches import described_map, matched_pairs
+from objconnect.scene.colmap.database import write_matches
+from objconnect.scene.colmap.models import write_with_poses
+from objconnect.scene.exports.matches import iterate_matches, read_map_features
 from objconnect.scene.maps.photographs import PosedImage
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     """Write ``cameras.bin``, ``images.bin`` and ``points3D.bin``; see ``formats.Writer``."""
     sparse_map = scene.sparse_map() if scene.map_path.is_dir() else None
-    write_posed(_images(sessions), sparse_map, folder)
+    write_with_poses(_images(sessions), sparse_map, folder)
 
 
 def write_with_database(
@@ -35,13 +35,13 @@ def write_with_database(
     Raises:
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
-    sparse_map, features = described_map(scene)
+    sparse_map, features = read_map_features(scene)
     images = _images(sessions)
-    write_posed(images, sparse_map, folder)
+    write_with_poses(images, sparse_map, folder)
     names = {image.name for image in images}
-    matches = [one for one in matched_pairs(scene, sparse_map) if {one[0], one[1]} <= names]
+    matches = [one for one in iterate_matches(scene, sparse_map) if {one[0], one[1]} <= names]
     described = {name: features[name] for name in sparse_map.names if name in names}
-    write_matched(folder / "database.db", images, described, matches)
+    write_matches(folder / "database.db", images, described, matches)
 
 
 def _images(sessions: Mapping[str, Frames]) -> list[PosedImage]:

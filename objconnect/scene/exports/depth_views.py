@@ -75,7 +75,7 @@ def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]
                 depth = partial(_exact, scene, session, k)
                 rgb = partial(read_rgb, scene.images_root / name, frames.cameras[k])
                 views.append(DepthView(frames.cameras[k], frames.cam_from_world[k], depth, rgb))
-    views = views or _estimated(scene, {n for f in sessions.values() for n in f.names})
+    views = views or _estimate_views(scene, {n for f in sessions.values() for n in f.names})
     if not views:
         raise InputError(
             f"these sessions of {scene.path} have no depth: run 'objconnect dense {scene.path}'"
@@ -88,7 +88,7 @@ def _exact(scene: Scene, session: str, index: int) -> NDArray[np.float32]:
         return np.asarray(layers.read("depth", index), np.float32)
 
 
-def _estimated(scene: Scene, names: set[str]) -> list[DepthView]:
+def _estimate_views(scene: Scene, names: set[str]) -> list[DepthView]:
     workspace = scene.path / DENSE
     if not workspace.is_dir():
         return []

@@ -23,7 +23,7 @@ from objconnect.scene.bundle.covisibility import COVISIBLE
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
-from objconnect.scene.exports.matches import described_map, map_pairs, matched_pairs
+from objconnect.scene.exports.matches import iterate_matches, map_pairs, read_map_features
 from objconnect.scene.maps.features import unit_descriptors
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.hdf5_writing import open_hdf5
@@ -73,7 +73,7 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
     Raises:
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
-    sparse_map, features = described_map(scene)
+    sparse_map, features = read_map_features(scene)
     count = len(sparse_map.names)
     with open_hdf5(folder / "features.h5") as file, progress_bar("features", count) as advance:
         for done, name in enumerate(sparse_map.names, 1):
@@ -87,7 +87,7 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
             advance(done)
     lines = []
     with open_hdf5(folder / "matches.h5") as file:
-        for a, b, matches in matched_pairs(scene, sparse_map):
+        for a, b, matches in iterate_matches(scene, sparse_map):
             to = np.full(len(sparse_map.images[a].xy), -1, np.int32)
             to[matches[:, 0]] = matches[:, 1]
             group = file.create_group("/".join(name.replace("/", "-") for name in (a, b)))

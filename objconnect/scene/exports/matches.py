@@ -23,7 +23,7 @@ LEAST_MATCHES: Final = 15
 """Pairs of photographs with fewer matches are left out, as COLMAP does."""
 
 
-def described_map(scene: Scene) -> tuple[SparseMap, FeatureFile]:
+def read_map_features(scene: Scene) -> tuple[SparseMap, FeatureFile]:
     """Return a scene's map with the keypoints of its features alone, and the features.
 
     Points that were added to the map, and their keypoints, are left out: they have no descriptors
@@ -33,7 +33,7 @@ def described_map(scene: Scene) -> tuple[SparseMap, FeatureFile]:
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
     whole = scene.sparse_map()
-    sparse_map = whole.without(scene.added_points(whole))
+    sparse_map = whole.without(scene.is_added_point(whole))
     features = FeatureFile(scene.map_path / FEATURES)
     images = {}
     for name, image in sparse_map.images.items():
@@ -59,7 +59,7 @@ def map_pairs(scene: Scene) -> list[tuple[str, str]]:
     return [(names[i], names[j]) for i, j in np.argwhere(mutual >= COVISIBLE)]
 
 
-def matched_pairs(
+def iterate_matches(
     scene: Scene, sparse_map: SparseMap
 ) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
     """Yield the names and matches of the covisible pairs of a map.

@@ -227,11 +227,11 @@ def _fuse(
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.asarray(sums[1:] / sums[0], np.float32).reshape(4, *shape)
     for _ in range(_FILLS):
-        means = _filled(means)
+        means = _fill_gaps(means)
     return means
 
 
-def _filled(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _fill_gaps(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Give each empty pixel of (bands, H, W) the mean of its eight neighbours that are not."""
     known = np.isfinite(values[0])
     padded = np.pad(np.where(known, values, 0), ((0, 0), (1, 1), (1, 1)))

@@ -163,7 +163,7 @@ def read_priors(path: Path) -> PriorTable:
     columns = _position_columns(path, header)
     rows: dict[str, StatedPrior] = {}
     for where, row in read_table(path, "priors", ("name",)):
-        _add(rows, _name(where, row), _stated(where, row, columns), where)
+        _add(rows, _name(where, row), _parse_prior(where, row, columns), where)
     return PriorTable(path, rows)
 
 
@@ -183,12 +183,12 @@ def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
     return columns
 
 
-def _stated(where: str, row: Mapping[str, str], columns: PositionColumns) -> StatedPrior:
+def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -> StatedPrior:
     """Return what a row of a table of priors states; an empty cell states nothing."""
     if row.get(""):
         raise InputError(f"{where}: the column of {row['']!r} has no name")
     first, second = (float(x) for x in _numbers(where, [row[name] for name in columns.horizontal]))
-    vertical = None if columns.vertical is None else _stated_number(where, row, columns.vertical)
+    vertical = None if columns.vertical is None else _parse_number(where, row, columns.vertical)
     if columns.frame is Frame.MAP:
         if max(abs(first), abs(second), abs(vertical or 0.0)) > FARTHEST_M:
             raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
@@ -198,7 +198,7 @@ def _stated(where: str, row: Mapping[str, str], columns: PositionColumns) -> Sta
             f"{where}: {names} are no place on earth: they are degrees, at most 90 and 180, and an "
             "altitude is metres"
         )
-    sigmas = {name: _stated_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}
+    sigmas = {name: _parse_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}
     _check_sigmas(where, {name: sigma for name, sigma in sigmas.items() if sigma is not None})
     return StatedPrior(
         where,
@@ -211,7 +211,7 @@ def _stated(where: str, row: Mapping[str, str], columns: PositionColumns) -> Sta
     )
 
 
-def _stated_number(where: str, row: Mapping[str, str], column: str) -> float | None:
+def _parse_number(where: str, row: Mapping[str, str], column: str) -> float | None:
     """Return the number in a cell; None where the column is missing or the cell is empty."""
     return float(_numbers(where, [row[column]])[0]) if row.get(column) else None
 

@@ -51,7 +51,7 @@ class NamedSystem:
         return self.projection.to_geodetic(coordinates * [1.0, 1.0, unit])
 
 
-def named_system(line: str, where: str) -> NamedSystem:
+def parse_system(line: str, where: str) -> NamedSystem:
     """Return the system that a line names.
 
     Args:
@@ -84,7 +84,7 @@ def _height_unit(
     words: str, projection: Projection, stated: list[tuple[str, str]], where: str
 ) -> Reading[float]:
     """Return how many metres a unit of height has."""
-    factors = {_stated(word, text, where) for word, text in stated}
+    factors = {_parse_metres(word, text, where) for word, text in stated}
     if len(factors) > 1:
         raise InputError(f"{where}: +vunits and +vto_meter contradict each other")
     if projection.has_heights:
@@ -104,7 +104,7 @@ def _height_unit(
     )
 
 
-def _stated(word: str, text: str, where: str) -> float:
+def _parse_metres(word: str, text: str, where: str) -> float:
     factor = metres_per(text) if word.lower() == "vunits" else parse_number(text)
     if factor is None or not factor > 0:
         raise InputError(f"{where}: +{word}={text} is no unit of length: give m, ft or us-ft")

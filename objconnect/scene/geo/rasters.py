@@ -89,13 +89,13 @@ class Raster:
                 no reference system in metres, is rotated, has other bands, or does not say what
                 they are.
         """
-        with _opened(path, kind) as source:
+        with _open(path, kind) as source:
             grid = grid_of(source, path, kind)
             check_blocks(source, path, kind)
             layout = layout_of(source, path, kind, grid.projection)
             declared = any(value is not None for value in source.nodatavals)
         raster = Raster(path, kind, grid, layout)
-        return _surveyed(raster, declared) if kind == "surface model" else raster
+        return _check_heights(raster, declared) if kind == "surface model" else raster
 
     def notes(self, place: Geodetic, undulation: float | None = None) -> tuple[str, ...]:
         """Return what a user has to know of the file; a line each.
@@ -166,7 +166,7 @@ class Raster:
         shape = (self.layout.channels, len(rows) // factor, len(columns) // factor)
         values = np.full(shape, np.nan, np.float32)
         at_once = max(1, _READ_PIXELS // (len(columns) * factor))
-        with _opened(self.path, self.kind) as source:
+        with _open(self.path, self.kind) as source:
             for first in range(0, shape[1], at_once):
                 part = values[:, first : first + at_once]
                 top = rows.start + first * factor
@@ -183,11 +183,11 @@ class Raster:
         window = windows.Window(columns.start, rows.start, width, height)
         read = self._heights if self.kind == "surface model" else self._colours
         values[:, :height, :width] = np.where(
-            self._known(source, window), read(source, window), np.nan
+            self._read_mask(source, window), read(source, window), np.nan
         )
         return values
 
-    def _known(self, source: Any, window: Any) -> NDArray[np.bool_]:
+    def _read_mask(self, source: Any, window: Any) -> NDArray[np.bool_]:
         """Return which pixels have data by the file's own words, (H, W).
 
         A colour has no data where all its bands have the value of no data: one band of 0 is a
@@ -239,7 +239,7 @@ class Raster:
             yield Patch(part, pixels)
 
 
-def _surveyed(raster: Raster, declared: bool) -> Raster:
+def _check_heights(raster: Raster, declared: bool) -> Raster:
     """Return a surface model with what its heights tell of no data that the file does not declare.
 
     Raises:
@@ -280,7 +280,7 @@ def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 
 
 @contextmanager
-def _opened(path: Path, kind: Kind) -> Iterator[Any]:
+def _open(path: Path, kind: Kind) -> Iterator[Any]:
     """Open a GeoTIFF; errors of the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
     # GDAL's warnings about a damaged file would be printed beside our one line.
@@ -343,7 +343,7 @@ def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patc
         column, row = grid.columns_rows(np.array(patch.grid.left), np.array(patch.grid.top))
         place = (round(float(column)), round(float(row)))
         window = windows.Window(*place, patch.grid.width, patch.grid.height)
-        target.write(_coded(patch.values, coloured), window=window)
+        target.write(_encode(patch.values, coloured), window=window)
 
     try:
         with rasterio.open(str(path), "w", **profile) as target:
@@ -356,7 +356,7 @@ def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patc
         raise WriteError(f"cannot write {path}: {error.__cause__ or error}") from None
 
 
-def _coded(values: NDArray[np.float32], coloured: bool) -> NDArray[Any]:
+def _encode(values: NDArray[np.float32], coloured: bool) -> NDArray[Any]:
     """Return values as they are stored, (bands, H, W)."""
     known = np.isfinite(values).all(0)
     if not coloured:

@@ -211,7 +211,7 @@ class Camera:
         y = torch.arange(self.height, dtype=dtype) + 0.5
         return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resize(self, width: int, height: int) -> Camera:
         """Return the camera of the same image resized to ``width`` x ``height`` pixels.
 
         Raises:
@@ -233,7 +233,7 @@ class Camera:
         params = tuple(p * scale.get(n, 1.0) for n, p in zip(names, self.params, strict=True))
         return Camera(self.model, width, height, params)
 
-    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+    def crop(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the camera of a part of the image, whose corner is at pixel (``left``, ``top``).
 
         Example:

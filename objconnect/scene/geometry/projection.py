@@ -62,7 +62,7 @@ class Intrinsics:
     limit: Tensor
 
     @classmethod
-    def stacked(cls, cameras: Sequence[Intrinsics]) -> Intrinsics:
+    def stack(cls, cameras: Sequence[Intrinsics]) -> Intrinsics:
         """Return cameras that are all perspective, or all fisheye, as one batch.
 
         Args:

@@ -54,7 +54,7 @@ class Rays:
             two = self[list(pair)]
             if two.widest_deg() < least_deg:
                 continue
-            off = np.maximum(self._misses_deg(two.meet()), self._turned_deg(two.rotations[0]))
+            off = np.maximum(self._misses_deg(two.meet()), self._angles_to(two.rotations[0]))
             rows = np.flatnonzero(off < agree_deg)
             score = (len(rows), -float(off[rows].sum()))
             if set(pair) <= set(rows.tolist()) and score > best:
@@ -85,7 +85,7 @@ class Rays:
         across = np.linalg.norm(np.cross(self.directions, way), axis=1)
         return np.asarray(np.degrees(np.arctan2(across, (self.directions * way).sum(1))))
 
-    def _turned_deg(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _angles_to(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the angle (N,) between each rotation and another."""
         chord = np.linalg.norm(self.rotations - rotation, axis=(1, 2)) / np.sqrt(8)
         return np.asarray(np.degrees(2 * np.arcsin(chord.clip(max=1))))

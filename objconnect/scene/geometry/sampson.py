@@ -91,7 +91,7 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
         focal: focal length of the query, pixels.
     """
     pose, damping, iterations = start, 1e-3, 0
-    error, jacobian = _stacked(pose, photographs, focal)
+    error, jacobian = _stack(pose, photographs, focal)
     while iterations < _MOST_STEPS:
         iterations += 1
         scale = CAUCHY * _sigma(error)
@@ -100,7 +100,7 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
         damped = information + damping * torch.diag(information.diagonal() + _TINY)
         step = torch.linalg.solve(damped, -weighted.T @ error)
         moved = Pose.exp(step) @ pose
-        error_there, jacobian_there = _stacked(moved, photographs, focal)
+        error_there, jacobian_there = _stack(moved, photographs, focal)
         if _cost(error_there, scale) <= _cost(error, scale):
             pose, error, jacobian, damping = moved, error_there, jacobian_there, damping / 10
         else:
@@ -115,7 +115,7 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
     return Refined(pose, (torch.linalg.inv(information) * sigma**2).numpy(), iterations)
 
 
-def _stacked(pose: Pose, photographs: Sequence[Matches], focal: float) -> tuple[Tensor, Tensor]:
+def _stack(pose: Pose, photographs: Sequence[Matches], focal: float) -> tuple[Tensor, Tensor]:
     """Return errors and Jacobians over all photographs."""
     errors, jacobians = zip(*(m.residuals(pose, focal) for m in photographs), strict=True)
     return torch.cat(errors), torch.cat(jacobians)

@@ -86,7 +86,7 @@ def tilt(cam_from_world: NDArray[np.float64]) -> float:
     return float(np.arccos(np.clip(-cam_from_world[2, 2], -1, 1)))
 
 
-def levelled(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+def level_rotation(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     """Return the rotation (3, 3) of a camera turned down to a tilt of ``least`` rad, north up.
 
     The axis turns by 45 degrees at most. A camera of less tilt is only turned north up.
@@ -165,17 +165,17 @@ class WarpedImage:
         return replace(
             self,
             picture=np.ascontiguousarray(self.picture[top : top + high, left : left + wide]),
-            camera=self.camera.cropped(left, top, wide, high),
+            camera=self.camera.crop(left, top, wide, high),
             in_photograph=partial(_beyond_corner, self.in_photograph, corner),
         )
 
     def pose(self, cam_from_world: Pose) -> Pose:
         """Return the view's pose, given the photograph's."""
-        return _turned(torch.from_numpy(self.view_from_camera), cam_from_world)
+        return _rotate_pose(torch.from_numpy(self.view_from_camera), cam_from_world)
 
     def photograph_pose(self, view_from_world: Pose) -> Pose:
         """Return the photograph's pose, given the view's."""
-        return _turned(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
+        return _rotate_pose(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
 
     def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (6, 6) of the photograph's pose, given that of the view's.
@@ -188,7 +188,7 @@ class WarpedImage:
         return np.asarray(back @ covariance @ back.T)
 
 
-def _turned(by: torch.Tensor, pose: Pose) -> Pose:
+def _rotate_pose(by: torch.Tensor, pose: Pose) -> Pose:
     return Pose(by @ pose.rotation, pose.translation @ by.T)
 
 
@@ -227,7 +227,7 @@ def warp_image(
     inverse = turn[:2, :2].T / per_axis[:, None]
     back = partial(_affine_back, inverse, affine[:, 2])
     along = float(np.linalg.norm(affine[:, 0]))
-    return WarpedImage(resampled(rgb, affine, wide), turned, turn, back, along, size)
+    return WarpedImage(resample(rgb, affine, wide), turned, turn, back, along, size)
 
 
 def level_image(
@@ -258,7 +258,7 @@ def level_image(
     wide, high = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
     principal = (-flat.min(0) * focal).tolist()
     view = Camera("PINHOLE", wide, high, (focal, focal, *principal))
-    back = partial(_turned_back, view, view_from_camera, camera)
+    back = partial(_to_camera_pixels, view, view_from_camera, camera)
     grid = view.pixel_grid(torch.float64).reshape(-1, 2).numpy()
     shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
     small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
@@ -285,7 +285,7 @@ def _affine_back(
     return np.stack([a * x + b * y, c * x + d * y], -1)
 
 
-def _turned_back(
+def _to_camera_pixels(
     view: Camera, view_from_camera: NDArray[np.float64], camera: Camera, xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     rays, _ = view.unproject(torch.from_numpy(np.asarray(xy, np.float64)))
@@ -293,7 +293,7 @@ def _turned_back(
     return np.where(projected.valid[:, None].numpy(), projected.xy.numpy(), np.nan)
 
 
-def resampled(
+def resample(
     rgb: NDArray[np.uint8], affine: NDArray[np.float64], size: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
     """Warp a picture by ``affine`` (2, 3), pixels counted from the edge, into width and height.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from objconnect.scene.imports.poses import ForeignPoses, Format, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, check_poses
 from objconnect.scene.maps.colmap_files import read_model
 
 
@@ -14,7 +14,7 @@ def _read(path: Path) -> ForeignPoses:
     images = read_model(path).images
     matrices = np.array([image.cam_from_world for image in images.values()])
     cameras = [image.camera for image in images.values()]
-    return posed(path, list(images), cameras, np.linalg.inv(matrices))
+    return check_poses(path, list(images), cameras, np.linalg.inv(matrices))
 
 
 FORMAT = Format(

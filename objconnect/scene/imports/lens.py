@@ -90,7 +90,7 @@ class BrownLens:
         numbers = (k4, self.skew)
         if not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e9:
             raise InputError("camera parameters are out of range")
-        return self._fitted()
+        return self._fit()
 
     def _with(self, params: Sequence[float]) -> Camera:
         """Return the camera of fx, fy, cx, cy, k1, k2, p1, p2 and k3."""
@@ -122,7 +122,7 @@ class BrownLens:
         kept = np.logical_and.accumulate(inside, axis=1)
         return x[kept], y[kept]
 
-    def _fitted(self) -> Camera:
+    def _fit(self) -> Camera:
         """Fit focal length and five coefficients by least squares over the picture."""
         with np.errstate(over="ignore", invalid="ignore"):
             x, y = self._rays()

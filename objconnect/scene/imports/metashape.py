@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_axes, geodetic_from_ecef
 from objconnect.scene.imports.metashape_lens import camera_of, numbers_of
-from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, check_poses
 from objconnect.scene.quantities.flags import parse_flag
 from objconnect.scene.storage.files import read_text
 
@@ -44,19 +44,19 @@ def _read(path: Path) -> ForeignPoses:
         chunk_from_cam = _with_last_row(path, chunk_from_cam.reshape(4, 4), name)
         names.append(name)
         lenses.append(cameras.get(camera.get("sensor_id")))
-        matrices.append(_moved(chunk_from_cam, worlds[camera.get("component_id")]))
+        matrices.append(_to_world(chunk_from_cam, worlds[camera.get("component_id")]))
     world_from_cam, origin = _on_earth(np.array(matrices).reshape(-1, 4, 4))
     if origin is None and len(worlds) > 1:
         raise InputError(
             f"{path}: its photographs are in {len(worlds)} components, which nothing places in one "
             "frame: export one component, or align and reference them together"
         )
-    return posed(path, names, lenses, world_from_cam, origin)
+    return check_poses(path, names, lenses, world_from_cam, origin)
 
 
 def _chunk(path: Path) -> ET.Element:
     """Return the one chunk that has photographs."""
-    chunks = list(_parsed(path).iter("chunk"))
+    chunks = list(_parse(path).iter("chunk"))
     if not chunks:
         raise InputError(f"{path} has no chunk: export it with Metashape's Export Cameras")
     full = [chunk for chunk in chunks if any(map(_is_aligned, chunk.iter("camera")))]
@@ -97,7 +97,7 @@ def _with_last_row(path: Path, matrix: Array, name: str) -> Array:
     return matrix
 
 
-def _parsed(path: Path) -> ET.Element:
+def _parse(path: Path) -> ET.Element:
     text = read_text(path, "Metashape's cameras")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can grow to any size
         raise InputError(f"{path} declares a document type, which Metashape does not write")
@@ -128,7 +128,7 @@ def _similarity(path: Path, holder: ET.Element) -> Array | None:
     return matrix
 
 
-def _moved(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
+def _to_world(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
     """Return world from camera, (4, 4), whose rotation has no scale."""
     if world_from_chunk is None:
         return chunk_from_cam

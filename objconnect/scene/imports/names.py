@@ -11,7 +11,7 @@ from objconnect.scene.errors import InputError
 _Spelling = Callable[[str], str]
 
 
-def _folded(name: str) -> str:
+def _fold_case(name: str) -> str:
     return name.replace("\\", "/").casefold()
 
 
@@ -20,9 +20,9 @@ def _folded(name: str) -> str:
 _SPELLINGS: Final[tuple[_Spelling, ...]] = (
     lambda name: name,
     lambda name: PurePosixPath(name).name,
-    _folded,
-    lambda name: PurePosixPath(_folded(name)).name,
-    lambda name: PurePosixPath(_folded(name)).stem,
+    _fold_case,
+    lambda name: PurePosixPath(_fold_case(name)).name,
+    lambda name: PurePosixPath(_fold_case(name)).stem,
 )
 
 
@@ -59,17 +59,17 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
                 continue
             other = owners.setdefault(alike[0], file)
             if other != file:
-                raise _shared(where, alike[0], other, file)
+                raise _ambiguity_error(where, alike[0], other, file)
             found[file] = alike[0]
         free = [name for name in free if name not in owners]
-    bare = {_folded(name): file for file, name in found.items()}
+    bare = {_fold_case(name): file for file, name in found.items()}
     for file in files:
-        other = bare.get(PurePosixPath(_folded(file)).name, file)
+        other = bare.get(PurePosixPath(_fold_case(file)).name, file)
         if file not in found and other != file:
-            raise _shared(where, found[other], other, file)
+            raise _ambiguity_error(where, found[other], other, file)
     return {file: found[file] for file in files if file in found}
 
 
-def _shared(where: Path, name: str, one: str, other: str) -> InputError:
+def _ambiguity_error(where: Path, name: str, one: str, other: str) -> InputError:
     said = f"{name!r} may be {one!r} or {other!r}: give names with their folder"
     return InputError(f"{where}: {said}")

@@ -17,7 +17,7 @@ from pydantic import Field, FiniteFloat
 from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError
 from objconnect.scene.imports.nerfstudio_lens import Intrinsics
-from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, check_poses
 
 _FILE = "transforms.json"
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
@@ -61,7 +61,7 @@ def _read(path: Path) -> ForeignPoses:
     # OpenGL's camera looks along -z with y up.
     turned = matrices @ np.diag([1.0, -1.0, -1.0, 1.0])
     names = [frame.file_path for frame in document.frames]
-    return posed(file, names, cameras, turned)
+    return check_poses(file, names, cameras, turned)
 
 
 def _as_it_was(

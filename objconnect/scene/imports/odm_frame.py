@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.named_systems import NamedSystem, named_system
+from objconnect.scene.geo.named_systems import NamedSystem, parse_system
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
 from objconnect.scene.imports.poses import Frame
 from objconnect.scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
@@ -136,14 +136,14 @@ def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) 
         )
     there = beside.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
-        _agreed(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
+        _agree(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
         return shots
     if not _is_moved(shots.world_from_cam, there):
         raise InputError(
             f"{path} and {TOPOCENTRIC} beside it are of two reconstructions: give the latter, or "
             "move it away"
         )
-    _agreed(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
+    _agree(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
     log.warning("%s is in a projected system: poses are those of %s", path, TOPOCENTRIC)
     return replace(shots, world_from_cam=there, origin=beside.origin)
 
@@ -172,12 +172,12 @@ def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
     for folder in (place / "odm_georeferencing", place.parent / "odm_georeferencing"):
         for file in (folder / "coords.txt", folder / "odm_georeferencing_model_geo.txt"):
             if file.is_file():
-                return _stated(file)
+                return _read_system(file)
     beside = place / "coords.txt"
-    return _stated(beside) if beside.is_file() else None
+    return _read_system(beside) if beside.is_file() else None
 
 
-def _stated(file: Path) -> tuple[NamedSystem, Array]:
+def _read_system(file: Path) -> tuple[NamedSystem, Array]:
     header, *rest = read_text(file, "ODM's coordinate system").split("\n")
     try:
         offset = np.array([float(word) for word in rest[0].split()])
@@ -185,7 +185,7 @@ def _stated(file: Path) -> tuple[NamedSystem, Array]:
         offset = np.zeros(0)
     if len(offset) != 2 or not np.isfinite(offset).all():
         raise InputError(f"{file}:2: expected the offsets east and north, as ODM writes them")
-    return named_system(header, f"{file}:1"), offset
+    return parse_system(header, f"{file}:1"), offset
 
 
 def _from_system(
@@ -194,7 +194,7 @@ def _from_system(
     """Undo ODM's move where there was one."""
     linear, shift = _move(path, shots.origin, system, offset)
     turn = math.atan2(linear[1, 0], linear[0, 0])
-    back = _moved_back(shots, linear, shift)
+    back = _undo_shift(shots, linear, shift)
     between = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
     if between < _SAME_M and abs(turn) < _SMALL_TURN:
         return back
@@ -219,7 +219,7 @@ def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> t
     return (seen[1:] - seen[0]).T, shift
 
 
-def _moved_back(shots: Shots, linear: Array, shift: Array) -> Shots:
+def _undo_shift(shots: Shots, linear: Array, shift: Array) -> Shots:
     left, _, right = np.linalg.svd(linear)
     there = shots.world_from_cam.copy()
     there[:, :3, :3] = (left @ right).T @ there[:, :3, :3]
@@ -262,7 +262,7 @@ def _frame(
         seen = _FRAMES[axes.value]
     elif axes.value is not None:
         why = f"{axes.source} cannot tell axes that are turned by less than 0.02 degrees"
-    frame = _agreed(
+    frame = _agree(
         path,
         {
             "its name": _NAMES.get(path.name),
@@ -272,7 +272,7 @@ def _frame(
             _OPTION: stated,
         },
     )
-    if not frame.known:
+    if not frame.is_known:
         raise InputError(
             f"{path}: whether its poses are topocentric (metres east and north of reference_lla) "
             f"or projected ({grid}) cannot be told ({why}): {_REMEDY}, or state {_OPTION}"
@@ -280,7 +280,7 @@ def _frame(
     return frame
 
 
-def _agreed(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
+def _agree(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
     """Return the frame that sources tell, from the first of them; unknown where none tells it.
 
     Raises:

@@ -23,7 +23,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from objconnect.scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
 from objconnect.scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
-from objconnect.scene.imports.poses import ForeignPoses, Format, Frame, begins_with, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, Frame, begins_with, check_poses
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
     if shots is not None:
         shots = topocentric(path, shots, _beside(path), frame)
         matrices, origin = shots.world_from_cam, shots.origin
-    return posed(
+    return check_poses(
         path,
         list(best.shots),
         [cameras[shot.camera] for shot in best.shots.values()],

@@ -70,7 +70,7 @@ class Format:
     read_in: Callable[[Path, Frame | None], ForeignPoses] | None = None
 
 
-def posed(
+def check_poses(
     path: Path,
     names: Sequence[str],
     cameras: Sequence[Camera | None],
@@ -106,7 +106,7 @@ def posed(
     return ForeignPoses(tuple(names), tuple(cameras), cam_from_world, centres.copy(), origin)
 
 
-def positioned(
+def check_positions(
     path: Path, names: Sequence[str], positions: NDArray[np.float64], origin: Geodetic | None
 ) -> ForeignPoses:
     """Return positions (N, 3) without attitudes, after checking them; see ``posed``."""

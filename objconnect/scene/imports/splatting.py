@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, RootModel
 
 from objconnect.scene.bundle.manifest import Vector, read_json
-from objconnect.scene.imports.poses import ForeignPoses, Format, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, check_poses
 
 _HEAD_BYTES = 4096
 _KEYS = re.compile(rb'^\xef?\xbb?\xbf?\s*\[\s*\{(?=[^{}]*"img_name")(?=[^{}]*"position")')
@@ -37,7 +37,7 @@ def _read(path: Path) -> ForeignPoses:
     matrices = np.tile(np.eye(4), (len(entries), 1, 1))
     for matrix, entry in zip(matrices, entries, strict=True):
         matrix[:3, :3], matrix[:3, 3] = entry.rotation, entry.position
-    return posed(path, [entry.img_name for entry in entries], [None] * len(entries), matrices)
+    return check_poses(path, [entry.img_name for entry in entries], [None] * len(entries), matrices)
 
 
 def _is_one(path: Path) -> bool:

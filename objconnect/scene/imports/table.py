@@ -12,7 +12,7 @@ import numpy as np
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
-from objconnect.scene.imports.poses import ForeignPoses, Format, positioned
+from objconnect.scene.imports.poses import ForeignPoses, Format, check_positions
 from objconnect.scene.storage.tables import read_table
 
 _GEODETIC, _LOCAL = ("lat", "lon", "alt"), ("e", "n", "u")
@@ -33,11 +33,11 @@ def _read(path: Path) -> ForeignPoses:
             raise InputError(f"{where}: {row['name']!r} is no place on earth")
         names.append(row["name"])
     if not geodetic:
-        return positioned(path, names, np.array(rows).reshape(-1, 3), None)
+        return check_positions(path, names, np.array(rows).reshape(-1, 3), None)
     places = [Geodetic(*row) for row in rows]
     origin = median_place(places)
     positions = np.array([enu_from_geodetic(place, origin) for place in places])
-    return positioned(path, names, positions, origin)
+    return check_positions(path, names, positions, origin)
 
 
 FORMAT = Format(

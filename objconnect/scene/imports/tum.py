@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.imports.poses import ForeignPoses, Format, posed
+from objconnect.scene.imports.poses import ForeignPoses, Format, check_poses
 from objconnect.scene.maps.colmap_files import check_pose
 from objconnect.scene.storage.files import read_text
 
@@ -37,7 +37,7 @@ def _read(path: Path) -> ForeignPoses:
     table = np.array(rows).reshape(-1, 8)
     wxyz = np.roll(table[:, 4:], 1, axis=1)
     matrices = Pose.from_quaternion(wxyz, table[:, 1:4]).matrix().numpy()
-    return posed(path, names, [None] * len(names), matrices)
+    return check_poses(path, names, [None] * len(names), matrices)
 
 
 FORMAT = Format(

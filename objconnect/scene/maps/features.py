@@ -131,9 +131,9 @@ class FeatureFile(Mapping[str, Features]):
             self._file = h5py.File(path, "r")
             self._groups = {_image_name(key, node): key for key, node in groups(self._file)}
             known = _MADE_OF in self._file.attrs
-            self.made_of = str(attribute(self._file, _MADE_OF)) if known else ""
+            self.inputs_digest = str(attribute(self._file, _MADE_OF)) if known else ""
         except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
+            raise self._damage_error(error) from None
 
     def __len__(self) -> int:
         return len(self._groups)
@@ -147,9 +147,9 @@ class FeatureFile(Mapping[str, Features]):
             node = group(self._file, key)
             return Features(*(array(node, part) for part in ("xy", "scale", "descriptors")))
         except HDF5_DAMAGE as error:
-            raise self._damaged(error) from None
+            raise self._damage_error(error) from None
 
-    def _damaged(self, error: Exception) -> InputError:
+    def _damage_error(self, error: Exception) -> InputError:
         return InputError(f"feature file {self.path} is missing or damaged: {error}")
 
 

@@ -111,7 +111,7 @@ class SparseMap:
             images, self.xyz[kept], self.rgb[kept], self.error[kept], self.track_length[kept]
         )
 
-    def moved(self, similarity: NDArray[np.float64]) -> SparseMap:
+    def transform(self, similarity: NDArray[np.float64]) -> SparseMap:
         """Return the map under a similarity of its world, (3, 4): scale times rotation, and
         translation."""
         linear = similarity[:, :3]

@@ -47,9 +47,9 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         return told
     if said.value is not None:
         stated = [doubt for doubt in told.doubts if not doubt.endswith("is missing")]
-        return said.doubted(*stated)
+        return said.with_doubts(*stated)
     relative = [f"{name} is above the take-off" for name in ("RelativeAltitude",) if name in xmp]
-    return told.doubted(*said.doubts, *relative)
+    return told.with_doubts(*said.doubts, *relative)
 
 
 def _of_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:

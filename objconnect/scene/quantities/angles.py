@@ -106,7 +106,7 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
     text = plain_text(text)
     lettered = _LETTER.match(text)
     if lettered is None:
-        value = _signed(text)
+        value = _parse_decimal(text)
         if value is None:
             return unknown(source, f"{source} {text!r} is no number of degrees")
         if not signed and text[0] not in "+-":
@@ -123,7 +123,7 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
     return known(sign.value * degrees.value, source)
 
 
-def _signed(text: str) -> float | None:
+def _parse_decimal(text: str) -> float | None:
     """Return decimal degrees; a comma with few digits after it may divide degrees and minutes."""
     if "," in text and len(text.rpartition(",")[2]) <= 2:
         return None

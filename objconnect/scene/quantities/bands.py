@@ -53,7 +53,7 @@ def colour_bands(
     names = []
     described = [*descriptions, *[None] * len(interpretations)]
     for number, interpretation in enumerate(interpretations, 1):
-        word = _described(described[number - 1])
+        word = _parse_colour(described[number - 1])
         silent = interpretation in _SILENT
         if word and not silent and word != interpretation:
             return unknown(
@@ -77,7 +77,7 @@ def colour_bands(
     return unknown(source, said)
 
 
-def _described(description: str | None) -> str | None:
+def _parse_colour(description: str | None) -> str | None:
     """Return the colour that a description names, ``nir``, ``alpha``, or None."""
     text = (description or "").lower()
     if _INFRARED.search(text):

@@ -79,7 +79,7 @@ def order_of(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
     return unknown(source, "which number of GPS(a, b) is the latitude is not told")
 
 
-def placed(pair: Pair, order: Order) -> Pair:
+def to_lat_lon(pair: Pair, order: Order) -> Pair:
     """Return latitude and longitude of a pair, degrees."""
     return pair if order == "latitude" else (pair[1], pair[0])
 
@@ -100,19 +100,19 @@ def _middle(pairs: Collection[Pair]) -> Pair:
 
 
 def _is_on_earth(track: PairedTrack, order: Order) -> bool:
-    places = [placed(pair, order) for pair in (*track.pairs, *track.homes)]
+    places = [to_lat_lon(pair, order) for pair in (*track.pairs, *track.homes)]
     return all(abs(latitude) <= 90 and abs(longitude) <= 180 for latitude, longitude in places)
 
 
 def _is_near(track: PairedTrack, order: Order, near: Pair | None) -> bool:
     if near is None:
         return True
-    return ground_distance(placed(_middle(track.pairs), order), near) <= REACH_M
+    return ground_distance(to_lat_lon(_middle(track.pairs), order), near) <= REACH_M
 
 
 def _agrees_with_home(track: PairedTrack, order: Order) -> bool:
-    here = placed(_middle(track.pairs), order)
-    homes = [*track.home_places, *(placed(home, order) for home in track.homes)]
+    here = to_lat_lon(_middle(track.pairs), order)
+    homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
     return all(ground_distance(here, home) <= REACH_M for home in homes)
 
 
@@ -123,10 +123,11 @@ def _by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
     tolerance = max(_SLACK_M, _SHARE * median(stated for _, stated in track.distances))
     misfits: dict[Order, float] = {}
     for order in orders:
-        homes = [*track.home_places, *(placed(home, order) for home in track.homes)]
+        homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
         misfits[order] = median(
             min(
-                abs(ground_distance(placed(track.pairs[row], order), home) - said) for home in homes
+                abs(ground_distance(to_lat_lon(track.pairs[row], order), home) - said)
+                for home in homes
             )
             for row, said in track.distances
         )
@@ -149,7 +150,7 @@ def _by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
     def is_slow(order: Order) -> bool:
         fast = 0
         for first, second in steps:
-            ends = (placed(track.pairs[row], order) for row in (first, second))
+            ends = (to_lat_lon(track.pairs[row], order) for row in (first, second))
             allowed = most * (track.seconds[second] - track.seconds[first]) + _SLACK_M
             fast += ground_distance(*ends) > allowed
         return 2 * fast < len(steps)

@@ -30,7 +30,7 @@ def has_decimals(text: str) -> bool:
     return "." in text or "," in text
 
 
-def whole_numbers_are_scaled(f_numbers: Collection[str], zooms_with_delta: bool) -> bool | None:
+def scales_whole_numbers(f_numbers: Collection[str], zooms_with_delta: bool) -> bool | None:
     """Return whether a file writes whole numbers for parts of a unit.
 
     Args:
@@ -58,7 +58,7 @@ def millimetres_per_unit(
     Args:
         texts: The numbers as they are written; at least one.
         numbers: Their values.
-        scaled: What ``whole_numbers_are_scaled`` says.
+        scaled: What ``scales_whole_numbers`` says.
         lenses: Focal lengths of the map's cameras on 35 mm film, mm.
     """
     source = "focal_len"

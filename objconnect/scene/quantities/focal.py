@@ -132,12 +132,12 @@ def is_turned(detail: Mapping[str, object], size: Size, orientation: object) -> 
         orientation: The field ``Orientation``; programs that write the size of the picture as it is
             to be shown leave it there.
     """
-    taken = size_taken(detail)
+    taken = read_exif_size(detail)
     upright = to_number(orientation) not in _SIDEWAYS
     return taken is not None and upright and (taken[0] < taken[1]) != (size[0] < size[1])
 
 
-def size_taken(detail: Mapping[str, object]) -> Size | None:
+def read_exif_size(detail: Mapping[str, object]) -> Size | None:
     """Return the size that EXIF states for the picture; None where it is missing or none."""
     sides = [to_number(detail.get(f"ExifImage{side}")) for side in ("Width", "Height")]
     if not all(1 <= side < 1e6 for side in sides):
@@ -192,7 +192,7 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
     unit = detail.get("FocalPlaneResolutionUnit")
     # The standard's default is an inch. Some programs leave out what is not their default.
     units = (_INCH, _CENTIMETRE) if unit is None else (_UNITS.get(_whole(unit), math.nan),)
-    taken = size_taken(detail)
+    taken = read_exif_size(detail)
     if taken is not None:
         sides: tuple[float, ...] = (float(max(taken)),)
     elif size[0] >= size[1] or width == size[0]:
@@ -226,7 +226,7 @@ def _cut(detail: Mapping[str, object], size: Size) -> str:
     """Return why the picture is a part of the one that was taken; empty where it is not."""
     if max(size) > _WIDEST * min(size):
         return f"it is {size[0]} x {size[1]} pixels: a panorama, or a part of a picture"
-    taken = size_taken(detail)
+    taken = read_exif_size(detail)
     if taken is None:
         return ""
     for width, height in (taken, taken[::-1]):

@@ -59,9 +59,9 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
             return unknown(told.source, *_contradict(said.source, apart))
         return told
     if told.value is not None:
-        return told.doubted(*said.doubts)
+        return told.with_doubts(*said.doubts)
     if said.value is None:
-        return told.doubted(*said.doubts)
+        return told.with_doubts(*said.doubts)
     sizes = [
         read_degrees(gps.get(axis.tag), axis).value if axis.tag in gps else None
         for axis in (LATITUDE, LONGITUDE)
@@ -123,7 +123,7 @@ def _of_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
                 why = f"{found.source} and {one.source} contradict each other in XMP"
                 return unknown("XMP", why)
         elif one.value is not None or found.value is None:
-            found = one.doubted(*found.doubts)
+            found = one.with_doubts(*found.doubts)
     return found
 
 

@@ -28,7 +28,7 @@ class Reading(Generic[T]):
     doubts: tuple[str, ...] = ()
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Return whether there is a value."""
         return self.value is not None
 
@@ -56,7 +56,7 @@ class Reading(Generic[T]):
         value = None if self.value is None else change(self.value)
         return Reading(value, self.source, self.doubts)
 
-    def doubted(self, *doubts: str) -> Reading[T]:
+    def with_doubts(self, *doubts: str) -> Reading[T]:
         """Return the reading with further doubts."""
         return replace(self, doubts=(*self.doubts, *doubts))
 
@@ -71,7 +71,7 @@ def unknown(source: str, *doubts: str) -> Reading[T]:
     return Reading(None, source, doubts)
 
 
-def first_known(first: Reading[T], *others: Reading[T]) -> Reading[T]:
+def choose_first(first: Reading[T], *others: Reading[T]) -> Reading[T]:
     """Return the first reading that has a value, with the doubts of those before it.
 
     Where none has a value, the first is returned with the doubts of all.
@@ -79,6 +79,6 @@ def first_known(first: Reading[T], *others: Reading[T]) -> Reading[T]:
     doubts: list[str] = []
     for reading in (first, *others):
         doubts += reading.doubts
-        if reading.known:
+        if reading.is_known:
             return replace(reading, doubts=tuple(doubts))
     return replace(first, doubts=tuple(doubts))

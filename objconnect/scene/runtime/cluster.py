@@ -170,7 +170,7 @@ def worker_pool(
         _require_answer(address)
     own = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
     try:
-        with _kept_handler():
+        with _keep_handler():
             ray.init(
                 address=address,
                 logging_level=logging.ERROR,
@@ -206,7 +206,7 @@ def _ray() -> Any:
 
 
 @contextmanager
-def _kept_handler() -> Iterator[None]:
+def _keep_handler() -> Iterator[None]:
     """Restore the handler of SIGTERM after the block: Ray installs one that skips our clean-up."""
     before = signal.getsignal(signal.SIGTERM)
     try:

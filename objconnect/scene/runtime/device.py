@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-def resolved_device(asked: str) -> str:
+def resolve_device(asked: str) -> str:
     """Return the device that a name stands for here: ``auto`` is CUDA where torch finds it.
 
     Raises:
@@ -48,7 +48,7 @@ Device = Annotated[
         "cuda:NUMBER. auto is cuda where torch finds a CUDA device, else cpu.",
         validate_default=True,
     ),
-    AfterValidator(resolved_device),
+    AfterValidator(resolve_device),
 ]
 """A field of a configuration. ``auto`` becomes what it stands for, so that results record it."""
 
@@ -66,7 +66,7 @@ def torch_device(asked: str = AUTO) -> torch.device:
     import torch
 
     try:
-        device = torch.device(resolved_device(asked))
+        device = torch.device(resolve_device(asked))
     except ValueError as error:
         raise InputError(f"device {asked!r}: {error}") from None
     log.info("computing on %s", device)

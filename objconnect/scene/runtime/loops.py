@@ -28,7 +28,7 @@ def has_compiler() -> bool:
 
 
 @cache
-def compiled(function: Callable[..., None], signature: Any) -> Callable[..., None]:
+def compile_loop(function: Callable[..., None], signature: Any) -> Callable[..., None]:
     """Compile a function of arrays, and of records of them, for one signature of Numba.
 
     To compile takes a second or so, and a tenth to read what was compiled before: that is kept

@@ -166,13 +166,13 @@ class _Lines:
         if waited < _EVERY_S and not (further and self._shown):
             return
         self._last, self._shown = now, done
-        left = self._left_s(now, done)
+        left = self._seconds_left(now, done)
         ending = "" if left is None else f", {_in_words(left)} left"
         with suppress(OSError):  # standard error is closed
             text = f"{self._what}: {done} of {self._total}{ending}"
             print(text, file=sys.stderr, flush=True)
 
-    def _left_s(self, now: float, done: int) -> float | None:
+    def _seconds_left(self, now: float, done: int) -> float | None:
         """Return the seconds left at the pace since the first call; None before there is a pace."""
         assert self._first is not None
         began, before = self._first

@@ -46,7 +46,7 @@ class ProcessTuning:
     """Tunes the process while it is entered.
 
     Few compiled convolutions are kept, and Pillow's warnings are not printed. Memory that was freed
-    stays for the next query up to a bound (``keep_freed``, ``return_freed_above``), Python's
+    stays for the next query up to a bound (``retain_heap``, ``return_freed_above``), Python's
     collector leaves out what a prepared localizer holds (``spare_collector``), the code of a
     compiler that has done its work goes back (``return_code``), and threads for compiled loops stay
     (``worker_threads``). What the environment says of memory or convolutions is left as it is.
@@ -86,19 +86,19 @@ def is_tuned() -> bool:
     return bool(_entered)
 
 
-def _if_tuned(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
+def _only_when_tuned(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
     """Return a function that does nothing where the process is not tuned."""
 
     @wraps(function)
-    def guarded(*given: Arguments.args, **named: Arguments.kwargs) -> None:
+    def guard(*given: Arguments.args, **named: Arguments.kwargs) -> None:
         if is_tuned():
             function(*given, **named)
 
-    return guarded
+    return guard
 
 
-@_if_tuned
-def return_freed() -> None:
+@_only_when_tuned
+def trim_heap() -> None:
     """Give memory that was freed back to the system, where its C library can.
 
     A network that sees pictures of many sizes otherwise leaves a gigabyte that nothing uses.
@@ -111,23 +111,23 @@ def return_freed() -> None:
         return
 
 
-@_if_tuned
+@_only_when_tuned
 def return_freed_above(bound: int) -> None:
     """Give memory that was freed back where the process holds more than ``bound`` bytes.
 
     To take it again later costs time, which is lost where there is room.
     """
     if resident_bytes() > bound:
-        return_freed()
+        trim_heap()
 
 
-@_if_tuned
-def keep_freed() -> None:
+@_only_when_tuned
+def retain_heap() -> None:
     """Keep memory that was freed for the next pass of a network, where the C library can.
 
     glibc gives back what is free at the end of its heap, once that is twice the largest block that
     it ever freed. The maps of a picture are some 50 MB, and to take them again costs a tenth of a
-    query. ``return_freed`` gives it back. Thresholds that the environment gives are left as they
+    query. ``trim_heap`` gives it back. Thresholds that the environment gives are left as they
     are.
     """
     import ctypes
@@ -143,7 +143,7 @@ def keep_freed() -> None:
         return
 
 
-@_if_tuned
+@_only_when_tuned
 def return_code(library: str) -> None:
     """Give the code of a loaded library back to the system, which reads it again where it runs.
 
@@ -168,7 +168,7 @@ def return_code(library: str) -> None:
             madvise(begin, end - begin, _DONTNEED)
 
 
-@_if_tuned
+@_only_when_tuned
 def spare_collector() -> None:
     """Spare Python's garbage collector all objects that there are now.
 

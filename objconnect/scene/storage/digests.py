@@ -141,7 +141,7 @@ def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
         for entry in entries.values():
             entry.write()
         if cache is not None:
-            _bound(cache)
+            _limit_size(cache)
     return [found for found in known if found is not None]
 
 
@@ -232,7 +232,7 @@ def _folder() -> Path | None:
     return base / "objconnect" / "digests"
 
 
-def _bound(cache: Path) -> None:
+def _limit_size(cache: Path) -> None:
     """Empty the cache when it is too large."""
     try:
         files = [file for file in os.scandir(cache) if file.name.endswith(_ENDING)]

@@ -27,8 +27,8 @@ from objconnect.scene.quantities.focal import (
     FocalLength,
     Lens,
     is_turned,
+    read_exif_size,
     read_focal,
-    size_taken,
 )
 from objconnect.scene.quantities.positions import read_position
 from objconnect.scene.quantities.reading import unknown
@@ -77,9 +77,9 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
         InputError: the file is missing, not a regular file, truncated, not an image, of more than
             179 million pixels, or not of the size of ``camera``.
     """
-    with _opened(path) as image:
+    with _open(path) as image:
         if image.mode.startswith(("I", "F")):
-            pixels = _stretched(np.asarray(image), path)
+            pixels = _stretch(np.asarray(image), path)
         else:
             pixels = np.asarray(image.convert("RGB"))
     if camera is not None and pixels.shape[:2] != (camera.height, camera.width):
@@ -91,7 +91,7 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
+def _open(path: Path) -> Iterator[Image.Image]:
     """Open an image file; errors of the block are reported like those of opening it."""
     if not path.exists() and not path.is_symlink():
         hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
@@ -112,7 +112,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise InputError(f"image {path} is damaged: {error}") from None
 
 
-def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
+def _stretch(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
     """Scale grey values (H, W) of any type from their range to 0..255, (H, W, 3) uint8."""
     values = grey.astype(np.float64)
     if not np.isfinite(values).all():
@@ -208,7 +208,7 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: the file is missing or not an image.
     """
-    with _opened(path) as image:
+    with _open(path) as image:
         return image.size
 
 
@@ -230,7 +230,7 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
         )
 
 
-def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
+def resize_file(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
     """Copy a photograph with its metadata, at most ``longest`` pixels wide and high.
 
     Args:
@@ -250,7 +250,7 @@ def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) 
             shutil.copyfile(source, partial)
             return
         size = (round(scale * width), round(scale * height))
-        with _opened(source) as original:
+        with _open(source) as original:
             kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
         if len(kept.get("xmp", b"")) > _SEGMENT:
             del kept["xmp"]
@@ -299,7 +299,7 @@ def read_exif(path: Path) -> Exif:
     Raises:
         InputError: the file is missing or not an image.
     """
-    with _opened(path) as image:
+    with _open(path) as image:
         size, packets, blocks = image.size, _packets(image), _blocks(image)
         try:
             tags = image.getexif()
@@ -308,7 +308,7 @@ def read_exif(path: Path) -> Exif:
         except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
     fields, places = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
-    drone = parse_xmp(packets, size_taken(fields) or size)
+    drone = parse_xmp(packets, read_exif_size(fields) or size)
     focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
     if drone.panorama:
         why = f"it is a panorama (ProjectionType {drone.panorama[:40]}), which no lens takes"

@@ -8,7 +8,7 @@ from threading import Lock
 from typing import Final, Generic, Protocol, TypeVar
 
 from objconnect.scene.runtime.memory import resident_bytes
-from objconnect.scene.runtime.tuning import return_freed
+from objconnect.scene.runtime.tuning import trim_heap
 
 MEGABYTE: Final = 2**20
 
@@ -31,7 +31,7 @@ def room(bound_mb: int) -> int:
     Args:
         bound_mb: memory of the process, megabytes.
     """
-    return_freed()
+    trim_heap()
     return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
 
 

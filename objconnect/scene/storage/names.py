@@ -53,7 +53,7 @@ def unquote_cell(text: str) -> str:
         ValueError: the quoting is not JSON's, or a line break is outside quotes.
     """
     if text.startswith('"'):
-        name, end = _quoted(text, 0)
+        name, end = _parse_quoted(text, 0)
         if end < len(text):
             raise ValueError(f"{text!r} goes on after its closing quote")
         return name
@@ -76,7 +76,7 @@ def split_words(line: str) -> list[str]:
     while (word := _WORD.search(line, at)) is not None:
         text, at = word.group(), word.end()
         if text.startswith('"'):
-            text, at = _quoted(line, word.start())
+            text, at = _parse_quoted(line, word.start())
         parts.append(text)
     return parts
 
@@ -94,7 +94,7 @@ def split_name(line: str, columns: int) -> tuple[str, list[str]]:
         ValueError: the quoting is not JSON's, or the number of words differs.
     """
     if line.startswith('"'):
-        name, end = _quoted(line, 0)
+        name, end = _parse_quoted(line, 0)
         rest = line[end:].split()
     else:
         name, *rest = line.rsplit(maxsplit=columns)
@@ -106,7 +106,7 @@ def split_name(line: str, columns: int) -> tuple[str, list[str]]:
     return name, rest
 
 
-def _quoted(line: str, start: int) -> tuple[str, int]:
+def _parse_quoted(line: str, start: int) -> tuple[str, int]:
     """Return the quoted word that begins at ``start``, and the offset of its end."""
     try:
         name, end = _JSON.raw_decode(line, start)

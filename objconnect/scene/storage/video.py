@@ -91,15 +91,15 @@ def read_video(path: Path) -> Video:
         InputError: the file cannot be read, is no video or has no frame, its frames are larger than
             64 million pixels, or they are shown turned by an angle that is not a right one.
     """
-    with _opened(path) as (container, stream):
-        first = next(_decoded(container, stream, path), None)
+    with _open(path) as (container, stream):
+        first = next(_decode(container, stream, path), None)
         if first is None:
             raise InputError(f"{path} has no frame that can be read: it is empty or damaged")
-        height, width = _shown(first, path).shape[:2]
+        height, width = _rotate_for_display(first, path).shape[:2]
         ticks = stream.duration
         duration = float(ticks * stream.time_base) if ticks else None
         aspect = float(stream.sample_aspect_ratio or 0) or 1.0
-        created, unread = _created(container), _unread(container)
+        created, unread = _creation_time(container), _unread(container)
         return Video(width, height, _rate(stream), duration, created, aspect, unread)
 
 
@@ -116,11 +116,11 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
     Raises:
         InputError: as for ``read_video``.
     """
-    with _opened(path) as (container, stream):
+    with _open(path) as (container, stream):
         start, due, seconds = None, 0.0, 0.0
         # The frame half a frame's time before a multiple is the nearest to it.
         spare = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
-        for index, frame in enumerate(_decoded(container, stream, path)):
+        for index, frame in enumerate(_decode(container, stream, path)):
             at = index / _rate(stream) if frame.time is None else float(frame.time)
             start = at if start is None else start
             seconds = at - start
@@ -128,7 +128,7 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
                 if seconds < due - spare:
                     continue
                 due = (math.floor((seconds + spare) * rate_hz) + 1) / rate_hz
-            yield VideoFrame(index, seconds, _shown(frame, path))
+            yield VideoFrame(index, seconds, _rotate_for_display(frame, path))
         if start is None:
             raise InputError(f"{path} has no frame that can be read: it is empty or damaged")
         stated = float(stream.duration * stream.time_base) if stream.duration else 0.0
@@ -180,7 +180,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+def _open(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a video and the stream that is the film."""
     av = import_extra("av", "video", _PURPOSE)
     require_readable(path, "video")
@@ -268,7 +268,7 @@ def _say_once(text: str) -> None:
     log.warning("%s", text)
 
 
-def _decoded(container: Any, stream: Any, path: Path) -> Iterator[Any]:
+def _decode(container: Any, stream: Any, path: Path) -> Iterator[Any]:
     """Yield decoded frames up to the end of the file, or to the first that is damaged."""
     av: ModuleType = import_extra("av", "video", _PURPOSE)
     frames = container.decode(stream)
@@ -287,7 +287,7 @@ def _decoded(container: Any, stream: Any, path: Path) -> Iterator[Any]:
         yield frame
 
 
-def _shown(frame: Any, path: Path) -> NDArray[np.uint8]:
+def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
     """Return the picture of a frame, turned as the file says that it is to be shown."""
     if frame.width * frame.height > _MOST_PIXELS:
         raise InputError(f"{path} has frames of {frame.width} x {frame.height} pixels: too large")
@@ -318,7 +318,7 @@ def _unread(container: Any) -> tuple[str, ...]:
     return tuple(kinds)
 
 
-def _created(container: Any) -> datetime | None:
+def _creation_time(container: Any) -> datetime | None:
     try:
         return datetime.fromisoformat(container.metadata["creation_time"])
     except (KeyError, ValueError, TypeError):

@@ -214,12 +214,12 @@ def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) ->
     )
     if not _amid(x - width / 2, y - height / 2, size):
         return None
-    if numbers.get("DewarpFlag") != 1 and (measured := _measured(dewarp, size)) is not None:
+    if numbers.get("DewarpFlag") != 1 and (measured := _parse_dewarp(dewarp, size)) is not None:
         return measured
     return Camera("SIMPLE_PINHOLE", width, height, (focal, x, y)) if focal > 0 else None
 
 
-def _measured(dewarp: str, size: tuple[int, int]) -> Camera | None:
+def _parse_dewarp(dewarp: str, size: tuple[int, int]) -> Camera | None:
     """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, cx and cy from the middle.
 
     The coefficients are OpenCV's, and so is the camera.

@@ -16,7 +16,7 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
-from objconnect.localization.featuremetric.training import contrast_of, levels_of, unrolled
+from objconnect.localization.featuremetric.training import contrast_of, levels_of, unroll
 from tests.objconnect.learning.training.made_pairs import pairs
 from tests.objconnect.learning.training.slopes import watched
 
@@ -135,7 +135,7 @@ def test_the_pose_teaches_features_confidence_and_damping() -> None:
     """Of both pictures, on every level."""
     batch, found = pairs(2), maps(grad=True)
     damping = PixlocTraining(TINY).network.damping[: len(STRIDES)]
-    poses = unrolled(levels_of(found, STRIDES, batch), batch, damping)
+    poses = unroll(levels_of(found, STRIDES, batch), batch, damping)
     moved = sum((pose.translation.square().sum() for pose in poses), torch.zeros(()))
     thetas = list(damping.parameters())
     slopes = torch.autograd.grad(moved, [*(each for pair in found for each in pair), *thetas])
@@ -150,7 +150,7 @@ def test_poses_are_those_of_eight_plain_steps_on_the_points_that_count() -> None
     batch, levels = pairs(2), levels_of(maps(), STRIDES, pairs(2))
     damping = PixlocTraining(TINY).network.damping[: len(STRIDES)]
     some = torch.arange(64).expand(2, 64) < 40
-    found = unrolled(levels, batch._replace(valid=some), damping)
+    found = unroll(levels, batch._replace(valid=some), damping)
     fewer = [
         replace(
             level,

@@ -19,7 +19,7 @@ from PIL import Image
 
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from objconnect.scene.geometry.pose import Pose, so3_log
 from objconnect.scene.maps.photographs import PosedImage
@@ -83,7 +83,7 @@ def colmap(
     whole = SparseMap(
         images, sparse_map.xyz, sparse_map.rgb, sparse_map.error, sparse_map.track_length
     )
-    write_posed(posed, whole, folder)
+    write_with_poses(posed, whole, folder)
     return root
 
 

@@ -10,7 +10,7 @@ import torch
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import evaluate
-from benchmark.evaluation.starts import moved_prior, parse_start, position_prior, tilted_prior
+from benchmark.evaluation.starts import move_prior, parse_start, position_prior, tilt_prior
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from tests.benchmark.made_data import MAP_NAMES, FakeLocalizer, pose_at
@@ -65,7 +65,7 @@ def test_unknown_starts(text: str) -> None:
 @pytest.mark.parametrize(("metres", "degrees"), [(3.0, 5.0), (0.0, 10.0), (12.0, 0.0)])
 def test_the_error_of_a_prior_is_exactly_as_told(metres: float, degrees: float) -> None:
     reference = pose_at(3)
-    prior = moved_prior(reference, "d.jpg", metres, degrees)
+    prior = move_prior(reference, "d.jpg", metres, degrees)
     assert prior.cam_from_world_rotation is not None
     rotation = torch.from_numpy(prior.cam_from_world_rotation)
     pose = Pose(rotation, -(rotation @ torch.from_numpy(prior.position)))
@@ -77,7 +77,7 @@ def test_gravity_is_wrong_by_as_much_as_told_and_says_nothing_else() -> None:
     reference, down = pose_at(3), torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     headings = set()
     for name in ("a.jpg", "b.jpg", "c.jpg"):
-        prior = tilted_prior(reference, name, 3.0)
+        prior = tilt_prior(reference, name, 3.0)
         assert prior.cam_from_world_rotation is not None
         told = torch.from_numpy(prior.cam_from_world_rotation) @ down
         true = reference.rotation @ down
@@ -97,7 +97,7 @@ def test_a_position_says_nothing_of_the_attitude() -> None:
 
 def test_every_query_is_wrong_in_its_own_direction_and_always_the_same() -> None:
     first, again, other = (
-        moved_prior(pose_at(0), name, 3, 5) for name in ("a.jpg", "a.jpg", "b.jpg")
+        move_prior(pose_at(0), name, 3, 5) for name in ("a.jpg", "a.jpg", "b.jpg")
     )
     assert (first.position == again.position).all()
     assert (first.position != other.position).all()

@@ -8,7 +8,7 @@ from benchmark.forecasting.calibration import UNCALIBRATED
 from benchmark.forecasting.config import ForecastConfig
 from benchmark.forecasting.observe import Observation
 from benchmark.forecasting.outlook import seasons_of, waypoints_of
-from benchmark.forecasting.report import Forecast, photographs_wanted
+from benchmark.forecasting.report import Forecast, request_photographs
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.localizer import Status
@@ -82,6 +82,6 @@ def report(config: ForecastConfig = CONFIG, scene: str = "hamlet") -> Forecast:
         notes=("holes: 1.2 % of the place had no data",),
         seasons=seasons_of(waypoints, config),
         waypoints=waypoints,
-        photographs=photographs_wanted(waypoints, config),
+        photographs=request_photographs(waypoints, config),
         views=tuple(o.model_dump(mode="json") for o in observations()),
     )

@@ -36,9 +36,9 @@ def test_points_are_where_the_poses_put_them(made_flight: Path, album: Album) ->
     entry = album.entries["b.jpg"]
     assert entry.neighbour is not None
     assert len(entry.world) > 8
-    assert entry.estimated(dataset.queries[0].reference) == pytest.approx(entry.truth)
+    assert entry.project_at(dataset.queries[0].reference) == pytest.approx(entry.truth)
     # The world looks west from above by what the camera moves east: 80 px focal length, 40 m up.
-    shift = entry.estimated(moved(pose_at(1), 0.5)) - entry.truth
+    shift = entry.project_at(moved(pose_at(1), 0.5)) - entry.truth
     assert shift[:, 0].mean() == pytest.approx(-1.0, abs=0.1)
     assert np.abs(shift[:, 1]).max() < 0.05
     image = sparse_map.images[entry.neighbour]
@@ -82,7 +82,7 @@ def test_neighbour_shows_most_of_the_ground(beach: Path) -> None:
 def test_points_out_of_sight_are_unknown(album: Album) -> None:
     below = moved(pose_at(1), 0)
     underground = type(below)(below.rotation, below.translation - 80)
-    assert np.isnan(album.entries["b.jpg"].estimated(underground)).all()
+    assert np.isnan(album.entries["b.jpg"].project_at(underground)).all()
 
 
 def test_a_query_off_the_map_has_no_neighbour(made_flight: Path, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_query_off_the_map_has_no_neighbour(made_flight: Path, tmp_path: Path)
     assert again is not None
     entry = again.entries[away.name]
     assert (entry.neighbour, entry.world.shape, dict(again.neighbours)) == (None, (0, 3), {})
-    assert entry.estimated(pose_at(1)).shape == (0, 2)
+    assert entry.project_at(pose_at(1)).shape == (0, 2)
 
 
 def test_file_says_what_the_album_said(album: Album, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from benchmark.evaluation.basin import Size, basin
 from benchmark.report.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.page import PICTURE_BYTES
-from benchmark.report.self_contained import embedded
+from benchmark.report.self_contained import embed
 from benchmark.results.results import Results, rescore
 from benchmark.results.results_files import load
 from objconnect.scene.localizer import Status
@@ -305,7 +305,7 @@ def test_names_cannot_do_harm(out: Path, tmp_path: Path, browser: Browser) -> No
 
 def test_nothing_ends_the_block_of_data() -> None:
     data = {"name": "</script><!-- & \u2028\u2029 \udcff"}
-    text = embedded(data)
+    text = embed(data)
     assert not set("<>&\u2028\u2029") & set(text)
     assert json.loads(text) == {"name": "</script><!-- & \u2028\u2029 ?"}
 

@@ -193,7 +193,7 @@ def test_of_many_points_a_stated_number_is_drawn(
 def test_points_keep_their_place(path: Path, written: SceneView, page: Browser) -> None:
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
-    xyz = sparse_map.xyz[~scene.added_points(sparse_map)]
+    xyz = sparse_map.xyz[~scene.is_added_point(sparse_map)]
     drawn = np.array(page.run("[...clouds[0].xyz]")).reshape(-1, 3)
     assert np.abs(drawn - xyz).max() < 1e-3
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.report.page import paired
+from benchmark.report.page import compare_paired
 from benchmark.scoring.clustered import MIN_CLUSTERS, difference_interval, permutation_p
 from benchmark.scoring.paired import compare, mcnemar
 
@@ -68,7 +68,7 @@ def test_flights_that_differ_by_themselves_raise_no_false_alarm() -> None:
     for _ in range(200):
         shares = 0.6 + rng.uniform(-0.3, 0.3, (2, 20)).repeat(28, axis=1)
         before, after = (rng.random((2, 560)) < shares).tolist()
-        change = paired(before, after, flights)
+        change = compare_paired(before, after, flights)
         alarms += change["p"] < 0.05
         independent += mcnemar(change["lost"], change["won"]) < 0.05
     assert 2 <= alarms <= 20
@@ -79,7 +79,7 @@ def test_interval_of_flights_that_change_alike_is_not_a_point() -> None:
     flights = [f"flight-{k // 20}" for k in range(200)]
     before, after = [True] * 200, [k % 20 > 0 for k in range(200)]
     assert difference_interval(before, after, flights) == (-5, -5)
-    change, apart = paired(before, after, flights), compare(before, after)
+    change, apart = compare_paired(before, after, flights), compare(before, after)
     assert (change["low"], change["high"]) == pytest.approx((apart.low, apart.high), abs=0.01)
 
 

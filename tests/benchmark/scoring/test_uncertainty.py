@@ -12,9 +12,9 @@ from scipy.stats import chi2
 from benchmark.scoring.score import Threshold
 from benchmark.scoring.uncertainty import (
     _CHI2_95,
+    compute_nees,
     consistency,
     doubt,
-    normalised_error,
     risk_coverage,
 )
 from experiments.covariance import Answers, calibrate
@@ -37,7 +37,7 @@ def drawn_errors(claimed: float) -> list[float]:
     values = []
     for error in rng.multivariate_normal(np.zeros(6), covariance, 3000):
         estimate = Pose.exp(torch.from_numpy(-error)) @ reference
-        value = normalised_error(estimate, reference, claimed * covariance)
+        value = compute_nees(estimate, reference, claimed * covariance)
         assert value is not None
         values.append(value)
     return values
@@ -68,7 +68,7 @@ def test_quantile() -> None:
     ],
 )
 def test_no_covariance_no_figure(covariance: np.ndarray | None) -> None:
-    assert normalised_error(pose_at(1), pose_at(2), covariance) is None
+    assert compute_nees(pose_at(1), pose_at(2), covariance) is None
 
 
 def test_consistency_by_hand() -> None:

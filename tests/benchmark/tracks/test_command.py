@@ -142,7 +142,7 @@ def test_a_map_that_was_not_finished_is_built(out: Path, board: Path) -> None:
     shutil.rmtree(place / "map")
     finish_scene(place, Scene.open(place).manifest)
     assert track("tiny", out, board=board).places[0].sha256 == before
-    assert Scene.open(place).changed_files() == []
+    assert Scene.open(place).find_changed_files() == []
 
 
 @pytest.fixture
@@ -205,7 +205,7 @@ def test_streets_are_exported(
     (tmp_path / "track").mkdir()
     board = write_board(tmp_path / "track", "street", (7,))
     (tmp_path / "out").mkdir()
-    monkeypatch.setattr(command, "finished_scene", lambda *_: None)
+    monkeypatch.setattr(command, "find_finished", lambda *_: None)
     monkeypatch.setattr(
         command, "simulate", lambda *_: Scene.open(Path(street.rename(tmp_path / "out/street-7")))
     )

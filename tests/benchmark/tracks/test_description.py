@@ -76,11 +76,11 @@ def test_digests_of_digits_are_words(tmp_path: Path) -> None:
 
 
 def test_places_by_name() -> None:
-    assert TRACK.chosen() == TRACK.places
-    assert TRACK.chosen(("b", "park-1")) == TRACK.places, "in the track's order"
-    assert TRACK.chosen(("b",)) == TRACK.places[1:]
+    assert TRACK.select() == TRACK.places
+    assert TRACK.select(("b", "park-1")) == TRACK.places, "in the track's order"
+    assert TRACK.select(("b",)) == TRACK.places[1:]
     with pytest.raises(InputError, match="no place 'c'; it has park-1, b"):
-        TRACK.chosen(("b", "c"))
+        TRACK.select(("b", "c"))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from benchmark.tracks.difficulty import (
     Difficulty,
     QueryRow,
     View,
-    compared,
+    compare,
     days_between,
     measure,
     write_queries,
@@ -75,7 +75,7 @@ def narrow(centre: Sequence[float], tilt_deg: float = 0.0) -> View:
 def test_of_one_place_from_two(query: View, scale: float, angle: float) -> None:
     ground = np.random.default_rng(0).uniform(-0.1, 0.1, (200, 3)) * [1, 1, 0]
     depth = np.full((60, 80), 40.0, np.float32)
-    pair = compared(query, narrow((0, 0, 40)), ground, depth)
+    pair = compare(query, narrow((0, 0, 40)), ground, depth)
     assert pair is not None
     assert pair[0] == pytest.approx(scale, rel=2e-3)
     assert pair[1] == pytest.approx(angle, abs=0.15)
@@ -86,7 +86,7 @@ def test_the_focal_length_counts() -> None:
     tele = View(Camera("PINHOLE", 80, 60, (160.0, 160.0, 40.0, 30.0)), looking((0, 0, 80)), 0.0)
     ground = np.array([[1.0, 2.0, 0.0], [np.nan] * 3])
     depth = np.full((60, 80), 40.0, np.float32)
-    pair = compared(tele, View(CAMERA, looking((0, 0, 40)), 0.0), ground, depth)
+    pair = compare(tele, View(CAMERA, looking((0, 0, 40)), 0.0), ground, depth)
     assert pair is not None
     assert pair[0] == pytest.approx(1.0)
 
@@ -94,8 +94,8 @@ def test_the_focal_length_counts() -> None:
 def test_what_is_hidden_or_not_there_is_not_compared() -> None:
     photograph = View(CAMERA, looking((0, 0, 40)), 0.0)
     roof = np.full((60, 80), 30.0, np.float32)
-    assert compared(photograph, photograph, np.zeros((1, 3)), roof) is None
-    assert compared(photograph, photograph, np.full((4, 3), np.nan), roof) is None
+    assert compare(photograph, photograph, np.zeros((1, 3)), roof) is None
+    assert compare(photograph, photograph, np.full((4, 3), np.nan), roof) is None
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from objconnect.ingestion.command import ingest
 from objconnect.ingestion.report import IngestReport
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.storage.images import write_resized
+from objconnect.scene.storage.images import resize_file
 from tests.shared import made_once
 
 SIDE = 500
@@ -21,7 +21,7 @@ def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         for path in sorted((beach / "photos").iterdir()):
-            write_resized(path, folder / path.name, SIDE)
+            resize_file(path, folder / path.name, SIDE)
 
     return made_once(tmp_path_factory, "photographs", make)
 

@@ -119,7 +119,7 @@ def test_features_of_the_map_are_those_that_localizers_would_extract(
     write_features(features, read_features(features))
     finish_scene(tmp_path / "unknown", Scene.open(old).manifest)
     ingest(tmp_path / "photos", tmp_path / "other", add=tmp_path / "unknown")
-    assert FeatureFile(tmp_path / "other" / "map" / "features.h5").made_of == ""
+    assert FeatureFile(tmp_path / "other" / "map" / "features.h5").inputs_digest == ""
 
 
 def tracks(sparse_map: SparseMap) -> dict[tuple[tuple[str, int], ...], np.ndarray]:
@@ -161,7 +161,7 @@ def test_new_photographs_stand_where_they_were_taken(
     assert report.map_points > len(Scene.open(old).sparse_map().xyz)
     checked = validate(both.path)
     assert checked.ok, checked.text()
-    assert both.changed_files() == []
+    assert both.find_changed_files() == []
     (dataset,) = open_datasets(both.path)
     assert len(dataset.queries) == report.queries
 

@@ -62,7 +62,7 @@ def test_a_real_flight(ingested: Ingested) -> None:
     assert np.hypot(3.3, 3.3) < placed.horizontal_m < 4.8
     assert placed.vertical_m is not None and placed.vertical_m > 30, "above the sea or ellipsoid"
     assert f"position on earth: horizontal {placed.horizontal_m:.2f} m" in report.text()
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
     assert not list(scene.path.glob(".*"))
     assert (scene.path / "pictures" / "ingest.png").stat().st_size > 20_000
 
@@ -75,27 +75,25 @@ def test_the_manifest_records_the_options(ingested: Ingested) -> None:
     manifest = ingested[0].manifest
     assert manifest.config["options"] == IngestOptions().model_dump(mode="json")
     before = {key: value for key, value in manifest.config.items() if key != "options"}
-    plan = objconnect.ingestion.plan.recorded_plan(manifest)
+    plan = objconnect.ingestion.plan.read_plan(manifest)
     assert plan is not None
     assert (
-        objconnect.ingestion.plan.recorded_plan(manifest.model_copy(update={"config": before}))
-        == plan
+        objconnect.ingestion.plan.read_plan(manifest.model_copy(update={"config": before})) == plan
     )
     parts = {"control": {"sigma_m": 0.05, "wrong_m": 1.0}, "pairs": {"nearest": 12, "blind": 10}}
     earlier = manifest.model_copy(update={"config": {**before, "options": parts}})
-    assert objconnect.ingestion.plan.recorded_plan(earlier) == plan
+    assert objconnect.ingestion.plan.read_plan(earlier) == plan
     parts["control"]["sigma_m"] = 0.04
-    surveyed = objconnect.ingestion.plan.recorded_plan(earlier)
+    surveyed = objconnect.ingestion.plan.read_plan(earlier)
     assert surveyed is not None
     assert surveyed.options == IngestOptions(control_sigma_m=0.04)
     other = {**manifest.config, "options": {"nearest": 30}}
     assert (
-        objconnect.ingestion.plan.recorded_plan(manifest.model_copy(update={"config": other}))
-        != plan
+        objconnect.ingestion.plan.read_plan(manifest.model_copy(update={"config": other})) != plan
     )
     rendered = {"preset": "town", "seed": 1}
     changed = manifest.model_copy(update={"config": rendered})
-    assert objconnect.ingestion.plan.recorded_plan(changed) is None
+    assert objconnect.ingestion.plan.read_plan(changed) is None
 
 
 def test_poses_are_those_of_the_flight(ingested: Ingested, beach: Path) -> None:
@@ -180,7 +178,7 @@ def test_the_map_can_be_built_again(ingested: Ingested, tmp_path: Path) -> None:
     report = build_map(copy)
     assert report.registered == 14
     assert report.points == pytest.approx(ingested[1].map_points, rel=0.1)
-    assert Scene.open(copy).changed_files() == []
+    assert Scene.open(copy).find_changed_files() == []
 
 
 def test_a_finished_scene_is_not_made_again(ingested: Ingested, photographs: Path) -> None:
@@ -321,7 +319,7 @@ def test_killed_while_pictures_are_turned_back(
         turned += over
         if turned == 2:
             raise KeyboardInterrupt
-        objconnect.scene.storage.images.write_resized(source, target, longest, over=over)
+        objconnect.scene.storage.images.resize_file(source, target, longest, over=over)
 
     for module, patched in (
         (objconnect.ingestion.turned, write_json),
@@ -337,7 +335,7 @@ def test_killed_while_pictures_are_turned_back(
     assert report.turned == tuple(over)
     # A picture turned twice or not at all would contradict its gimbal, or not be registered.
     assert (report.registered, report.wrong_attitudes) == (10, {})
-    objconnect.scene.storage.images.write_resized(
+    objconnect.scene.storage.images.resize_file(
         folder / over[1], tmp_path / "turned.jpg", 1600, over=True
     )
     assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()
@@ -379,7 +377,7 @@ def test_the_global_mapper_and_lines_and_a_calibration(photographs: Path, tmp_pa
     assert report.gps.horizontal_rms < 1
     (lens,) = report.lenses
     assert lens.origin == "focal length 291.5 px as given"
-    assert Camera.parse(lens.camera.split()) == camera.resized(500, 281)
+    assert Camera.parse(lens.camera.split()) == camera.resize(500, 281)
 
 
 def test_too_few_photographs(photographs: Path, tmp_path: Path) -> None:

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from objconnect.ingestion.adjustment import Adjusted
 from objconnect.ingestion.command import ingest
-from objconnect.ingestion.control import control_text, fit_to_control, seen_by
+from objconnect.ingestion.control import control_text, fit_to_control, triangulate_marks
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
 from objconnect.ingestion.georegister import Georegistration
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.photographs import SESSION, Flight, FlightImage
 from objconnect.ingestion.report import Residuals, gps_remark
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.colmap.structure_from_motion import RefinedLenses
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
@@ -67,7 +67,7 @@ def true_model(folder: Path) -> SparseMap:
     colours = np.zeros((count, 3), np.uint8)
     whole = SparseMap(images, ground, colours, np.zeros(count), np.full(count, 2))
     posed = [PosedImage(i.name, i.camera, i.cam_from_world) for i in images.values()]
-    write_posed(posed, whole, folder)
+    write_with_poses(posed, whole, folder)
     return read_model(folder)
 
 
@@ -96,10 +96,10 @@ def by_gps(model: SparseMap, folder: Path) -> Adjusted:
     """The model as GPS of metres would place it."""
     turn = so3_exp(torch.tensor([0.01, -0.015, 0.02], dtype=torch.float64)).numpy()
     wrong = np.column_stack([1.004 * turn, [1.5, -2.0, 3.0]])
-    moved = model.moved(wrong)
+    moved = model.transform(wrong)
     posed = [PosedImage(i.name, i.camera, i.cam_from_world) for i in moved.images.values()]
     folder.mkdir()
-    write_posed(posed, moved, folder)
+    write_with_poses(posed, moved, folder)
     placed = Georegistration(np.eye(4)[:3], "gps", (), np.ones(3))
     return Adjusted(read_model(folder), placed, RefinedLenses(()), 0.0, {}, folder)
 
@@ -126,14 +126,14 @@ def test_marks_show_a_point(tmp_path: Path) -> None:
     model = true_model(tmp_path)
     (point, *_) = survey(model, {}, set())
     assert len(point.marks) >= 3
-    seen = seen_by(model, point.marks)
+    seen = triangulate_marks(model, point.marks)
     assert seen is not None
     np.testing.assert_allclose(seen[0], [-22, -25, 1], atol=1e-6)
     assert seen[1] < 1e-6
     name, xy = next(iter(point.marks.items()))
-    assert seen_by(model, {name: xy, "elsewhere.jpg": xy}) is None
+    assert triangulate_marks(model, {name: xy, "elsewhere.jpg": xy}) is None
     # A mark that is 30 px off in one of n photographs: most of it stays in that photograph.
-    spoiled = seen_by(model, point.marks | {name: xy + np.array([30.0, 0.0])})
+    spoiled = triangulate_marks(model, point.marks | {name: xy + np.array([30.0, 0.0])})
     assert spoiled is not None
     assert 30 / len(point.marks) < spoiled[1] < 30
 

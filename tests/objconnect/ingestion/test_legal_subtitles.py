@@ -226,7 +226,7 @@ def readings(said: Telemetry) -> dict[str, object]:
         "rel_alt": said.rel_alt,
         "abs_alt": said.abs_alt,
         "gimbal": said.gimbal,
-        "zoomed": said.zoomed_mm,
+        "zoomed": said.effective_mm,
     }
 
 

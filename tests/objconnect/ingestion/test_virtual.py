@@ -95,7 +95,7 @@ def test_a_view_shows_the_place(files: dict[str, tuple[Path, Path]], crs: str, t
 def test_where_nothing_is_known(files: dict[str, tuple[Path, Path]]) -> None:
     view = surface(files[SYSTEMS[0]]).render(CAMERA, down_from(20.0, 0.0, 20.0), 100.0)
     _, points = cast(CAMERA, down_from(20.0, 0.0, 20.0))
-    assert 0.3 < view.seen < 0.7
+    assert 0.3 < view.coverage < 0.7
     assert (view.depth[points[..., 0] > 20.5] == 0).all()
     assert len(np.unique(view.rgb[view.depth == 0], axis=0)) == 1
 
@@ -109,7 +109,7 @@ def test_the_same_views_in_two_systems(files: dict[str, tuple[Path, Path]]) -> N
 
 def test_scene_of_an_orthophoto(maps: dict[str, Scene]) -> None:
     scene = maps["EPSG:2056"]
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
     assert scene.manifest.sessions["virtual"].condition == "orthophoto"
     frames = scene.frames("virtual")
     heights = frames.poses.centre().numpy()[:, 2]

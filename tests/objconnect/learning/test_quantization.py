@@ -12,7 +12,7 @@ from torch.nn import functional
 
 import objconnect.learning.quantization as quantization
 from objconnect.learning.folding import fold
-from objconnect.learning.quantization import doubled, largest_values, quantized
+from objconnect.learning.quantization import double, largest_values, quantize
 from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.methods import create
 from objconnect.network.localizer import SHIPPED
@@ -53,7 +53,7 @@ def test_features_are_nearly_the_same(method: str) -> None:
             network(seen[:3])
         exact = network(seen[3:])
         strides = STRIDES if method == "pixloc" else (16, 4, 2)
-        made = quantized(network, channel_scales(largest), strides)
+        made = quantize(network, channel_scales(largest), strides)
         ours = made(seen[3:])
         again = network(seen[3:])
         # Eight bits differ, and far less than another picture does.
@@ -78,7 +78,7 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
         with largest_values(network) as largest:
             network(seen)
         steps = channel_scales(largest)
-        made = quantized(network, steps, network.config.strides)
+        made = quantize(network, steps, network.config.strides)
         whole, part = (made(seen, shown=each)[-1][0] for each in (None, shown))
     torch.testing.assert_close(whole[..., 8:30, 20:50], part[..., 8:30, 20:50])
 
@@ -93,10 +93,10 @@ def test_doubling_rounds_bilinear_values(
     maps = torch.randint(0, 256, (2, 6, *size), dtype=torch.uint8)
     maps = maps.contiguous(memory_format=torch.channels_last)
     exact = functional.interpolate(maps.float(), scale_factor=2.0, mode="bilinear")
-    made = doubled(maps)
+    made = double(maps)
     assert made.dtype == torch.uint8
     assert float((made.float() - exact).abs().max()) <= 0.5
-    torch.testing.assert_close(doubled(maps.float()), exact)
+    torch.testing.assert_close(double(maps.float()), exact)
 
 
 def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,10 +104,10 @@ def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> No
     fold(pyramid, "float32")
     monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: True)
     with pytest.raises(InputError, match=r"quantized=true needs a network with a U-Net decoder"):
-        quantized(pyramid, {}, STRIDES)
+        quantize(pyramid, {}, STRIDES)
     monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: False)
     with pytest.raises(InputError, match=r"quantized=true needs a processor .*VNNI"):
-        quantized(pyramid, {}, STRIDES)
+        quantize(pyramid, {}, STRIDES)
 
 
 def test_a_layer_of_zeros() -> None:
@@ -151,7 +151,7 @@ def test_the_network_of_the_map_is_left_alone() -> None:
     before = copy.deepcopy(network.state_dict())
     with torch.inference_mode(), largest_values(network) as largest:
         network(pictures(1))
-    quantized(network, channel_scales(largest), STRIDES)
+    quantize(network, channel_scales(largest), STRIDES)
     assert not any(module._forward_hooks for module in network.modules())
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, before[name], rtol=0, atol=0)

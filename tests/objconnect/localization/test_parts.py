@@ -53,7 +53,7 @@ def test_parts_are_copied(
         localizer.prepare_part(*made, cache, MapPart(part, folder))
         assert not [path for path in cache.iterdir() if path.is_file()]
     with monkeypatch.context() as patched:
-        patched.setattr(objconnect.localization.matching.features, "_extracted", refuse)
+        patched.setattr(objconnect.localization.matching.features, "_extract_all", refuse)
         patched.setattr(objconnect.localization.featuremetric.references, "observe", refuse)
         patched.setattr(
             objconnect.localization.featuremetric.corners.CornerFinder, "__call__", refuse

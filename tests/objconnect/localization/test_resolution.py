@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from objconnect.localization.resolution import metres_per_pixel, scale_to
-from objconnect.scene.geometry.views import levelled
+from objconnect.scene.geometry.views import level_rotation
 from tests.baselines.pixloc.made_map import CAMERA, HEIGHT, looking_down
 
 
@@ -25,7 +25,7 @@ def test_a_camera_that_looks_along_the_ground_has_no_resolution(tilt: float, kno
     pose = looking_down(0, 0, (tilt, 0, 0))
     assert math.isfinite(metres_per_pixel(pose, CAMERA, ground)) == known
     # Seen as by a camera that is turned down, it has one.
-    down = levelled(pose.rotation.numpy(), 0.0) @ pose.rotation.numpy().T
+    down = level_rotation(pose.rotation.numpy(), 0.0) @ pose.rotation.numpy().T
     assert metres_per_pixel(pose, CAMERA, ground, down) > 0
 
 

@@ -64,7 +64,7 @@ def test_mapping_again_replaces_the_map(rendered_copy: Path) -> None:
     build_map(rendered_copy)
     scene = Scene.open(rendered_copy)
     assert np.allclose(scene.sparse_map().xyz, before.xyz)
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
 
 
 def test_pairs_are_the_overlapping_ones() -> None:
@@ -108,7 +108,7 @@ def test_structure_from_motion_finds_the_poses(rendered_copy: Path) -> None:
     assert 0 < report.position_m.mean <= report.position_m.rms <= report.position_m.max < 0.2
     assert 0 < report.rotation_deg.mean <= report.rotation_deg.rms < 0.2
     scene = Scene.open(rendered_copy)
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
     cameras = set(scene.frames("summer-noon-nadir-map").cameras)
     assert {image.camera for image in scene.sparse_map().images.values()} == cameras
     assert scene.sparse_map().reprojection_error() == report.reprojection_error_px
@@ -169,7 +169,7 @@ def test_killed_while_matching_and_resumed_is_the_same_map(
     assert verified_pairs(rendered_copy) >= done
     build_map(rendered_copy, "sfm")
     assert digests_of(rendered_copy) == finished
-    assert Scene.open(rendered_copy).changed_files() == []
+    assert Scene.open(rendered_copy).find_changed_files() == []
     assert not list(rendered_copy.glob(".*"))
 
 

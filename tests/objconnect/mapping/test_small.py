@@ -117,7 +117,7 @@ def test_centres_of_learned_objects_are_spots_too(rendered: Scene) -> None:
     rgb = read_rgb(rendered.images_root / rendered.splits.map[0])
     plain, seen = find(rgb), find(rgb, network)
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
-    centres = network.learned_objects(image)[0].xy.double().numpy()
+    centres = network.detect_objects(image)[0].xy.double().numpy()
     assert len(centres) > 0
     added = len(seen.xy) - len(plain.xy)
     assert 0 < added <= len(centres)

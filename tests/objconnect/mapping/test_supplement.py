@@ -107,9 +107,9 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
     add_to_map(rendered_copy, points, found, before.sha256)
     supplement = add_to_map(rendered_copy, points, found)  # in place of the first
     scene = Scene.open(rendered_copy)
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
     after = scene.sparse_map()
-    added = scene.added_points(after)
+    added = scene.is_added_point(after)
     assert added.sum() == len(points) == len(after.xyz) - len(before.xyz)
     np.testing.assert_array_equal(after.xyz[~added], before.xyz)
     np.testing.assert_array_equal(after.error[~added], before.error)
@@ -130,7 +130,7 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
 
     remove_from_map(rendered_copy)
     assert digests(scene.map_path) == files
-    assert Scene.open(rendered_copy).changed_files() == []
+    assert Scene.open(rendered_copy).find_changed_files() == []
     with pytest.raises(InputError, match="nothing was added"):
         remove_from_map(rendered_copy)
 
@@ -154,7 +154,7 @@ def test_a_supplemented_model_passes_bundle_adjustment(rendered_copy: Path, tmp_
     after = read_model(tmp_path)
     assert squares(after) < squares(before)
     # Added points stay where their objects are, though all poses may move.
-    added = after.xyz[scene.added_points(before)]
+    added = after.xyz[scene.is_added_point(before)]
     off = np.linalg.norm(added[:, None] - centres_of(scene), axis=2).min(1)
     assert off.max() < 0.5
 

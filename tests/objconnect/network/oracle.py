@@ -38,7 +38,7 @@ def detections(
     kinds = sorted({item.class_name for item in items})
     looks = dict(zip(kinds, rng.normal(size=(len(kinds), DIMENSIONS)), strict=True))
     found = {}
-    for image, layers in scene.mapped_layers(scene.sparse_map(), "instance"):
+    for image, layers in scene.layers_of_map(scene.sparse_map(), "instance"):
         centres = torch.tensor([item.centre for item in items], dtype=torch.float64)
         seen = image.camera.project(image.pose.transform(centres))
         inside = (seen.valid & image.camera.contains(seen.xy, 1)).numpy()

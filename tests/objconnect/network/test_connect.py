@@ -10,7 +10,7 @@ import torch
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.config import ConstellationConfig
-from objconnect.network.connect import Connector, LaidOut, described_landmarks
+from objconnect.network.connect import Connector, LaidOut, describe_landmarks
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.constellation_training import (
     ConstellationTraining,
@@ -19,7 +19,7 @@ from objconnect.network.constellation_training import (
     describe_query,
     train_graph,
 )
-from objconnect.network.landmarks import Landmarks, merged
+from objconnect.network.landmarks import Landmarks, merge
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from tests.objconnect.network.test_landmarks import CAMERA, DOWN, GROUND, photograph, things, views
@@ -46,7 +46,7 @@ def connector(landmarks: Landmarks) -> Connector:
 @pytest.mark.parametrize("height", [70.0, 100.0])
 def test_the_pose_at_which_objects_agree_comes_first(heading: float, height: float) -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors))[0]
+    landmarks = merge(views(xyz, vectors))[0]
     base = DOWN @ so3_exp(heading * UP)
     angles = cv_angles(base)
     view = photograph((12.0, -8.0, height + 5.0), angles, xyz, vectors)
@@ -68,7 +68,7 @@ def cv_angles(rotation: torch.Tensor) -> tuple[float, float, float]:
 
 def test_a_tilted_camera_is_connected_when_gravity_is_known() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors))[0]
+    landmarks = merge(views(xyz, vectors))[0]
     view = photograph((0.0, -20.0, 75.0), (0.5, 0.0, 0.0), xyz, vectors)
     found = connector(landmarks)(view.found, CAMERA, view.pose.rotation, HEADINGS, [60.0, 72.0])
     np.testing.assert_allclose(found[0].pose.centre()[:2].numpy(), [0.0, -20.0], atol=1.5)
@@ -76,10 +76,10 @@ def test_a_tilted_camera_is_connected_when_gravity_is_known() -> None:
 
 def test_too_few_objects_connect_with_nothing() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors))[0]
+    landmarks = merge(views(xyz, vectors))[0]
     few = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz[:2] * [0.1, 0.1, 1.0], vectors[:2])
     assert connector(landmarks)(few.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
-    none = merged([])[0]
+    none = merge([])[0]
     empty = Landmarks(**{**vars(none), "vectors": np.zeros((0, 8), np.float32)})
     whole = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
     assert connector(empty)(whole.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
@@ -123,7 +123,7 @@ def found_first(graph: ConstellationGraph, lesson: Lesson) -> float:
     """The share of objects whose own landmark is most like them."""
     hits = []
     with torch.no_grad():
-        theirs = described_landmarks(graph, lesson.landmarks)
+        theirs = describe_landmarks(graph, lesson.landmarks)
         for query in lesson.queries:
             own = describe_query(graph, query, np.arange(len(query.laid)))
             hits += ((own @ theirs.T).argmax(1).numpy() == query.landmark).tolist()
@@ -156,7 +156,7 @@ def test_scenes_without_common_objects_teach_nothing() -> None:
 
 def test_the_height_of_the_ground_is_that_of_the_place() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors))[0]
+    landmarks = merge(views(xyz, vectors))[0]
     heights = GROUND.heights + 3.0
     higher = GroundGrid(GROUND.origin, GROUND.cell, heights)
     view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)

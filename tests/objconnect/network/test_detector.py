@@ -147,7 +147,7 @@ def test_learned_segments_are_the_objects_of_the_blocks() -> None:
 def test_learned_segments_need_a_detector() -> None:
     network = ObjConnectNet(ObjConnectNetConfig(width=0.125))
     with pytest.raises(InputError, match="no detector"):
-        network.learned_segments(pictures(1, 32, 32))
+        network.predict_segments(pictures(1, 32, 32))
     with pytest.raises(ValueError, match="needs a detector"):
         ObjConnectNetConfig(segmentation="learned")
 

@@ -72,7 +72,7 @@ def source_of(
 
 def landmarks_in(path: Path) -> Landmarks:
     """Return the objects that a file of the cache holds."""
-    return Store(path).made(0, Landmarks.ARRAYS, Landmarks.of)
+    return Store(path).make(0, Landmarks.ARRAYS, Landmarks.of)
 
 
 def test_objects_are_found_in_the_feature_maps_of_references(
@@ -233,7 +233,7 @@ def test_objects_are_asked_where_the_search_fails(
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
     localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
-    monkeypatch.setattr(GlobalSearch, "_found_places", lambda *_: [])
+    monkeypatch.setattr(GlobalSearch, "_find_candidates", lambda *_: [])
     query = next(query for query in dataset.queries if "summer" in query.name)
     calls: list[str] = []
     other = localizer._other

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
-from objconnect.network.landmarks import Landmarks, View, merged, on_ground
+from objconnect.network.landmarks import Landmarks, View, merge, on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
@@ -70,12 +70,12 @@ def test_a_ray_to_the_sky_has_no_place() -> None:
     flat = Pose(so3_exp(torch.tensor([np.pi / 2, 0.0, 0.0])).double(), torch.zeros(3).double())
     placed = on_ground(view.found, CAMERA, flat, GROUND)
     assert np.isnan(placed.xyz).all(1).any()
-    assert len(merged([view._replace(placed=placed, pose=flat)])[0]) <= len(placed.xyz)
+    assert len(merge([view._replace(placed=placed, pose=flat)])[0]) <= len(placed.xyz)
 
 
 def test_one_thing_in_several_photographs_is_one_landmark() -> None:
     xyz, vectors = things()
-    landmarks = merged(views(xyz, vectors))[0]
+    landmarks = merge(views(xyz, vectors))[0]
     away = np.linalg.norm(landmarks.xyz[:, None] - xyz, axis=-1)
     assert away.min(1).max() < 0.05
     nearest = away.argmin(1)
@@ -94,25 +94,25 @@ def test_what_one_photograph_of_four_shows_is_none() -> None:
         *(torch.cat([getattr(each, name) for each in both]) for name in vars(both[0]))
     )
     placed = on_ground(joined, CAMERA, seen[0].pose, GROUND)
-    landmarks = merged([seen[0]._replace(found=joined, placed=placed), *seen[1:]])[0]
+    landmarks = merge([seen[0]._replace(found=joined, placed=placed), *seen[1:]])[0]
     assert np.linalg.norm(landmarks.xyz - ghost, axis=1).min() > 0.2
 
 
 def test_neighbours_that_look_different_stay_apart() -> None:
     xyz = np.array([[0.0, 0.0, 6.0], [0.6, 0.0, 6.0]])
     apart, alike = torch.eye(8)[:2], torch.eye(8)[[0, 0]]
-    assert len(merged(views(xyz, apart))[0]) == 2
-    assert len(merged(views(xyz, alike))[0]) == 1
+    assert len(merge(views(xyz, apart))[0]) == 2
+    assert len(merge(views(xyz, alike))[0]) == 1
 
 
 def test_no_objects_are_no_landmarks() -> None:
-    empty = merged(views(np.zeros((0, 3)), torch.zeros(0, 8)))[0]
+    empty = merge(views(np.zeros((0, 3)), torch.zeros(0, 8)))[0]
     assert len(empty) == 0
-    assert len(merged([])[0]) == 0
+    assert len(merge([])[0]) == 0
 
 
 def test_landmarks_come_back_from_their_arrays() -> None:
-    landmarks = merged(views(*things()))[0]
+    landmarks = merge(views(*things()))[0]
     again = Landmarks.of(landmarks.arrays())
     np.testing.assert_array_equal(again.xyz, landmarks.xyz)
     np.testing.assert_allclose(again.vectors, landmarks.vectors, atol=1e-3)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from objconnect.network.masks import given_masks, read_coco, read_label_png
+from objconnect.network.masks import read_coco, read_label_png, read_masks
 from objconnect.scene.errors import InputError
 
 
@@ -114,7 +114,7 @@ def test_coco_nested_thousands_deep(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nested too deeply"):
         read_coco(path, "a.jpg", 8)
     with pytest.raises(InputError, match="nested too deeply"):
-        list(given_masks(path, ["a.jpg"]))
+        list(read_masks(path, ["a.jpg"]))
 
 
 def test_label_pictures_of_absurd_size(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def found(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_landmarks_are_kept_with_the_scene(found: Path) -> None:
     scene = Scene.open(found)
-    assert scene.changed_files() == []
+    assert scene.find_changed_files() == []
     assert LANDMARKS in scene.manifest.sha256
     kept = read_landmarks(scene, scene.sparse_map())
     assert kept is not None

@@ -17,7 +17,7 @@ from objconnect.localization.featuremetric.training import both, contrast_of, le
 from objconnect.methods import TRAINABLE, trainable
 from objconnect.network.loss import (
     feature_distance,
-    kept_together,
+    measure_correspondence,
     pose_distance,
     total,
     trust_loss,
@@ -180,7 +180,7 @@ def test_objects_that_are_kept_together() -> None:
     a = torch.tensor([[0, 0, 0, 0, 1, 1, 1, 1, 2, -1, 0]])
     b = torch.tensor([[5, 5, 5, 5, 3, 3, 4, 4, 4, 4, 5]])
     valid = torch.tensor([[True] * 10 + [False]])
-    kept, counts = kept_together(a, b, valid, 6)
+    kept, counts = measure_correspondence(a, b, valid, 6)
     assert counts[0].tolist() == [True, True, False, False, False, False]
     # Of object 1, two points lie in 3 alone, and two in 4 with another.
     assert kept[0, :2].tolist() == [1.0, 0.5]

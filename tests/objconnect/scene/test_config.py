@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from pydantic import Field, ValidationError
 
-from objconnect.scene.config import Config, as_recorded, load_config
+from objconnect.scene.config import Config, load_config, take_recorded
 from objconnect.scene.errors import InputError
 
 
@@ -137,8 +137,8 @@ def test_what_an_earlier_version_recorded_is_read() -> None:
         "gone": [1, 2],
         "table": {"kept": 1},
     }
-    taken = as_recorded(Outer, recorded)
+    taken = take_recorded(Outer, recorded)
     assert Outer.model_validate(taken) == Outer(
         inner=Inner(near=2.0), control_sigma_m=0.02, nearest=5, table={"kept": 1}
     )
-    assert as_recorded(Outer, taken) == taken
+    assert take_recorded(Outer, taken) == taken

@@ -116,7 +116,7 @@ def _scene(folder: Path) -> None:
 def _read_scene(folder: Path) -> None:
     scene = Scene.open(folder / "scene")
     scene.objects.surroundings_at(np.zeros((2, 3)))
-    scene.changed_files()
+    scene.find_changed_files()
     for dataset in open_datasets(folder / "scene"):
         dataset.load_map()
         for query in dataset.queries:

@@ -527,7 +527,7 @@ COMMANDS: dict[str, Row] = {
             "cluster": FLAG,
             "as_json": FLAG,
         },
-        work=("objconnect.ingestion.virtual.command._planned",),
+        work=("objconnect.ingestion.virtual.command._plan_views",),
     ),
     "diagnose": Row(
         {

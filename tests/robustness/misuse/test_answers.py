@@ -18,7 +18,7 @@ from PIL import Image
 
 import objconnect.methods
 from benchmark.report.leaderboard import leaderboard
-from benchmark.report.markdown import escaped
+from benchmark.report.markdown import escape
 from benchmark.results.results_files import load
 from objconnect.ingestion.photographs import read_flight
 from objconnect.learning.training.config import TrainConfig
@@ -615,8 +615,8 @@ def test_names_are_text_wherever_they_are_written(scored: Path, tmp_path: Path) 
 
 
 def test_what_markdown_takes_for_markup() -> None:
-    assert escaped("sift (max_features=4096)") == "sift (max_features=4096)"
-    assert escaped("_a_ <b> [c](d) | e\n") == r"\_a\_ &lt;b&gt; \[c\](d) \| e\\n"
+    assert escape("sift (max_features=4096)") == "sift (max_features=4096)"
+    assert escape("_a_ <b> [c](d) | e\n") == r"\_a\_ &lt;b&gt; \[c\](d) \| e\\n"
 
 
 def test_a_name_with_dollars_can_be_drawn(

@@ -57,7 +57,7 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import read_text
-from objconnect.scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
+from objconnect.scene.storage.images import Exif, read_exif, read_rgb, resize_file, write_jpeg
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import MAP_NAMES, pose_at, write_flight, write_model
 from tests.objconnect.scene.storage.test_full_disk import GATE, disk  # noqa: F401
@@ -465,7 +465,7 @@ def test_exif_of_more_than_64_kb_is_copied_with_what_we_read(tmp_path: Path) -> 
     (tmp_path / "b.jpg").write_bytes(whole[:at] + 2 * more + whole[at:])
     with Image.open(tmp_path / "b.jpg") as image:
         assert len(image.info["exif"]) > 1 << 16
-    write_resized(tmp_path / "b.jpg", tmp_path / "c.jpg", 32)
+    resize_file(tmp_path / "b.jpg", tmp_path / "c.jpg", 32)
     assert read_rgb(tmp_path / "c.jpg").shape == (24, 32, 3)
     assert read_exif(tmp_path / "c.jpg").position == pytest.approx((1, 2, 3))
 

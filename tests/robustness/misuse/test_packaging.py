@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from objconnect.learning.training.config import TrainConfig
-from objconnect.scene.config import SHIPPED, load_config, shipped
+from objconnect.scene.config import SHIPPED, list_configs, load_config
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from tests.robustness.misuse.built import (
@@ -141,12 +141,12 @@ def test_the_doctor_finds_the_weights_of_the_wheel(from_wheel: Environment, tmp_
 # ------------------------------------------------------------------- configurations
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", list_configs())
 def test_a_configuration_is_found_by_its_name_from_anywhere(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    file = shipped()[name]
+    file = list_configs()[name]
     model = SimulateConfig if "sessions:" in file.read_text() else TrainConfig
     by_name = load_config(model, Path(name), {})
     assert by_name == load_config(model, file, {})
@@ -162,8 +162,8 @@ def test_a_configuration_is_found_by_its_name_from_anywhere(
 def test_an_unknown_name_lists_those_there_are() -> None:
     with pytest.raises(InputError, match="cannot read configuration demon: ") as caught:
         load_config(SimulateConfig, Path("demon"), {})
-    assert str(caught.value).endswith(f"; by name there are: {', '.join(shipped())}")
-    assert {"demo", "uav-sim", "train/pixloc"} <= set(shipped())
+    assert str(caught.value).endswith(f"; by name there are: {', '.join(list_configs())}")
+    assert {"demo", "uav-sim", "train/pixloc"} <= set(list_configs())
 
 
 @pytest.mark.parametrize(

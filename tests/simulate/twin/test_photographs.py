@@ -12,9 +12,9 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.storage.images import read_rgb
 from simulate.twin.photographs import (
     Photograph,
-    colours_seen,
+    covered_square,
     map_photographs,
-    photographed_square,
+    sample_colours,
 )
 
 CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (100.0, 50.0, 50.0))
@@ -33,9 +33,9 @@ def test_the_square_that_two_photographs_see(level_m: float) -> None:
     above = [straight_down(0, 0, level_m + 80), straight_down(0, 10, level_m + 80)]
     # Together they see the square but for a strip in the south that is 10 m wide, so that 5 % of a
     # side of s m are unseen where (s / 2 - 30) / s = 0.05.
-    assert photographed_square(above, level_m, 200.0) == pytest.approx(66.7, abs=1)
-    assert photographed_square(above[:1], level_m, 200.0) == 0
-    assert photographed_square([straight_down(300, 0, 80)] * 2, 0.0, 200.0) == 0
+    assert covered_square(above, level_m, 200.0) == pytest.approx(66.7, abs=1)
+    assert covered_square(above[:1], level_m, 200.0) == 0
+    assert covered_square([straight_down(300, 0, 80)] * 2, 0.0, 200.0) == 0
 
 
 def test_colours_are_those_of_the_photographs(rendered: Scene) -> None:
@@ -53,8 +53,8 @@ def test_colours_are_those_of_the_photographs(rendered: Scene) -> None:
     points = (rays * depth[rows, columns][:, None] - pose[:3, 3]) @ pose[:3, :3]
     rgb = read_rgb(rendered.images_root / frames.names[4])[rows, columns]
     own = [p for p in photographs if p.path.samefile(rendered.images_root / frames.names[4])]
-    np.testing.assert_allclose(colours_seen(own, points), rgb, atol=1)
-    every = colours_seen(photographs, points)
+    np.testing.assert_allclose(sample_colours(own, points), rgb, atol=1)
+    every = sample_colours(photographs, points)
     assert np.abs(every - rgb).mean() < 12
     hidden = points + np.array([1000.0, 0.0, 0.0])
-    assert np.isnan(colours_seen(photographs, hidden)).all()
+    assert np.isnan(sample_colours(photographs, hidden)).all()

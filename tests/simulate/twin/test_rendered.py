@@ -14,7 +14,7 @@ from objconnect.scene.errors import InputError
 from simulate.base_place import base_place
 from simulate.command import render_job, simulate
 from simulate.config import SimulateConfig
-from simulate.place.surveyed import load_surveyed
+from simulate.place.surveyed import load_site
 from simulate.place.world import World
 from simulate.twin.report import PLACE, REPORT, SiteReport
 from tests.blender import require_blender
@@ -82,7 +82,7 @@ def test_the_place_of_a_finished_twin_is_taken_over(
     monkeypatch.setattr("simulate.base_place.build_site", None)
     made = SimulateConfig.model_validate(twin.manifest.config)
     world, report = base_place(made, tmp_path / "other", twin.path)
-    own = load_surveyed(twin.path / PLACE, made.seed)
+    own = load_site(twin.path / PLACE, made.seed)
     np.testing.assert_array_equal(world.terrain.nodes, own.terrain.nodes)
     assert report is not None and report.spacing_m > 0
 
@@ -95,7 +95,7 @@ def test_the_truth_is_valid(twin: Scene) -> None:
 @pytest.mark.parametrize(("session", "frame"), [("again", 1), ("tilted", 0)])
 def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
     """Rays are followed over triangles of the test's own: above them before, on them at the end."""
-    world = load_surveyed(twin.path / PLACE, 0)
+    world = load_site(twin.path / PLACE, 0)
     start, ways, depth = rays(twin, session, frame)
     points = start + depth[..., None] * ways
     inside = (depth > 0) & (np.abs(points[..., :2]) < world.terrain.half_side_m - 0.5).all(-1)
@@ -132,7 +132,7 @@ def test_the_season_changes_no_truth(twin: Scene) -> None:
 
 
 def test_labels_and_normals_are_those_of_the_surface(twin: Scene) -> None:
-    world = load_surveyed(twin.path / PLACE, 0)
+    world = load_site(twin.path / PLACE, 0)
     start, ways, depth = rays(twin, "again", 2)
     points = start + depth[..., None] * ways
     inside = (depth > 0) & (np.abs(points[..., :2]) < world.terrain.half_side_m - 0.5).all(-1)

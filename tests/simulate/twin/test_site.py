@@ -19,8 +19,8 @@ from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.look.sun import sun_position
-from simulate.look.surveyed import bake_surveyed, mirror_surveyed
-from simulate.place.surveyed import load_surveyed, save_surveyed
+from simulate.look.surveyed import bake_albedo, bake_gloss
+from simulate.place.surveyed import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW, PAVED, classify
@@ -289,7 +289,7 @@ def test_seasons_change_what_grows_and_no_roofs(site: tuple[World, SiteReport]) 
     truth, inner = classes(x, y), clear(x, y, 3.0)
 
     def mean(name: str, label: int) -> np.ndarray:
-        return bake_surveyed(world, condition(name))[inner & (truth == label)].mean(0)
+        return bake_albedo(world, condition(name))[inner & (truth == label)].mean(0)
 
     for label in (16, 8):
         np.testing.assert_allclose(mean("summer-noon", label), mean("autumn-noon", label), atol=1)
@@ -300,7 +300,7 @@ def test_seasons_change_what_grows_and_no_roofs(site: tuple[World, SiteReport]) 
     assert mean("snow-noon", 1).min() > 190 > 140 > mean("snow-noon", 4).max()
     wet, dry = mean("summer-noon-wet", 4), mean("summer-noon", 4)
     assert (wet < 0.8 * dry).all()
-    assert (bake_surveyed(world, condition("summer-noon")) == world.imagery.albedo).mean() > 0.99
+    assert (bake_albedo(world, condition("summer-noon")) == world.imagery.albedo).mean() > 0.99
 
 
 def test_water_mirrors_and_rain_leaves_puddles(site: tuple[World, SiteReport]) -> None:
@@ -308,8 +308,8 @@ def test_water_mirrors_and_rain_leaves_puddles(site: tuple[World, SiteReport]) -
     x, y = texels(world)
     west, east, south, north = POND
     pond = (x > west + 3) & (x < east - 3) & (y > south + 3) & (y < north - 3)
-    dry = mirror_surveyed(world, condition("summer-noon"))
-    wet = mirror_surveyed(world, condition("summer-noon-wet"))
+    dry = bake_gloss(world, condition("summer-noon"))
+    wet = bake_gloss(world, condition("summer-noon-wet"))
     assert (dry[pond] == 255).mean() > 0.97
     yard = (classes(x, y) == 4) & clear(x, y, 2.0)
     assert dry[yard].max() == 0 and wet[yard].mean() > 20
@@ -344,15 +344,15 @@ def test_given_classes_win(tmp_path: Path) -> None:
 def test_a_surveyed_place_is_kept(site: tuple[World, SiteReport], tmp_path: Path) -> None:
     world, _ = site
     path = tmp_path / "site" / "place.npz"
-    save_surveyed(path, world)
-    again = load_surveyed(path, world.seed)
+    save_site(path, world)
+    again = load_site(path, world.seed)
     assert (again.ground.labels == world.ground.labels).all()
     assert (again.imagery.albedo == world.imagery.albedo).all()
     np.testing.assert_array_equal(again.terrain.nodes, world.terrain.nodes)
     assert (again.area_m, again.margin_m) == (world.area_m, world.margin_m)
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(InputError, match=r"place\.npz is missing or damaged"):
-        load_surveyed(path, 0)
+        load_site(path, 0)
 
 
 def test_configurations_of_sites(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.twin.build import build_site
 from simulate.twin.options import SiteConfig
-from simulate.twin.source import extent, opened
+from simulate.twin.source import extent, open_rasters
 
 
 def with_map(path: Path, names: tuple[str, ...]) -> Path:
@@ -77,8 +77,8 @@ def test_a_single_line_is_said(rendered_copy: Path, tmp_path: Path) -> None:
     site = SiteConfig(scene=with_map(rendered_copy, line))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulate.twin.source._FEWEST", 3)
-        with opened(site, tmp_path) as files:
+        with open_rasters(site, tmp_path) as files:
             assert [note.partition(":")[0] for note in files.notes] == ["thin coverage"]
     whole = SiteConfig(scene=with_map(rendered_copy, every))
-    with opened(whole, tmp_path) as files:
+    with open_rasters(whole, tmp_path) as files:
         assert files.notes == ()

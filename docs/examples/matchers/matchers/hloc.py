@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from objconnect.localization.matching.lifting import interpolated_points
+from objconnect.localization.matching.lifting import interpolate_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import HDF5_DAMAGE, InputError
@@ -82,7 +82,7 @@ class Hloc:
                 f"{self.config.matches}, {pair[0]}: no matches of the keypoints in "
                 f"{self.config.features}: {error}"
             ) from None
-        xyz = interpolated_points(there, self._map.images[name], self._map.xyz)
+        xyz = interpolate_points(there, self._map.images[name], self._map.xyz)
         seen = np.isfinite(xyz).all(1)
         return xy[seen], xyz[seen]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from objconnect.localization.cache.map_cache import opened
+from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import map_features
-from objconnect.localization.matching.lifting import interpolated_points
+from objconnect.localization.matching.lifting import interpolate_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import OnDemand, References
 from objconnect.localization.matching.sift import Sift
@@ -54,7 +54,7 @@ class Vismatch:
         self._matcher = load_matcher(self.config)
         self._map, self._images = sparse_map, images
         self._sift = Sift(RETRIEVAL_FEATURES)
-        with opened(sparse_map, images, cache) as kept:
+        with open_cache(sparse_map, images, cache) as kept:
             features = map_features(kept, self._sift)
 
         def described(row: int) -> NDArray[np.float32]:
@@ -108,7 +108,7 @@ class Vismatch:
         ]
         kept = np.all([view.shows(xy) for view, xy in zip(views, pixels, strict=True)], axis=0)
         xy, there = (view.in_photograph(xy[kept]) for view, xy in zip(views, pixels, strict=True))
-        xyz = interpolated_points(there, image, self._map.xyz)
+        xyz = interpolate_points(there, image, self._map.xyz)
         seen = np.isfinite(xyz).all(1)
         return xy[seen], xyz[seen]
 

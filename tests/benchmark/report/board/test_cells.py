@@ -5,8 +5,8 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from benchmark.report.board.cells import Cell, bounded_recall, cells
-from benchmark.report.board.difficulty import AXES, binned
+from benchmark.report.board.cells import Cell, cells, recall_at_risk
+from benchmark.report.board.difficulty import AXES, bin_recall
 from benchmark.report.board.runs import BoardQuery
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import THRESHOLDS
@@ -64,33 +64,33 @@ def answer(sigma: float | None, metres: float | None, status: Status | None = No
 def test_the_surest_are_believed_until_one_in_a_hundred_is_wrong() -> None:
     right = [answer(0.001 * k, 0.1) for k in range(150)]
     wrong = answer(0.0995, 3.0)  # behind 100 right ones
-    found = bounded_recall([*right[:100], wrong], AT)
+    found = recall_at_risk([*right[:100], wrong], AT)
     # 1 of 101 is 0.99 %: all may be believed, but the last is none that was found.
     assert found is not None
     assert found.value == pytest.approx(100 * 100 / 101)
     # 2 of 152 are too many; the second is the last, and only those before it count.
-    found = bounded_recall([*right, wrong, answer(1.0, 3.0), answer(2.0, 0.1)], AT)
+    found = recall_at_risk([*right, wrong, answer(1.0, 3.0), answer(2.0, 0.1)], AT)
     assert found is not None
     assert found.value == pytest.approx(100 * 150 / 153)
     # One wrong answer among the first fifty: 49 of the 150 stand before it, and 1 of 151 is enough.
-    found = bounded_recall([*right, answer(0.0485, 3.0)], AT)
+    found = recall_at_risk([*right, answer(0.0485, 3.0)], AT)
     assert found is not None
     assert found.value == pytest.approx(100 * 150 / 151)
-    found = bounded_recall([*right[:80], answer(0.0485, 3.0)], AT)
+    found = recall_at_risk([*right[:80], answer(0.0485, 3.0)], AT)
     assert found is not None
     assert found.value == pytest.approx(100 * 49 / 81)
 
 
 def test_equal_sigmas_are_believed_together() -> None:
-    found = bounded_recall([answer(0.1, 0.1), answer(0.2, 0.1), answer(0.2, 9.0)], AT)
+    found = recall_at_risk([answer(0.1, 0.1), answer(0.2, 0.1), answer(0.2, 9.0)], AT)
     assert found is not None
     assert found.value == pytest.approx(100 / 3)
 
 
 def test_no_answer_without_sigma_is_believed() -> None:
-    assert bounded_recall([answer(None, 0.1), answer(None, None)], AT) is None
+    assert recall_at_risk([answer(None, 0.1), answer(None, None)], AT) is None
     lost = [answer(0.1, 0.1, Status.FALLBACK), answer(None, 0.1), answer(0.5, 0.1)]
-    found = bounded_recall(lost, AT)
+    found = recall_at_risk(lost, AT)
     assert found is not None
     assert found.value == pytest.approx(100 / 3)
 
@@ -107,7 +107,7 @@ def test_bins_hold_their_lower_edge() -> None:
 def test_recall_of_bins() -> None:
     bins = np.array([0, 0, 2, -1, 2, 2, 2])
     right = np.array([True, False, True, True, True, True, False])
-    first, second, third = binned(bins, right, 3)
+    first, second, third = bin_recall(bins, right, 3)
     assert (first.queries, second, third.queries) == (2, (0, None), 4)
     assert first.recall is not None
     assert third.recall is not None

@@ -13,7 +13,7 @@ from objconnect.scene.bundle.scene import Scene
 WITH_OBJECTS = PairOptions(objects=True, heading_deg=180, max_turn_deg=180, zoom=(0.65, 1.5))
 
 
-def drawn(scene: Scene, count: int) -> list[Pair]:
+def draw(scene: Scene, count: int) -> list[Pair]:
     source = RenderedPairs([scene], 128, 96, 0.0, WITH_OBJECTS)
     return [source.draw(np.random.default_rng(seed)) for seed in range(count)]
 
@@ -24,7 +24,7 @@ def both(pairs: list[Pair]) -> list[PairObjects]:
 
 def test_small_objects_lie_around_their_centres(rendered: Scene) -> None:
     apart = []
-    for objects in both(drawn(rendered, 12)):
+    for objects in both(draw(rendered, 12)):
         assert objects.labels.max() < len(objects.ids) == len(objects.centres)
         for row in np.flatnonzero((objects.sides < 12) & (objects.pixels > 20)):
             rows, columns = np.nonzero(objects.labels == row)
@@ -39,7 +39,7 @@ def test_small_objects_lie_around_their_centres(rendered: Scene) -> None:
 def test_an_object_has_one_id_in_both_images(rendered: Scene) -> None:
     shared = 0
     by_id = {item.id: item for item in rendered.objects.objects}
-    for pair in drawn(rendered, 12):
+    for pair in draw(rendered, 12):
         assert pair.objects is not None
         a, b = pair.objects
         shared += len(set(a.ids.tolist()) & set(b.ids.tolist()))
@@ -49,7 +49,7 @@ def test_an_object_has_one_id_in_both_images(rendered: Scene) -> None:
 
 
 def test_what_lies_beyond_the_photograph_is_unknown(rendered: Scene) -> None:
-    labels = [objects.labels for objects in both(drawn(rendered, 12))]
+    labels = [objects.labels for objects in both(draw(rendered, 12))]
     assert any((each == UNKNOWN).any() for each in labels)
     assert any((each == GROUND).any() for each in labels)
 
@@ -64,7 +64,7 @@ def test_scenes_do_not_share_ids(rendered: Scene) -> None:
 
 
 def test_batches_hold_the_objects_of_images_a_then_b(rendered: Scene) -> None:
-    pairs = drawn(rendered, 2)
+    pairs = draw(rendered, 2)
     batch = collate(pairs)
     wanted = [pair.objects[side] for side in (0, 1) for pair in pairs if pair.objects]
     assert len(batch.objects) == 4

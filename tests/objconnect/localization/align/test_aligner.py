@@ -35,7 +35,7 @@ def test_finds_the_pose_from_3_m_and_5_degrees() -> None:
     starts = stacked([wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)])
     for options in (Options(), replace(PLAIN, iterations=15)):
         found = all_at_once.align(starts, options)
-        assert not found.failed.any()
+        assert not found.has_failed.any()
         metres, degrees = found.pose.error_to(all_at_once.truth)
         assert (metres < 0.15).all() and (degrees < 0.1).all()
     assert (all_at_once.align(starts).iterations < 25).all()  # where plain steps take 45
@@ -52,7 +52,7 @@ def test_lens_with_distortion(camera: Camera) -> None:
     at = torch.as_tensor(points)[None]
     start = one(wrong(truth, 3, 5, 0))
     found = align(Problem(levels, at, camera.intrinsics(), start, DAMPING, Options()))
-    assert not found.failed.any()
+    assert not found.has_failed.any()
     assert found.pose.error_to(truth)[0] < 0.1
     without = align(Problem(levels, at, PINHOLE.intrinsics(), start, DAMPING, Options()))
     assert without.pose.error_to(truth)[0] > 0.3
@@ -65,7 +65,7 @@ def test_elements_of_a_batch_do_not_know_of_each_other(options: Options) -> None
     lost = wrong(problems[1].truth, 1000, 5, 0)
     starts[1] = lost
     together = batch(problems).align(stacked(starts), options)
-    assert together.failed.tolist() == [False, True, False, False]
+    assert together.has_failed.tolist() == [False, True, False, False]
     for k in (0, 2, 3):
         alone = problems[k].align(one(starts[k]), options)
         assert torch.allclose(alone.pose.matrix()[0], together.pose.matrix()[k], atol=1e-4)
@@ -91,16 +91,16 @@ def test_starts_of_one_query_share_its_features() -> None:
 
 def test_cameras_of_their_own() -> None:
     """Each query of a batch may have its camera, in one tensor."""
-    problems, cameras = [small(0), small(0)], [PINHOLE, PINHOLE.resized(640, 512)]
+    problems, cameras = [small(0), small(0)], [PINHOLE, PINHOLE.resize(640, 512)]
     both = batch(problems)
     intrinsics = [camera.intrinsics() for camera in cameras]
-    stack = Intrinsics.stacked(intrinsics)
+    stack = Intrinsics.stack(intrinsics)
     start = wrong(problems[0].truth, 1, 1, 0)
     found = align(
         Problem(both.levels, both.points, stack, stacked([start] * 2), DAMPING, Options())
     )
     assert found.pose.error_to(both.truth)[0][0] < 0.15
-    assert found.failed[1] or found.pose.error_to(both.truth)[0][1] > 5
+    assert found.has_failed[1] or found.pose.error_to(both.truth)[0][1] > 5
 
 
 def test_coordinates_far_from_the_origin_cost_no_precision() -> None:
@@ -152,7 +152,7 @@ def test_what_cannot_be_aligned_says_why(careful: bool) -> None:
     ]
     for case, begin, why in cases:
         found = case.align(begin, options)
-        assert found.failed.all() and why in found.reason(0)
+        assert found.has_failed.all() and why in found.reason(0)
         assert (
             torch.isinf(found.cost).all() and torch.isinf(found.covariance.diagonal(0, 1, 2)).all()
         )
@@ -188,7 +188,7 @@ def test_points_too_few_and_features_that_say_nothing() -> None:
     assert "(0)" in empty.align(start).reason(0)
     flat = [replace(lv, features=torch.ones_like(lv.features)) for lv in problem.levels]
     found = replace(problem, levels=flat).align(start)  # no slope anywhere: nothing moves
-    assert not found.failed and found.pose.error_to(start)[0] < 1e-9
+    assert not found.has_failed and found.pose.error_to(start)[0] < 1e-9
     assert torch.isinf(found.covariance.diagonal(0, 1, 2)).all()
     never_nan(found)
 

@@ -12,7 +12,7 @@ import torch
 import objconnect.localization.align.linearise as linearising
 from objconnect.localization.align import kernels
 from objconnect.localization.align.compiled import _WORTH_THREADS
-from objconnect.localization.align.damping import FLOOR, damped_step
+from objconnect.localization.align.damping import FLOOR, solve_step
 from objconnect.localization.align.descent import descend
 from objconnect.localization.align.linearise import can_be_compiled, linearise
 from objconnect.localization.align.options import Options
@@ -59,7 +59,7 @@ def level_cost(
         there = Pose(
             *(each.expand(poses, *each.shape) for each in (truth.rotation, truth.translation))
         )
-        cost = replace(cost, target=cost.sampled(there)[0] + 0.1 * cost.target)
+        cost = replace(cost, target=cost.sample(there)[0] + 0.1 * cost.target)
     return cost, pose
 
 
@@ -157,8 +157,8 @@ def test_a_step_where_the_hessian_is_not_positive() -> None:
             hessian = np.full((6, 6), off, np.float32)
             np.fill_diagonal(hessian, diagonal)
             ours = np.empty(6)
-            kernels._damped_step(gradient, hessian, np.full(6, 0.3), FLOOR, ours)
-            theirs = damped_step(
+            kernels._solve_step(gradient, hessian, np.full(6, 0.3), FLOOR, ours)
+            theirs = solve_step(
                 torch.tensor(gradient)[None], torch.tensor(hessian)[None], torch.full((6,), 0.3)
             )
             np.testing.assert_allclose(ours, theirs[0].numpy(), rtol=1e-6)

@@ -51,7 +51,7 @@ def test_predicts_the_scatter_of_poses(ranks: int) -> None:
             Options(iterations=30, converged_m=1e-3, converged_deg=1e-2),
         )
     )
-    assert not found.failed.any()
+    assert not found.has_failed.any()
     errors = (found.pose @ start.inverse()).log()
     scatter = torch.cov(errors.T).diagonal().sqrt()
     predicted = found.covariance.mean(0).diagonal().sqrt()
@@ -113,7 +113,7 @@ def test_covers_where_the_query_shows_what_the_map_does_not_know(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
     problem, truth, found, shares = cluttered
-    assert not found.failed.any()
+    assert not found.has_failed.any()
     errors = (found.pose @ truth.inverse()).log()
     around = spread(problem, found.pose)
     # Mean slopes of the picture tell how much of the curvature is the place's.

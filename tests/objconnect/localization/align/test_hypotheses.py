@@ -62,7 +62,7 @@ def test_many_starts_reach_what_one_does_not() -> None:
         SearchRadius(10, 10),
     )
     assert many.pose.translation.shape == (len(SEEDS), 3)
-    assert not many.failed.any()
+    assert not many.has_failed.any()
     assert (many.pose.error_to(everything.truth)[0] < 0.25).all()
     assert (single.pose.error_to(everything.truth)[0] < 0.25).sum() <= len(SEEDS) // 2
     torch.testing.assert_close(many.by_level[-1].matrix(), many.pose.matrix())
@@ -140,7 +140,7 @@ def test_hopeless_input_fails_with_a_reason(value: float) -> None:
             Problem(case.levels, case.points, PINHOLE.intrinsics(), start, DAMPING, Options()),
             SearchRadius(),
         )
-        assert result.failed.all() and result.pose.matrix().isfinite().all()
+        assert result.has_failed.all() and result.pose.matrix().isfinite().all()
         return result.reason(0)
 
     assert "too few points" in found(problem)

@@ -28,7 +28,7 @@ def test_poses_are_those_of_the_official_optimizer(name: str) -> None:
         found = align(
             Problem(at.levels, at.points[None], at.camera.intrinsics(), start, damping, options)
         )
-        assert not found.failed.any()
+        assert not found.has_failed.any()
         rotation = torch.as_tensor(record[f"{name}/{count}/R"])
         translation = torch.as_tensor(record[f"{name}/{count}/t"])
         torch.testing.assert_close(found.pose.rotation[0].float(), rotation, atol=1e-4, rtol=0)

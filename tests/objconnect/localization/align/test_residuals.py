@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from objconnect.localization.align.damping import moved
+from objconnect.localization.align.damping import apply_step
 from objconnect.localization.align.residuals import Level, LevelCost
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -38,12 +38,12 @@ def test_gradient_and_hessian_are_those_of_autograd(camera: Camera) -> None:
     around = problem.linearise(start)
     assert 30 < around.seen.sum() < 60  # some have left the picture
     step = torch.zeros(1, 6, dtype=torch.float64, requires_grad=True)
-    there = problem.linearise(moved(start, step))
+    there = problem.linearise(apply_step(start, step))
     (there.weight.detach() * there.cost).sum().backward()
     torch.testing.assert_close(around.gradient, step.grad / 2)
 
     def residuals(delta: torch.Tensor) -> torch.Tensor:
-        xy = camera.project(moved(start, delta).transform(points)).xy
+        xy = camera.project(apply_step(start, delta).transform(points)).xy
         weight = (around.weight / (1 + squared / 0.02)).sqrt()
         return ((xy / stride - 0.5) @ mixing.T - level.reference) * weight[..., None]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from objconnect.localization.cache.map_cache import Earlier, MapCache, opened
+from objconnect.localization.cache.map_cache import Earlier, MapCache, open_cache
 from objconnect.localization.cache.store import Rows, write_store
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import MapPart
@@ -79,7 +79,7 @@ def test_a_photograph_that_changes_meanwhile_is_told(cache: MapCache) -> None:
 
 
 def test_without_a_folder_files_stay_open(cache: MapCache) -> None:
-    with opened(cache.sparse_map, cache.images, None) as kept:
+    with open_cache(cache.sparse_map, cache.images, None) as kept:
         store = kept.store("a", rows=one(3))
     assert not kept.folder.exists()
     assert store.read(0, "a") == [3]

@@ -54,7 +54,7 @@ def test_damage_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no b.*delete it"):
         Store(path).read(0, "b")
     with pytest.raises(InputError, match="too narrow.*delete it"):
-        Store(path).made(0, "a", refuse)
+        Store(path).make(0, "a", refuse)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match="damaged.*delete it"):
         Store(path)

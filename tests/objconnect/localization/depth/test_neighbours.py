@@ -55,7 +55,7 @@ def test_photographs_share_points_as_they_are_counted_pair_by_pair(
         for image in (sparse_map.images[name] for name in sparse_map.names)
     ]
     for own in rows:
-        counted = neighbours._shared(np.array(sorted(own))).tolist()
+        counted = neighbours._count_shared(np.array(sorted(own))).tolist()
         assert counted == [len(own & other) for other in rows]
     assert min(map(len, rows)) > 0
 

@@ -94,8 +94,8 @@ def test_certain_poses_do_not_overflow() -> None:
 def test_matches_that_found_nothing_are_not_rated() -> None:
     model = AcceptanceModel.beside(None)
     lost = Estimate(Status.FALLBACK, pose(0), inliers=500)
-    assert model.rated(lost).probability is None
-    found = model.rated(Estimate(Status.OK, pose(0), np.eye(6), inliers=500))
+    assert model.rate(lost).probability is None
+    found = model.rate(Estimate(Status.OK, pose(0), np.eye(6), inliers=500))
     assert found.probability is not None and found.probability > 0.99
 
 

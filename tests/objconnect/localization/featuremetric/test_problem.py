@@ -68,14 +68,14 @@ def test_an_image_from_above_the_map_is_magnified_to_its_resolution(
     query = Query("q", photograph(start), CAMERA)
     view = problems.warp(query, chosen, start)
     assert view.scale == 1.0
-    larger = problems.magnified(query, chosen, start, view, most)
+    larger = problems.magnify(query, chosen, start, view, most)
     assert larger is not None
     assert larger.scale == pytest.approx(scale, rel=0.02)
     # Nothing is gained where the view has the map's resolution, or none may be reached.
-    assert problems.magnified(query, chosen, start, larger, larger.scale) is None
-    assert problems.magnified(query, chosen, start, view, 1.0) is None
+    assert problems.magnify(query, chosen, start, larger, larger.scale) is None
+    assert problems.magnify(query, chosen, start, view, 1.0) is None
     near = problems.warp(query, chosen, low)
-    assert problems.magnified(query, chosen, low, near, most) is None
+    assert problems.magnify(query, chosen, low, near, most) is None
 
 
 def test_points_cover_the_image_although_references_overlap_in_its_middle(

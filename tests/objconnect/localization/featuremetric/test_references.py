@@ -17,8 +17,8 @@ from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
     ReferenceSource,
     observe,
+    order_by_coverage,
     references,
-    spaced_order,
 )
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -50,7 +50,7 @@ def test_beginnings_cover_the_picture() -> None:
     # Nearly all points in one corner.
     xy = np.concatenate([rng.uniform(0, 0.06, (900, 2)), rng.uniform(0, 1, (100, 2))])
     worth = rng.integers(3, 9, 1000)
-    order = spaced_order(xy, worth, 16)
+    order = order_by_coverage(xy, worth, 16)
     assert sorted(order) == list(range(1000))
     cells = (xy * 16).astype(int) @ [1, 16]
     taken = len(np.unique(cells))

@@ -84,7 +84,7 @@ def test_a_prediction_too_unsure_to_follow_is_answered_as_without_a_track(
     """Its standard deviation is more than the features reach."""
     asked = query_of(looking_down(10.3, 0.3, (1.5, -1.0, 4.0)), 6.0)
     answer = localizer.localize(replace(asked, tracked=True))
-    assert not answer.tracked and same(answer, localizer.localize(asked))
+    assert not answer.is_tracked and same(answer, localizer.localize(asked))
 
 
 def test_a_prediction_that_is_off_misleads_nothing(localizer: FeaturemetricLocalizer) -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.matching.lifting import interpolated_points, observed_points
+from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.sparse_map import MapImage
@@ -46,7 +46,7 @@ def test_a_keypoint_carries_the_point_seen_there_and_none_further_away() -> None
     observations = np.array([[10.0, 10.0], [50.5, 50.5], [12.0, 10.0]])
     # The third observation has no point, the second is seen by the last keypoint.
     image = MapImage("a.jpg", CAMERA, np.eye(4), observations, np.array([7, 3, -1]))
-    assert observed_points(xy, image).tolist() == [7, 7, -1, 3]
+    assert find_observations(xy, image).tolist() == [7, 7, -1, 3]
 
 
 def test_points_between_observations_of_a_plane_are_exact(
@@ -54,7 +54,7 @@ def test_points_between_observations_of_a_plane_are_exact(
 ) -> None:
     image, pose = photograph(observed)
     xyz = on_rays(observed, slope(observed), pose)
-    points = interpolated_points(keypoints, image, xyz)
+    points = interpolate_points(keypoints, image, xyz)
     exact = keypoints.astype(np.float64)
     np.testing.assert_allclose(points, on_rays(exact, slope(exact), pose), atol=1e-9)
 
@@ -65,7 +65,7 @@ def test_nothing_is_said_where_the_depths_disagree(
     """A roof 10 m over the ground in one half of the picture."""
     depth = np.where(observed[:, 0] < 160, 50.0, 40.0)
     image, pose = photograph(observed)
-    points = interpolated_points(keypoints, image, on_rays(observed, depth, pose))
+    points = interpolate_points(keypoints, image, on_rays(observed, depth, pose))
     given = np.isfinite(points).all(1)
     local = pose.transform(torch.from_numpy(points[given])).numpy()
     truth = np.where(keypoints[given, 0] < 160, 50.0, 40.0)
@@ -78,7 +78,7 @@ def test_nothing_is_said_far_from_all_observations(keypoints: NDArray[np.float32
     corner = np.random.default_rng(2).uniform(0, 20, (50, 2))
     image, pose = photograph(corner)
     away = keypoints[keypoints.min(1) > 60]
-    points = interpolated_points(away, image, on_rays(corner, slope(corner), pose))
+    points = interpolate_points(away, image, on_rays(corner, slope(corner), pose))
     assert np.isnan(points).all()
 
 
@@ -88,5 +88,5 @@ def test_a_few_observations_say_nothing(
 ) -> None:
     few = observed[:observations]
     image, pose = photograph(few)
-    assert np.isnan(interpolated_points(keypoints, image, on_rays(few, slope(few), pose))).all()
-    assert interpolated_points(keypoints[:0], image, on_rays(few, slope(few), pose)).shape == (0, 3)
+    assert np.isnan(interpolate_points(keypoints, image, on_rays(few, slope(few), pose))).all()
+    assert interpolate_points(keypoints[:0], image, on_rays(few, slope(few), pose)).shape == (0, 3)

@@ -24,7 +24,7 @@ def flown(seconds: float, yaw_rate: float = 10.0, velocity: tuple[float, ...] = 
 def tracked(until: int, **how: object) -> Motion:
     motion = Motion.begin(0.0, flown(0.0, **how), EXACT, OPTIONS)
     for k in range(1, until):
-        motion = motion.after(0.5 * k, OPTIONS).corrected(flown(0.5 * k, **how), EXACT, OPTIONS)
+        motion = motion.after(0.5 * k, OPTIONS).correct(flown(0.5 * k, **how), EXACT, OPTIONS)
     return motion
 
 
@@ -64,7 +64,7 @@ def test_a_correction_weighs_prediction_and_measurement() -> None:
     assert motion.sigma_m == pytest.approx(1.0)
     there = Pose(flown(0.0).rotation, -flown(0.0).rotation @ torch.tensor([4.0, 0, 0]).double())
 
-    corrected = motion.corrected(there, 2.0 * np.eye(6), options)
+    corrected = motion.correct(there, 2.0 * np.eye(6), options)
     np.testing.assert_allclose(corrected.pose.centre().numpy(), [1.0, 0, 0], atol=1e-12)
     assert corrected.sigma_m == pytest.approx(np.sqrt(0.75))
     # d^2 = 4^2 / (1 + 3)
@@ -97,6 +97,6 @@ def test_an_uneven_motion_stays_within_its_covariance() -> None:
             continue
         motion = motion.after(float(time), OPTIONS)
         distances.append(motion.distance(pose, EXACT, OPTIONS))
-        motion = motion.corrected(pose, EXACT, OPTIONS)
+        motion = motion.correct(pose, EXACT, OPTIONS)
     assert np.quantile(distances, 0.99) < 22.5
     assert float(motion.pose.error_to(pose)[0]) < 0.1

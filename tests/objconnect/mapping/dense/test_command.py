@@ -17,10 +17,10 @@ from objconnect.mapping.dense.command import DENSE, KEY, UNFINISHED, _resumable,
 from objconnect.mapping.dense.options import DenseOptions
 from objconnect.mapping.dense.report import DenseReport
 from objconnect.mapping.dense.sources import choose_sources, seeds_in
-from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.workspace import Workspace
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -82,7 +82,7 @@ def test_the_cloud_lies_on_the_surface(scene_and_report: tuple[Scene, DenseRepor
 
 def test_the_scene_is_whole(scene_and_report: tuple[Scene, DenseReport]) -> None:
     scene, _ = scene_and_report
-    assert Scene.open(scene.path).changed_files() == []
+    assert Scene.open(scene.path).find_changed_files() == []
     assert not (scene.path / UNFINISHED).exists()
     for name in ("dense-maps.png", "dense-cloud.png"):
         assert (scene.path / "pictures" / name).stat().st_size > 10_000
@@ -111,7 +111,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
         patch.setattr("objconnect.mapping.dense.workspace.Path.write_bytes", write_until_full)
         with pytest.raises(WriteError, match="No space left"):
             dense(rendered_copy, size=SIZE)
-    assert Scene.open(rendered_copy).changed_files() == []
+    assert Scene.open(rendered_copy).find_changed_files() == []
     stereo = rendered_copy / UNFINISHED / "stereo"
     assert len(list((stereo / "depth_maps").rglob("*.bin"))) == 6
     assert len(list((stereo / "normal_maps").rglob("*.bin"))) == 7
@@ -127,7 +127,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     monkeypatch.setattr(Workspace, "write", write_until_tired)
     with pytest.raises(KeyboardInterrupt):
         dense(rendered_copy, size=SIZE)
-    assert Scene.open(rendered_copy).changed_files() == []  # the scene is as whole as before
+    assert Scene.open(rendered_copy).find_changed_files() == []  # the scene is as whole as before
     (rendered_copy / UNFINISHED / "stereo" / ".objconnect-abcd1234.partial").write_bytes(b"half")
     written.clear()
     monkeypatch.setattr(Workspace, "write", lambda *a: (written.append(a[1]), write(*a)))
@@ -217,7 +217,7 @@ def test_added_points_are_seeds_too(rendered: Scene) -> None:
 def straightened(scene: Scene) -> SparseMap:
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, 4000) for i in sparse_map.images.values()}
-    return undistorted_map(sparse_map, cameras)
+    return undistort_map(sparse_map, cameras)
 
 
 def test_the_options_are_recorded(tmp_path: Path) -> None:
@@ -256,7 +256,7 @@ def test_a_map_of_one_photograph_is_one_line(rendered_copy: Path) -> None:
     sparse_map = scene.sparse_map()
     image = sparse_map.images[sparse_map.names[0]]
     one = PosedImage(image.name, image.camera, image.cam_from_world)
-    write_posed([one], sparse_map, scene.map_path)
+    write_with_poses([one], sparse_map, scene.map_path)
     with pytest.raises(InputError, match="no photograph of the map .* fly with more overlap"):
         dense(rendered_copy)
     assert not (rendered_copy / UNFINISHED).exists()

@@ -81,7 +81,7 @@ def test_maps_of_the_sources_pull_and_confirm() -> None:
 
 def test_a_thing_of_a_few_pixels_is_found_where_a_point_of_the_map_lies_on_it() -> None:
     """At the smallest size it is two pixels wide: there the ground around it takes it."""
-    camera = CAMERA.resized(2 * CAMERA.width, 2 * CAMERA.height)
+    camera = CAMERA.resize(2 * CAMERA.width, 2 * CAMERA.height)
     reference, *sources = [with_thing(view, camera) for view in (REFERENCE, *SOURCES)]
     truth, thing = thing_in(reference)
     rows, columns = torch.nonzero(thing, as_tuple=True)

@@ -4,12 +4,12 @@ import numpy as np
 import torch
 
 from objconnect.mapping.dense.planes import (
-    moved,
+    move,
     normals_of,
     planes_at_nearest,
     planes_of,
     planes_through,
-    resized,
+    resize,
 )
 from tests.objconnect.mapping.dense.made_views import CAMERA, PLANE, REFERENCE, inverse_depth_at
 
@@ -23,7 +23,7 @@ def true_planes() -> torch.Tensor:
 
 def test_a_plane_is_linear_in_inverse_depth() -> None:
     planes = true_planes()
-    shifted = moved(planes[:, :-2, :-3], 3, 2)
+    shifted = move(planes[:, :-2, :-3], 3, 2)
     assert torch.allclose(shifted, planes[:, 2:, 3:], rtol=0, atol=1e-14)
 
 
@@ -42,9 +42,9 @@ def test_planes_of_depth_and_normals_are_the_planes() -> None:
 def test_resizing_stays_on_the_plane() -> None:
     """Also to a size that is no multiple."""
     planes = true_planes()
-    small = resized(planes, 27, 41)
+    small = resize(planes, 27, 41)
     assert small.shape == (3, 27, 41)
-    assert torch.allclose(resized(small, *planes.shape[1:]), planes, rtol=1e-6, atol=1e-9)
+    assert torch.allclose(resize(small, *planes.shape[1:]), planes, rtol=1e-6, atol=1e-9)
 
 
 def test_planes_through_seeds_of_one_plane() -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from objconnect.mapping.dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -77,6 +77,6 @@ def test_keypoints_follow() -> None:
         {"a": image}, xyz, np.zeros((2, 3), np.uint8), np.zeros(2), np.ones(2, np.int64)
     )
     pinhole = pinhole_of(BARREL, 80)
-    straight = undistorted_map(sparse_map, {BARREL: pinhole})
+    straight = undistort_map(sparse_map, {BARREL: pinhole})
     assert straight.images["a"].camera == pinhole
     assert straight.reprojection_error() < 1e-6

@@ -73,7 +73,7 @@ def test_the_manifest_holds_the_digest_of_every_file(scene: Path) -> None:
 
 
 def test_a_fresh_scene_has_no_changed_files(scene: Path) -> None:
-    assert Scene.open(scene).changed_files() == []
+    assert Scene.open(scene).find_changed_files() == []
 
 
 def test_edited_removed_and_added_files_are_noticed(scene: Path) -> None:
@@ -81,7 +81,7 @@ def test_edited_removed_and_added_files_are_noticed(scene: Path) -> None:
     (images / "000000.jpg").write_bytes(b"edited")
     (images / "000001.jpg").unlink()
     (images / "000002.jpg").write_bytes(b"added")
-    assert Scene.open(scene).changed_files() == [
+    assert Scene.open(scene).find_changed_files() == [
         f"sessions/{SESSION}/images/00000{k}.jpg" for k in range(3)
     ]
 
@@ -90,7 +90,7 @@ def test_pictures_for_people_and_hidden_files_are_no_data(scene: Path) -> None:
     (scene / "pictures").mkdir()
     (scene / "pictures" / "contact_sheet.png").touch()
     (scene / ".DS_Store").touch()
-    assert Scene.open(scene).changed_files() == []
+    assert Scene.open(scene).find_changed_files() == []
 
 
 def test_missing_folder(tmp_path: Path) -> None:

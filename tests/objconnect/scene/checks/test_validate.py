@@ -14,7 +14,7 @@ from PIL import Image
 
 from objconnect.scene.bundle.frames import LAYERS, Frames, Layer, write_frames
 from objconnect.scene.bundle.scene import Scene, finish_scene
-from objconnect.scene.checks.conventions import shifted
+from objconnect.scene.checks.conventions import shift_principal_point
 from objconnect.scene.checks.validate import validate
 from objconnect.scene.errors import InputError
 
@@ -103,7 +103,9 @@ def test_pose_conventions_are_named(
 def test_half_a_pixel_is_named(rendered_copy: Path, pixels: float, fault: str) -> None:
     rewrite(
         rendered_copy,
-        lambda frames: replace(frames, cameras=tuple(shifted(c, pixels) for c in frames.cameras)),
+        lambda frames: replace(
+            frames, cameras=tuple(shift_principal_point(c, pixels) for c in frames.cameras)
+        ),
     )
     assert fault in faults(rendered_copy)
 

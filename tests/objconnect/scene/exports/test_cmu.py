@@ -24,7 +24,7 @@ from objconnect.scene.bundle.manifest import (
     write_json,
 )
 from objconnect.scene.bundle.scene import Scene, finish_scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
@@ -85,7 +85,7 @@ def street(tmp_path: Path) -> Path:
         write_frames(path / "sessions" / session / "frames.h5", frames, (), iter(()))
     grey, zero = np.full((400, 3), 90, np.uint8), np.zeros(400)
     (path / "map").mkdir()
-    write_posed(
+    write_with_poses(
         [PosedImage(i.name, i.camera, i.cam_from_world) for i in mapped.values()],
         SparseMap(mapped, points, grey, zero, zero.astype(np.int64)),
         path / "map",

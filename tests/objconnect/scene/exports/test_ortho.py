@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.frames import Frames, read_frames, write_frames
 from objconnect.scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene
-from objconnect.scene.colmap.models import write_posed
+from objconnect.scene.colmap.models import write_with_poses
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
 from objconnect.scene.exports.ortho import utm_of
@@ -175,7 +175,7 @@ def test_results_of_dense(site: Path, tmp_path: Path) -> None:
         write_array(copy / f"dense/stereo/depth_maps/{name}.geometric.bin", depth[None])
         posed.append(PosedImage(name, CAMERA, frames.cam_from_world[k]))
     (copy / "dense/sparse").mkdir()
-    write_posed(posed, made_points(posed), copy / "dense/sparse")
+    write_with_poses(posed, made_points(posed), copy / "dense/sparse")
     for session in ("map", "night"):
         path = copy / "sessions" / session / "frames.h5"
         write_frames(path, read_frames(path), (), iter([{}] * len(PLACES)))

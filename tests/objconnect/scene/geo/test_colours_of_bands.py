@@ -104,7 +104,7 @@ def test_unknown_orders_are_named(
             file.descriptions = descriptions.split()
 
     found = colour_bands(names, descriptions.split())
-    assert not found.known and says in found.why
+    assert not found.is_known and says in found.why
     if len(set(names) & {"hue", "cyan", "alpha"}) and "alpha red" in interpretations:
         return  # GDAL keeps one alpha band
     path = written(tmp_path / "o.tif", stack(*names), after=say, photometric="minisblack")

@@ -7,7 +7,7 @@ import pyproj
 import pytest
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.named_systems import named_system
+from objconnect.scene.geo.named_systems import parse_system
 
 US_FOOT = 1200 / 3937
 LONGITUDE, LATITUDE, HEIGHT = -91.994, 46.8427, 160.0
@@ -36,7 +36,7 @@ STATE_PLANE = (
 def test_a_place_and_its_height(line: str, system: str, unit: float) -> None:
     there = pyproj.Transformer.from_crs("EPSG:4326", system, always_xy=True)
     x, y = there.transform(LONGITUDE, LATITUDE)
-    place = named_system(line, "f:1").to_geodetic(np.array([x, y, HEIGHT / unit]), "f:1")
+    place = parse_system(line, "f:1").to_geodetic(np.array([x, y, HEIGHT / unit]), "f:1")
     np.testing.assert_allclose(place[:2], [LATITUDE, LONGITUDE], atol=2e-8)
     assert place.altitude == pytest.approx(HEIGHT, abs=1e-3)
 
@@ -59,4 +59,4 @@ def test_a_place_and_its_height(line: str, system: str, unit: float) -> None:
 )
 def test_what_is_unknown_is_named(line: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        named_system(line, "f:1").to_geodetic(np.array([500000.0, 5200000.0, 100.0]), "f:1")
+        parse_system(line, "f:1").to_geodetic(np.array([500000.0, 5200000.0, 100.0]), "f:1")

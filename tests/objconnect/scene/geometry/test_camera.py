@@ -74,7 +74,7 @@ def test_calibration_matrix_projects_an_undistorted_point() -> None:
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_resizing_moves_every_pixel_centre_with_the_picture(camera: Camera) -> None:
     """Halving a picture averages 2 x 2 pixels: the new centre lies at their common corner."""
-    half = camera.resized(camera.width // 2, camera.height // 2)
+    half = camera.resize(camera.width // 2, camera.height // 2)
     corners = camera.pixel_grid()[::8, ::8].reshape(-1, 2) + 0.5
     rays, valid = camera.unproject(corners)
     again = half.project(rays)
@@ -83,11 +83,11 @@ def test_resizing_moves_every_pixel_centre_with_the_picture(camera: Camera) -> N
 
 
 def test_resizing_by_two_scales() -> None:
-    wide = CAMERAS["pinhole"].resized(1280, 480)
+    wide = CAMERAS["pinhole"].resize(1280, 480)
     assert wide.focal == (1000.0, 510.0)
     assert wide.principal == (644.0, 237.5)
     with pytest.raises(InputError, match="one focal length"):
-        CAMERAS["simple_radial"].resized(1280, 480)
+        CAMERAS["simple_radial"].resize(1280, 480)
 
 
 @pytest.mark.parametrize(

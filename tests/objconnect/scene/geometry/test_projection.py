@@ -260,7 +260,7 @@ def test_single_precision_stays_finite_beside_the_camera(camera: Camera) -> None
 @pytest.mark.parametrize("fisheye", [False, True], ids=["perspective", "fisheye"])
 def test_a_batch_of_cameras_equals_the_loop(fisheye: bool) -> None:
     cameras = [camera for camera in CAMERAS.values() if camera.is_fisheye == fisheye]
-    batch = Intrinsics.stacked([camera.intrinsics() for camera in cameras])
+    batch = Intrinsics.stack([camera.intrinsics() for camera in cameras])
     points = torch.stack([points_in_view(camera, 50) for camera in cameras])
     points[:, 0, 2] *= -1
     together = batch.project(points, jacobian=True)

@@ -13,7 +13,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import (
     level_image,
-    levelled,
+    level_rotation,
     map_angle,
     north_angle,
     tilt,
@@ -87,12 +87,12 @@ def spot(x: int, y: int) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_keypoints_come_back_to_the_pixels_of_the_picture(angle: float) -> None:
-    found = Brightest().seen(spot(91, 21), OBLONG, angle)
+    found = Brightest().extract_warped(spot(91, 21), OBLONG, angle)
     assert found.xy[0] == pytest.approx([91.5, 21.5], abs=0.3)
 
 
 def test_the_edge_of_the_picture_is_no_feature() -> None:
-    assert len(Brightest().seen(spot(2, 2), OBLONG, 0.3).xy) == 0
+    assert len(Brightest().extract_warped(spot(2, 2), OBLONG, 0.3).xy) == 0
 
 
 @pytest.mark.parametrize("camera", [LENS, FULL, OBLONG, FISHEYE], ids=lambda camera: camera.model)
@@ -135,7 +135,7 @@ def test_a_levelled_view_is_what_its_camera_sees(camera: Camera, scale: float) -
 def test_a_camera_is_levelled_to_the_tilt_asked_for() -> None:
     for degrees, least, left in [(60, 30, 30), (60, 0, 15), (20, 30, 20), (80, 30, 35)]:
         flat = Rotation.from_euler("zx", [130, degrees], degrees=True).as_matrix() @ DOWN
-        turned = levelled(flat, math.radians(least))
+        turned = level_rotation(flat, math.radians(least))
         assert math.degrees(tilt(flat)) == pytest.approx(degrees)
         assert math.degrees(tilt(turned)) == pytest.approx(left)
         assert map_angle(turned) == pytest.approx(0, abs=1e-9)

@@ -301,6 +301,6 @@ def test_axes_that_positions_do_not_tell_are_unknown() -> None:
     turned = gps @ np.array([[cos, sin], [-sin, cos]]) + 7
     assert axes_of(gps + 3, gps, 0.03).value == "east and north"
     assert axes_of(turned, gps, 0.03).value == "grid"
-    assert axes_of(turned, gps, -0.03).value == "grid" or not axes_of(turned, gps, -0.03).known
-    assert not axes_of(turned, gps + rng.normal(0, 9, gps.shape), 0.03).known
-    assert not axes_of(turned, np.full_like(gps, np.nan), 0.03).known
+    assert axes_of(turned, gps, -0.03).value == "grid" or not axes_of(turned, gps, -0.03).is_known
+    assert not axes_of(turned, gps + rng.normal(0, 9, gps.shape), 0.03).is_known
+    assert not axes_of(turned, np.full_like(gps, np.nan), 0.03).is_known

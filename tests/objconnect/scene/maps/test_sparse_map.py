@@ -48,7 +48,7 @@ def test_digest_changes_with_what_a_localizer_reads() -> None:
         replace(image, cam_from_world=moved),
         replace(image, xy=image.xy + 1e-9),
         replace(image, point_rows=np.array([0, 1, 2])),
-        replace(image, camera=CAMERA.resized(50, 40)),
+        replace(image, camera=CAMERA.resize(50, 40)),
     ]
     changed = [
         replace(sparse_map, images={**sparse_map.images, "a.jpg": other}) for other in others

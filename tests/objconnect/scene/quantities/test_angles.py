@@ -28,7 +28,7 @@ def test_the_west_in_all_spellings(said: object) -> None:
 @pytest.mark.parametrize("said", ["N", "n", "O", "Ouest", "", "\0", "WE", "-", 87, b"\x01"])
 def test_what_is_no_hemisphere_of_a_longitude(said: object) -> None:
     read = read_hemisphere(said, LONGITUDE)
-    assert not read.known
+    assert not read.is_known
     assert "GPSLongitudeRef" in read.why
 
 
@@ -86,13 +86,13 @@ def test_sixty_of_a_part_is_one_of_the_part_before(value: object) -> None:
 )
 def test_what_may_be_several_angles_is_none(value: object) -> None:
     read = read_coordinate(value, "N", LATITUDE)
-    assert not read.known
+    assert not read.is_known
     assert "GPSLatitude" in read.why
 
 
 def test_a_hemisphere_is_never_assumed() -> None:
     read = read_coordinate((91, 59, 39.84), None, LONGITUDE)
-    assert not read.known
+    assert not read.is_known
     assert read.why == "GPSLongitudeRef is missing"
 
 
@@ -120,4 +120,4 @@ def test_a_hemisphere_is_never_assumed() -> None:
 def test_texts_of_xmp(text: str, signed: bool, value: float | None) -> None:
     read = parse_coordinate(text, LATITUDE, "XMP's field", signed=signed)
     assert read.value == (None if value is None else pytest.approx(value, abs=1e-9))
-    assert read.known or "XMP's field" in read.why
+    assert read.is_known or "XMP's field" in read.why

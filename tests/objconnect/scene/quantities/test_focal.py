@@ -41,12 +41,12 @@ def test_a_picture_with_the_tags_of_its_camera(
 )
 def test_a_program_that_updates_the_width_alone(plane: dict[str, object]) -> None:
     found = read((1000, 667), plane, FILM)
-    assert not found.reading.known
+    assert not found.reading.is_known
     assert {"FocalPlaneXResolution", "FocalLengthIn35mmFilm"} < set(found.reading.why.split())
     # The equivalent comes first, for it does not depend on the size.
     assert found.candidates == (TRUE, pytest.approx(5.472 * 8.8 / 13.2, rel=0.002))
     alone = read((1000, 667), plane)
-    assert not alone.reading.known
+    assert not alone.reading.is_known
     assert alone.candidates == (pytest.approx(5.472 * 8.8 / 13.2, rel=0.002),)
 
 
@@ -56,14 +56,14 @@ def test_the_camera_s_own_file_with_a_second_source() -> None:
     assert read((5472, 3648), PLANE, lens=sized).reading.value == TRUE
     # Two numbers of pixels are wrong by one factor where the size is.
     both = read((1000, 667), PLANE, SMALL, lens=Lens(0.6667 * 5.472, sized=False))
-    assert not both.reading.known
+    assert not both.reading.is_known
     assert not both.agrees
 
 
 @pytest.mark.parametrize("size", [(5472, 3078), (2736, 2736), (1000, 562), (1000, 1000)])
 def test_a_part_of_a_picture_has_no_focal_length(size: tuple[int, int]) -> None:
     found = read(size, PLANE, FILM)
-    assert not found.reading.known
+    assert not found.reading.is_known
     assert "ExifImageWidth" in found.reading.why
     assert "cropped" in found.reading.why
 
@@ -81,7 +81,7 @@ def test_a_zoom() -> None:
     assert found.reading.value == doubled
     for parts in ([PLANE, FILM], [PLANE], [FILM]):
         unclear = read((1000, 667), zoom, *parts)
-        assert not unclear.reading.known
+        assert not unclear.reading.is_known
         assert "DigitalZoomRatio" in unclear.reading.why
         assert len(unclear.candidates) == 2
 
@@ -93,7 +93,7 @@ def test_units_of_the_focal_plane(unit: int | None, per_unit: float) -> None:
     plane = PLANE | {"FocalPlaneXResolution": per_unit, "FocalPlaneResolutionUnit": unit}
     assert read((1000, 667), plane, FILM).reading.value == TRUE
     # A unit that is missing is not an inch where nothing else says so.
-    assert read((1000, 667), plane).reading.known == (unit is not None)
+    assert read((1000, 667), plane).reading.is_known == (unit is not None)
     assert read((1000, 667), plane | {"FocalPlaneResolutionUnit": 1}, FILM).reading.value == TRUE
 
 
@@ -106,7 +106,7 @@ def test_nothing_is_no_doubt() -> None:
 def test_a_panorama_has_no_focal_length(parts: list[dict[str, object]]) -> None:
     """No sensor is so wide; the number for film is that of the pictures it was made of."""
     found = read((8000, 2000), *parts)
-    assert not found.reading.known and not found.agrees and not found.candidates
+    assert not found.reading.is_known and not found.agrees and not found.candidates
     assert "panorama" in found.reading.why
 
 
@@ -114,7 +114,7 @@ def test_resolutions_of_two_sizes_contradict_each_other() -> None:
     """A program that updates one of two fields."""
     other = PLANE | {"FocalPlaneYResolution": 2072.7}
     alone = read((1000, 667), other)
-    assert not alone.reading.known and len(alone.candidates) == 2
+    assert not alone.reading.is_known and len(alone.candidates) == 2
     assert "FocalPlaneYResolution" in alone.reading.why
     assert read((1000, 667), other, FILM).reading.value == TRUE
 

@@ -51,5 +51,5 @@ def test_the_frame_is_told_by_name(
 )
 def test_what_has_no_known_meaning_is_named(header: str, said: str) -> None:
     found = position_columns(header.split(","), ["name"])
-    assert not found.known
+    assert not found.is_known
     assert said in found.why

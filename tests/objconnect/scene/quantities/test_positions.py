@@ -72,7 +72,7 @@ def test_what_is_no_position_says_why(
     gps: dict[str, object], xmp: dict[str, str], field: str
 ) -> None:
     read = read_position(gps, xmp)
-    assert not read.known
+    assert not read.is_known
     assert field in read.why
 
 
@@ -122,7 +122,7 @@ def test_what_is_no_altitude_says_why(
     gps: dict[str, object], xmp: dict[str, str], field: str
 ) -> None:
     read = read_altitude(gps, xmp)
-    assert not read.known
+    assert not read.is_known
     assert field in read.why
 
 

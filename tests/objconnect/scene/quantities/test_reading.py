@@ -7,7 +7,7 @@ import pytest
 from objconnect.scene.errors import InputError
 from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.quantities.numbers import parse_number
-from objconnect.scene.quantities.reading import Reading, first_known, known, unknown
+from objconnect.scene.quantities.reading import Reading, choose_first, known, unknown
 
 
 def test_a_reading_without_a_value_names_its_field_in_the_error() -> None:
@@ -17,9 +17,9 @@ def test_a_reading_without_a_value_names_its_field_in_the_error() -> None:
 
 
 def test_the_first_known_reading_keeps_the_doubts_of_those_before_it() -> None:
-    best = first_known(unknown("EXIF", "no reference"), known(-92.0, "XMP"), known(92.0, "IPTC"))
+    best = choose_first(unknown("EXIF", "no reference"), known(-92.0, "XMP"), known(92.0, "IPTC"))
     assert best == Reading(-92.0, "XMP", ("no reference",))
-    assert first_known(unknown("a", "x"), unknown("b", "y")) == Reading(None, "a", ("x", "y"))
+    assert choose_first(unknown("a", "x"), unknown("b", "y")) == Reading(None, "a", ("x", "y"))
 
 
 def test_a_changed_reading_keeps_source_and_doubts() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from objconnect.scene.runtime.loops import compiled
+from objconnect.scene.runtime.loops import compile_loop
 
 SIGNATURE = "void(f4[::1], f4[::1])"
 
@@ -22,9 +22,9 @@ def running_sums(values: NDArray[np.float32], into: NDArray[np.float32]) -> None
 
 
 def sums(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    compiled.cache_clear()
+    compile_loop.cache_clear()
     into = np.empty_like(values)
-    compiled(running_sums, SIGNATURE)(values, into)
+    compile_loop(running_sums, SIGNATURE)(values, into)
     return into
 
 
@@ -50,5 +50,5 @@ def test_loops_that_cannot_be_kept_are_compiled(
 
     monkeypatch.setattr(numba, "njit", full)
     np.testing.assert_array_equal(sums(values), expected)
-    compiled.cache_clear()
+    compile_loop.cache_clear()
     assert refused

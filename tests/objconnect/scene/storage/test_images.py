@@ -13,7 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
+from objconnect.scene.storage.images import Exif, read_exif, read_rgb, resize_file, write_jpeg
 
 TIME = datetime(2026, 1, 15, 16, 30, 5, tzinfo=UTC)
 
@@ -96,7 +96,7 @@ def test_focal_length_is_in_longest_sides(size: tuple[int, int], tmp_path: Path)
     write_jpeg(tmp_path / "a.jpg", rgb, Exif(None, None, focal_35mm=36 * 500 / 400))
     focal = read_exif(tmp_path / "a.jpg").focal_in_longest_sides
     assert focal == pytest.approx(500 / 400, rel=1e-4)
-    write_resized(tmp_path / "a.jpg", tmp_path / "b.jpg", 200)
+    resize_file(tmp_path / "a.jpg", tmp_path / "b.jpg", 200)
     assert read_exif(tmp_path / "b.jpg").focal_in_longest_sides == pytest.approx(focal)
 
 
