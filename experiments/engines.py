@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from objconnect.learning.folding import fold
+from objconnect.learning.inference import fold
 from objconnect.learning.quantization import largest_values, quantize
 from objconnect.learning.vgg import encode
 from objconnect.network.localizer import SHIPPED

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from experiments.objects import finder_of, rank_of_right, ranks_of
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
-from objconnect.network.connect import Connector
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
@@ -36,6 +35,7 @@ from objconnect.network.finder import headings_around
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.object_matching import Connector
 from objconnect.network.objects import centres, occupancy
 from objconnect.network.segmentation import at_level, segment
 from objconnect.scene.bundle.scene import Scene

@@ -23,13 +23,13 @@ from PIL import Image
 
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.connect import Connector
 from objconnect.network.constellation_training import LONGEST
 from objconnect.network.finder import headings_around
 from objconnect.network.landmarks import merge, on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.object_matching import Connector
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb

@@ -28,7 +28,6 @@ from objconnect.learning.training.instances import LARGEST_M, LINES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
-from objconnect.network.connect import Connector, describe_landmarks
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
@@ -41,6 +40,7 @@ from objconnect.network.finder import headings_around
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.object_matching import Connector, describe_landmarks
 from objconnect.network.segmentation import at_pixels, segment
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose

@@ -41,9 +41,7 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
             if isinstance(localizer, FeaturemetricLocalizer):
                 with torch.inference_mode():
                     described = localizer.map_state.refine.describe(loaded)
-                yield localizer.map_state.refine.retrieval.index.rank(
-                    described, max(_FIRST)
-                )
+                yield localizer.map_state.refine.retrieval.index.rank(described, max(_FIRST))
             else:
                 assert isinstance(localizer, StructureLocalizer)
                 yield localizer.similar(loaded, max(_FIRST))

@@ -16,7 +16,7 @@ import torch
 
 from benchmark.datasets.simulated import open_scene
 from benchmark.evaluation.starts import PRIOR
-from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.colmap.options import SiftOptions

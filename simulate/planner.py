@@ -26,9 +26,9 @@ from simulate.flight.config import (
     plan_digest,
 )
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
-from simulate.flight.flown import read_flown_poses
 from simulate.flight.gimbal import Aims, perturb_poses
 from simulate.flight.qgroundcontrol import read_plan
+from simulate.flight.recorded import read_flown_poses
 from simulate.flight.routes import corridor_aims, free_aims, street_aims
 from simulate.flight.site import FlightSite, Wind
 from simulate.place.world import World

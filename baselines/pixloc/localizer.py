@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.folding import fold
+from objconnect.learning.inference import fold
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer

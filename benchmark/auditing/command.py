@@ -27,10 +27,10 @@ from benchmark.auditing.findings import Audit, Finding, Verdict, unknown
 from benchmark.auditing.map_points import check_points
 from benchmark.auditing.matches import match_photographs
 from benchmark.auditing.opening import open_data
-from benchmark.auditing.order import find_order
 from benchmark.auditing.page import check_page, write_page
+from benchmark.auditing.photograph_order import find_order
 from benchmark.auditing.positions import FOLLOW, check_positions
-from benchmark.auditing.stated import Stated, centres, sample
+from benchmark.auditing.statements import Stated, centres, sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.imports.poses import Frame
 from objconnect.scene.quantities.doubts import said_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
-from benchmark.auditing.stated import Stated
+from benchmark.auditing.statements import Stated
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera

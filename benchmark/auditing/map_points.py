@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
-from benchmark.auditing.stated import Stated
+from benchmark.auditing.statements import Stated
 from objconnect.scene.checks.conventions import PIXEL_READINGS
 from objconnect.scene.checks.map_check import check_map
 from objconnect.scene.geometry.camera import Camera

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.auditing.stated import Stated, centres, places_of
+from benchmark.auditing.statements import Stated, centres, places_of
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import READERS, open_datasets
 from objconnect.scene.bundle.scene import Scene, is_scene
@@ -21,7 +21,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.imports.formats import FRAMED, read_foreign
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.imports.poses import ForeignPoses, Frame
-from objconnect.scene.imports.strangers import refuse_stranger
+from objconnect.scene.imports.unsupported import refuse_stranger
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.storage.images import read_exif
 from objconnect.scene.storage.listing import list_files

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
-from benchmark.auditing.order import SHIFTS
-from benchmark.auditing.stated import Stated
+from benchmark.auditing.photograph_order import SHIFTS
+from benchmark.auditing.statements import Stated
 from objconnect.ingestion.georegister import similarity
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from typer.core import TyperGroup
 
-from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
+from benchmark.cli.stray_words import refuse_stray_settings, refuse_taken_options
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.script import INPUT_AT_FAULT as INPUT_AT_FAULT

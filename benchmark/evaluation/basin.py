@@ -31,7 +31,7 @@ from benchmark.results.results import DatasetId
 from benchmark.results.results_files import BASIN, method_in
 from benchmark.scoring.score import THRESHOLDS, is_correct, wilson
 from benchmark.scoring.summary import Recall
-from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError

@@ -15,7 +15,7 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.evaluation.scored_query import score_query
 from benchmark.evaluation.starts import LoadQuery, Start
 from benchmark.results.query_result import QueryResult
-from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.methods import create, method_names
 from objconnect.scene.localizer import Localizer, MapPart, PreparesParts
 from objconnect.scene.maps.sparse_map import SparseMap

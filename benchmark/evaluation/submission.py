@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.datasets.cmu import Slice, open_slices
-from objconnect.localization.pipeline.safely import localize_safely
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.flights.textfiles import pose_line
 from objconnect.scene.localizer import Localizer, Query, Status

@@ -16,9 +16,9 @@ from benchmark.evaluation.starts import Start, parse_start
 from benchmark.forecasting.config import ForecastConfig
 from benchmark.scoring.score import Threshold, is_correct, is_false_fix
 from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.pipeline.localize import journal_key
-from objconnect.localization.pipeline.safely import localize_safely
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from objconnect.ingestion.adjustment import Adjusted
 from objconnect.ingestion.attitude import find_upside_down
-from objconnect.ingestion.given import keep_imported
+from objconnect.ingestion.imported_poses import keep_imported
 from objconnect.ingestion.lenses import with_known_lenses
 from objconnect.ingestion.neighbours import alike, choose_pairs
 from objconnect.ingestion.outputs import (
@@ -48,8 +48,8 @@ from objconnect.ingestion.plan import (
 )
 from objconnect.ingestion.positions import local, with_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
+from objconnect.ingestion.rotated_photographs import begin_again, read_turned
 from objconnect.ingestion.split import queries_of
-from objconnect.ingestion.turned import begin_again, read_turned
 from objconnect.scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
 from objconnect.scene.bundle.manifest import Manifest, Splits, write_json
 from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene

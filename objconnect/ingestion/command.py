@@ -17,7 +17,7 @@ from objconnect.ingestion.control import fit_to_control
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
 from objconnect.ingestion.georeference import Receiver, georeference_of
 from objconnect.ingestion.georegister import georegister
-from objconnect.ingestion.given import Given, read_given, triangulate_imported
+from objconnect.ingestion.imported_poses import Given, read_given, triangulate_imported
 from objconnect.ingestion.neighbours import choose_pairs
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.outputs import (
@@ -40,8 +40,8 @@ from objconnect.ingestion.picture import PICTURE, draw
 from objconnect.ingestion.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
 from objconnect.ingestion.positions import FEWEST, local, with_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
+from objconnect.ingestion.rotated_photographs import begin_again, read_turned
 from objconnect.ingestion.split import Split, queries_of
-from objconnect.ingestion.turned import begin_again, read_turned
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.colmap.database import MatchingJob, match_photographs
 from objconnect.scene.colmap.options import SiftOptions

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from objconnect.learning.folding import CellwiseConv, ConvReLU, has_bfloat16_units
+from objconnect.learning.inference import CellwiseConv, ConvReLU, has_bfloat16_units
 from objconnect.learning.vgg import IMAGENET_MEAN, IMAGENET_STD
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.device import loops_serve
@@ -143,7 +143,7 @@ def double(maps: Tensor) -> Tensor:
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
     if loops_serve(maps.device):
-        from objconnect.learning.doubling import double_integers
+        from objconnect.learning.upsampling import double_integers
 
         return double_integers(maps)
     # A cell is three parts of the one that it lies in and one part of the next, along either axis.

@@ -26,11 +26,11 @@ from torch.nn import functional
 from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig
-from objconnect.network.connect import LaidOut, describe_landmarks, lay_out
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.landmarks import Landmarks, on_ground
 from objconnect.network.network import read_network, start_from
 from objconnect.network.object_map import ObjectFinder, map_ground
+from objconnect.network.object_matching import LaidOut, describe_landmarks, lay_out
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError

@@ -15,9 +15,9 @@ from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import ReferenceSource
-from objconnect.network.connect import Connector
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
+from objconnect.network.object_matching import Connector
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior, Query

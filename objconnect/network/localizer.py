@@ -8,7 +8,7 @@ from typing import Final
 from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.folding import fold
+from objconnect.learning.inference import fold
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import SearchingConfig

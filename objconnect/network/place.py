@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.folding import Precision, fold
+from objconnect.learning.inference import Precision, fold
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.coarse.finder import LONGEST, PlaceFinder, PlaceOptions
 from objconnect.localization.featuremetric.maps import MapExtractor

@@ -51,7 +51,7 @@ def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], Wo
         InputError: there is no such preset, or a package's cannot be loaded.
     """
     if name == SITE and prepared is not None:
-        from simulate.place.surveyed import load_site
+        from simulate.place.survey_files import load_site
 
         return lambda seed, _area_m: load_site(prepared, seed)
     return PRESETS.load(name).build

@@ -29,7 +29,7 @@ from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
-from simulate.look.surveyed import bake_albedo, bake_gloss
+from simulate.look.survey_albedo import bake_albedo, bake_gloss
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
 from simulate.place.change import change_world

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.scene.geo.local import LocalProjection, world_from
+from objconnect.scene.geo.local_coordinates import LocalProjection, world_from
 from objconnect.scene.geo.rasters import Box, Patch, Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 

@@ -13,7 +13,7 @@ import numpy as np
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports import ortho
-from objconnect.scene.geo.local import at_height
+from objconnect.scene.geo.local_coordinates import at_height
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.scratch import scratch

@@ -10,7 +10,7 @@ import typer.main
 
 from benchmark.cli import app
 from benchmark.cli.arguments import parse_settings
-from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
+from benchmark.cli.stray_words import refuse_stray_settings, refuse_taken_options
 from objconnect.scene.errors import InputError
 from tests.benchmark.test_cli import error_line, invoke
 

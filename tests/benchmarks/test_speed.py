@@ -15,7 +15,7 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import objconnect.localization.align.linearise as linearising
-from objconnect.learning.folding import fold
+from objconnect.learning.inference import fold
 from objconnect.learning.quantization import largest_values, quantize
 from objconnect.localization.align.residuals import Level, LevelCost
 from objconnect.localization.align.sampling import CellTable, stencil

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.cli.stray import refuse_stray_settings
+from benchmark.cli.stray_words import refuse_stray_settings
 from objconnect.scene.errors import InputError
 from tests.docs import documents
 from tests.docs.documents import DOCUMENTS, ROOT

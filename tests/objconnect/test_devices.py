@@ -22,8 +22,8 @@ from objconnect.mapping.dense import patchmatch
 from objconnect.mapping.dense.command import dense
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.methods import create, trainable
-from objconnect.network.connect import Connector
 from objconnect.network.landmarks import merge
+from objconnect.network.object_matching import Connector
 from objconnect.network.scene_landmarks import find_landmarks
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmark.report.board import beside_paper
+from benchmark.report.board import paper_table
 from benchmark.report.board.difficulty import AXES
 from benchmark.report.board.figures import track_figures
 from benchmark.report.board.pictures import Pictures
@@ -42,6 +42,6 @@ def board_page(boards: Sequence[TrackBoard]) -> str:
         ],
         "tracks": tracks,
         "pictures": pictures.encoded,
-        "paper": paper_of(beside_paper.columns(), beside_paper.note(), beside_paper.lines(boards)),
+        "paper": paper_of(paper_table.columns(), paper_table.note(), paper_table.lines(boards)),
     }
     return fill("board", data, base="shared")

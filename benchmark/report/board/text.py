@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from benchmark.report.board import beside_paper
+from benchmark.report.board import paper_table
 from benchmark.report.board.cells import RISK, Cell, cells, recall_at_risk
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.markdown import escape, line, nees_text, number, paper_markdown, recall_text
@@ -93,7 +93,7 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         lines += ["", *(f"- Missing: {escape(sentence)}." for sentence in board.missing)]
     text = "\n".join(lines).rstrip() + "\n"
     return text + paper_markdown(
-        beside_paper.lines(boards), beside_paper.note(), beside_paper.columns()
+        paper_table.lines(boards), paper_table.note(), paper_table.columns()
     )
 
 

@@ -25,7 +25,7 @@ from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
 from objconnect.scene.bundle.scene import COVISIBILITY, finish_scene
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.local import at_height, world_from
+from objconnect.scene.geo.local_coordinates import at_height, world_from
 from objconnect.scene.geo.rasters import Grid, Patch, Raster
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.scene.geo.local import LocalProjection
+from objconnect.scene.geo.local_coordinates import LocalProjection
 from objconnect.scene.geo.rasters import Box, Patch, Raster
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu

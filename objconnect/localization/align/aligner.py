@@ -10,7 +10,7 @@ from torch import Tensor
 
 from objconnect.localization.align.covariance import covariance
 from objconnect.localization.align.descent import descend, is_finite
-from objconnect.localization.align.local import Local
+from objconnect.localization.align.local_frame import Local
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Linearisation
 from objconnect.localization.align.trees import tree_map

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from objconnect.localization.align.damping import apply_step
 from objconnect.localization.align.linearise import linearise
-from objconnect.localization.align.local import Local
+from objconnect.localization.align.local_frame import Local
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.trees import rows

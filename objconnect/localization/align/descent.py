@@ -39,7 +39,7 @@ def descend(
         options: how the level is minimised.
     """
     if options.careful and can_be_compiled(cost):
-        from objconnect.localization.align.compiled import descend_compiled
+        from objconnect.localization.align.compiled_loops import descend_compiled
 
         return descend_compiled(cost, pose, alive, damping, options)
     around = linearise(cost, pose)

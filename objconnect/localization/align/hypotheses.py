@@ -19,7 +19,7 @@ from torch.nn.functional import grid_sample
 
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.damping import apply_step
-from objconnect.localization.align.local import Local
+from objconnect.localization.align.local_frame import Local
 from objconnect.localization.align.options import WIDTH, SearchRadius, Width
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level, robust_cost

@@ -1,4 +1,4 @@
-"""Loops over points that Numba compiles for ``objconnect.localization.align.compiled``.
+"""Loops over points that Numba compiles for ``objconnect.localization.align.compiled_loops``.
 
 A point is finished before the next begins: its twelve cells are read once, and only its products
 are written. All loops are in this file, by which Numba knows what it kept of them.

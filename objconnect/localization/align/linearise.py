@@ -12,7 +12,7 @@ from objconnect.scene.runtime.device import loops_serve
 def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
     """Compute a cost around poses (M), ``cam_from_world``, with its derivatives."""
     if can_be_compiled(cost):
-        from objconnect.localization.align.compiled import around
+        from objconnect.localization.align.compiled_loops import around
 
         return around(cost, cam_from_world)
     return cost.linearise(cam_from_world)

@@ -16,7 +16,7 @@ from typing import Final
 
 from pydantic import Field
 
-from objconnect.localization.featuremetric.beside_weights import BesideWeights
+from objconnect.localization.featuremetric.calibration_files import BesideWeights
 from objconnect.localization.featuremetric.evidence import Evidence
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose

@@ -8,7 +8,7 @@ from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.align.covariance import Spread
-from objconnect.localization.featuremetric.beside_weights import BesideWeights
+from objconnect.localization.featuremetric.calibration_files import BesideWeights
 
 
 class CovarianceNumbers(BesideWeights):

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from objconnect.learning.folding import resolve_precision
+from objconnect.learning.inference import resolve_precision
 from objconnect.localization.align.sampling import sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, level_image, warp_image
@@ -98,7 +98,7 @@ class MapExtractor:
     Args:
         network: trained, ready for use.
         longest: photographs with a longer side (px) are made smaller.
-        precision: of the convolutions, as in ``objconnect.learning.folding.Precision``.
+        precision: of the convolutions, as in ``objconnect.learning.inference.Precision``.
     """
 
     def __init__(self, network: Network, longest: int, precision: str) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from pydantic import Field
 
-from objconnect.learning.folding import Precision
+from objconnect.learning.inference import Precision
 from objconnect.localization.coarse.finder import PlaceOptions
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.calibration import CovarianceNumbers

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.align.local import Local
+from objconnect.localization.align.local_frame import Local
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level, robust_cost

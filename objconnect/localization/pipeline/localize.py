@@ -15,13 +15,13 @@ from pydantic import Field
 from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
 from objconnect.localization.pipeline.cameras import CameraSource, with_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
+from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
 from objconnect.localization.pipeline.frames import VideoFrames
 from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.photograph_folder import PhotographFolder, photographs_in
 from objconnect.localization.pipeline.place import Place, geography_of
 from objconnect.localization.pipeline.query_image import QueryImage
-from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.geometry.pose import Pose

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from pydantic import Field
 
+from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
 from objconnect.localization.pipeline.motion import Array, Motion, MotionOptions
-from objconnect.localization.pipeline.safely import localize_retrying, localize_safely
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
 from objconnect.scene.storage.records import Record

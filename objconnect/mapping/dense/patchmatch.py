@@ -226,7 +226,7 @@ class _Search:
 def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
     """Return the class that takes the least time on a device, of those that are installed."""
     if loops_serve(device):
-        from objconnect.mapping.dense.compiled import CompiledPhotometry
+        from objconnect.mapping.dense.compiled_cost import CompiledPhotometry
 
         return CompiledPhotometry
     return Photometry

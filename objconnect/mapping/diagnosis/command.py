@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.mapping.diagnosis.drift import Drift, Truth, read_truth
-from objconnect.mapping.diagnosis.masked import check_size, mask_coverage, points_by_label
+from objconnect.mapping.diagnosis.mask_coverage import check_size, mask_coverage, points_by_label
 from objconnect.mapping.diagnosis.picture import Panel, draw
 from objconnect.mapping.diagnosis.uniformity import Uniformity, uniformity, visible_cells
 from objconnect.network.masks import read_masks

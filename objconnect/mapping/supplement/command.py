@@ -10,7 +10,7 @@ from objconnect.mapping.diagnosis.command import Diagnosis, diagnose
 from objconnect.mapping.supplement.classifier import read_classifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.map import add_to_map
-from objconnect.mapping.supplement.small import supplement_points
+from objconnect.mapping.supplement.small_objects import supplement_points
 from objconnect.network.masks import read_masks
 from objconnect.network.network import read_network
 from objconnect.scene.bundle.scene import Scene

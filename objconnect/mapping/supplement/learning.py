@@ -22,7 +22,7 @@ from objconnect.learning.checkpoint import write_weights
 from objconnect.mapping.diagnosis.drift import CLOSE_M, read_truth
 from objconnect.mapping.supplement.classifier import FIGURES, PlaceClassifier
 from objconnect.mapping.supplement.config import SupplementConfig
-from objconnect.mapping.supplement.small import Places, find_places
+from objconnect.mapping.supplement.small_objects import Places, find_places
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap

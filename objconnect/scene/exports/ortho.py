@@ -24,7 +24,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.exports.depth_views import DepthView, depth_views
 from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geo.grids import units_of_metre
-from objconnect.scene.geo.local import LocalProjection
+from objconnect.scene.geo.local_coordinates import LocalProjection
 from objconnect.scene.geo.rasters import Box, Grid, Patch, raster_writer
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.runtime.progress import progress_bar

@@ -7,7 +7,7 @@ from typing import Final
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.imports.poses import ForeignPoses, Format, Frame
-from objconnect.scene.imports.strangers import refuse_stranger
+from objconnect.scene.imports.unsupported import refuse_stranger
 from objconnect.scene.registry import Lazy, Registry
 
 # Formats are asked in this order.

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import objconnect.ingestion.command
 import objconnect.ingestion.photographs
 import objconnect.ingestion.plan
-import objconnect.ingestion.turned
+import objconnect.ingestion.rotated_photographs
 import objconnect.scene.bundle.manifest
 import objconnect.scene.storage.images
 from benchmark.cli import app
@@ -322,7 +322,7 @@ def test_killed_while_pictures_are_turned_back(
         objconnect.scene.storage.images.resize_file(source, target, longest, over=over)
 
     for module, patched in (
-        (objconnect.ingestion.turned, write_json),
+        (objconnect.ingestion.rotated_photographs, write_json),
         (objconnect.ingestion.photographs, write_resized),
     ):
         with monkeypatch.context() as patch:

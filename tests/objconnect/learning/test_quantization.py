@@ -11,7 +11,7 @@ import torch
 from torch.nn import functional
 
 import objconnect.learning.quantization as quantization
-from objconnect.learning.folding import fold
+from objconnect.learning.inference import fold
 from objconnect.learning.quantization import double, largest_values, quantize
 from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.methods import create

@@ -19,8 +19,8 @@ from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.look.sun import sun_position
-from simulate.look.surveyed import bake_albedo, bake_gloss
-from simulate.place.surveyed import load_site, save_site
+from simulate.look.survey_albedo import bake_albedo, bake_gloss
+from simulate.place.survey_files import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW, PAVED, classify

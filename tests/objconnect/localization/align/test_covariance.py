@@ -13,7 +13,7 @@ from torch import Tensor
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.covariance import covariance, spread
 from objconnect.localization.align.linearise import linearise
-from objconnect.localization.align.local import Local
+from objconnect.localization.align.local_frame import Local
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Linearisation

@@ -13,10 +13,10 @@ from PIL import Image
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.pipeline.localize import localize
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.place import open_place
-from objconnect.localization.pipeline.safely import localize_safely
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError, PreparationError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.auditing.agreement import CHECK, RIGHT_SHARE, Rays, share, shares
 from benchmark.auditing.findings import Finding, wrong
-from benchmark.auditing.stated import centres
+from benchmark.auditing.statements import centres
 
 Array = NDArray[np.float64]
 

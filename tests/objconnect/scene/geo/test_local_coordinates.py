@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from objconnect.scene.geo.crs import Projection
-from objconnect.scene.geo.local import LocalProjection, world_from
+from objconnect.scene.geo.local_coordinates import LocalProjection, world_from
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from objconnect.mapping.dense import patchmatch
-from objconnect.mapping.dense.compiled import CompiledPhotometry
+from objconnect.mapping.dense.compiled_cost import CompiledPhotometry
 from objconnect.mapping.dense.patchmatch import first_estimate
 from objconnect.mapping.dense.photometry import WORST, Photometry
 from objconnect.mapping.dense.warp import StereoView

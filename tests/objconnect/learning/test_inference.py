@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from objconnect.learning.folding import ConvReLU, Pooling, fold
+from objconnect.learning.inference import ConvReLU, Pooling, fold
 from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import ObjConnectConfig
@@ -95,7 +95,7 @@ def test_configurations_record_the_precision_that_is_used(
     matrices, vectors, maker = units
     monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: matrices)
     monkeypatch.setattr("torch.cpu._is_avx512_bf16_supported", lambda: vectors)
-    monkeypatch.setattr("objconnect.learning.folding.processor_maker", lambda: maker)
+    monkeypatch.setattr("objconnect.learning.inference.processor_maker", lambda: maker)
     assert config().model_dump()["precision"] == used
     assert config(precision="auto").precision == used
     assert config(precision="float32").precision == "float32"

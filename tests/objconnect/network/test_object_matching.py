@@ -10,7 +10,6 @@ import torch
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.config import ConstellationConfig
-from objconnect.network.connect import Connector, LaidOut, describe_landmarks
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.constellation_training import (
     ConstellationTraining,
@@ -20,6 +19,7 @@ from objconnect.network.constellation_training import (
     train_graph,
 )
 from objconnect.network.landmarks import Landmarks, merge
+from objconnect.network.object_matching import Connector, LaidOut, describe_landmarks
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from tests.objconnect.network.test_landmarks import CAMERA, DOWN, GROUND, photograph, things, views

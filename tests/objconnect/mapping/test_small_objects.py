@@ -18,7 +18,7 @@ from objconnect.mapping.supplement.classifier import read_classifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.ground_plane import Ground, heights, nearest
 from objconnect.mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
-from objconnect.mapping.supplement.small import supplement_points
+from objconnect.mapping.supplement.small_objects import supplement_points
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network

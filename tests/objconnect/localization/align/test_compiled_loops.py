@@ -11,7 +11,7 @@ import torch
 
 import objconnect.localization.align.linearise as linearising
 from objconnect.localization.align import kernels
-from objconnect.localization.align.compiled import _WORTH_THREADS
+from objconnect.localization.align.compiled_loops import _WORTH_THREADS
 from objconnect.localization.align.damping import FLOOR, solve_step
 from objconnect.localization.align.descent import descend
 from objconnect.localization.align.linearise import can_be_compiled, linearise
@@ -232,7 +232,7 @@ import hashlib
 from pathlib import Path
 import torch
 from objconnect.localization.align import kernels
-from objconnect.localization.align.compiled import descended
+from objconnect.localization.align.compiled_loops import descended
 from objconnect.localization.align.options import Options
 from tests.objconnect.localization.align.test_compiled import level_cost
 from tests.objconnect.localization.align.world import DISTORTED
