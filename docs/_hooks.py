@@ -1,4 +1,4 @@
-"""Make CONTRIBUTING.md and the leaderboard pages of the site, and read docstrings as plain text."""
+"""Show README, CONTRIBUTING, CHANGELOG and the leaderboard on the site; keep docstrings plain text."""
 
 import logging
 import shutil
@@ -7,6 +7,12 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 BOARD = ROOT / "runs" / "leaderboard" / "leaderboard.html"
+# Pages of the site that are files of the repository's root.
+FILES = {
+    "index.md": "README.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+}
 
 
 def on_pre_build(**_: Any) -> None:
@@ -20,10 +26,13 @@ def on_pre_build(**_: Any) -> None:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Replace the page contributing.md by CONTRIBUTING.md, with its links seen from docs/."""
-    if page.file.src_uri != "contributing.md":
+    """Show a file of the root in place of its page, with links as seen from docs/."""
+    if page.file.src_uri not in FILES:
         return markdown
-    return (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    text = (ROOT / FILES[page.file.src_uri]).read_text(encoding="utf-8").replace("](docs/", "](")
+    for shown, file in FILES.items():
+        text = text.replace(f"]({file})", f"]({shown})")
+    return text
 
 
 def on_post_build(*, config: Any, **_: Any) -> None:
