@@ -1,4 +1,4 @@
-"""Show README, CONTRIBUTING, CHANGELOG and the leaderboard on the site; keep docstrings plain text."""
+"""Show files of the root and the leaderboard on the site, and read docstrings as plain text."""
 
 import logging
 import shutil
