@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.report.board.cells import conditions, parts
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.markdown import line
+from benchmark.report.markdown import line, nees_text
 from benchmark.scoring.score import Interval, false_fixes, recall
 from benchmark.scoring.uncertainty import consistency
 from experiments.figure_values import (
@@ -64,7 +64,7 @@ def methods(boards: Boards) -> str:
 
 
 def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "changed") -> str:
-    """Return recall at 0.5 m and 5 degrees: a column for each method.
+    """Return recall at 0.5 m and 5 degrees: a column for each method, intervals in the last row.
 
     Args:
         boards: tracks with their results.
@@ -79,12 +79,11 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
     board = track_of(boards, track)
     runs = _runs(board, start)
     lines = [["", *(f"`{run.method}`" for run in runs)]]
-    for name, words in _rows(board, by, season):
-        rows = select(board, words)
-        shown = len(asked_by_any(runs, rows))
-        lines.append([f"{name} ({shown})", *(_recall_of(run, rows, shown) for run in runs)])
-    rows = select(board, season)
-    lines.append(["false fixes", *(_wrong_of(run, rows) for run in runs)])
+    for name in _row_names(board, by, season):
+        lines.append(_row(name, runs, select(board, f"{season}+{name}"), _short))
+    everything = select(board, season)
+    lines.append(_row("all", runs, everything, _cell))
+    lines.append(["false fixes", *(_wrong_of(run, everything) for run in runs)])
     return _markdown(lines)
 
 
@@ -126,7 +125,7 @@ def covariances(boards: Boards, track: str, start: str, method: str) -> str:
         found = consistency(run.of(asked(run, rows=select(board, name))))
         if found is not None:
             share = _cell(found.within_95)
-            lines.append([name, str(found.queries), f"{found.mean:.1f}", share])
+            lines.append([name, str(found.queries), nees_text(found.mean), share])
     return _markdown(lines)
 
 
@@ -153,9 +152,9 @@ def table(boards: Boards, words: str) -> str:
         raise InputError(f"table {words!r}: {error}") from None
 
 
-def asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return those of some queries that at least one method was asked."""
-    return rows[np.any([run.has[rows] for run in runs], axis=0)]
+    return rows[np.array([run.has[rows] for run in runs]).any(axis=0)]
 
 
 def _shared(board: TrackBoard, start: str) -> NDArray[np.int64]:
@@ -170,24 +169,25 @@ def _runs(board: TrackBoard, start: str) -> list[BoardRun]:
     return found
 
 
-def _rows(board: TrackBoard, by: str, season: str) -> Iterator[tuple[str, str]]:
-    """Yield the name of each row and the words that choose its queries; the last is all of them."""
+def _row_names(board: TrackBoard, by: str, season: str) -> tuple[str, ...]:
     names = {
         "part": parts(board.queries),
         "condition": conditions([board.queries[row] for row in select(board, season)]),
         "place": tuple(place.dataset for place in board.track.places),
     }
-    for name in known(names, by, "kind of row"):
-        yield name, f"{season}+{name}"
-    yield "all", season
+    return known(names, by, "kind of row")
 
 
-def _recall_of(run: BoardRun, rows: NDArray[np.int64], shown: int) -> str:
-    answers = run.of(rows)
-    if not answers:
-        return "–"
-    text = _cell(recall(answers, FOUND))
-    return text if len(answers) == shown else f"{text} of {len(answers)}"
+def _row(
+    name: str, runs: Sequence[BoardRun], rows: NDArray[np.int64], text: Callable[[Interval], str]
+) -> list[str]:
+    """Return a row of recalls. A method that was asked fewer queries than others says how many."""
+    shown = len(_asked_by_any(runs, rows))
+    cells = [f"{name} ({shown})"]
+    for answers in (run.of(rows) for run in runs):
+        cell = text(recall(answers, FOUND)) if answers else "–"
+        cells.append(cell if len(answers) in (0, shown) else f"{cell} of {len(answers)}")
+    return cells
 
 
 def _wrong_of(run: BoardRun, rows: NDArray[np.int64]) -> str:
@@ -195,9 +195,13 @@ def _wrong_of(run: BoardRun, rows: NDArray[np.int64]) -> str:
     return f"{wrong_count(answers)} ({percent(false_fixes(answers))})"
 
 
+def _short(share: Interval) -> str:
+    return f"{share.value:.1f}"
+
+
 def _cell(share: Interval) -> str:
     """Return a share and its interval in percent, without the sign."""
-    return f"{share.value:.1f} [{share.low:.1f}, {share.high:.1f}]"
+    return f"{_short(share)} [{share.low:.1f}, {share.high:.1f}]"
 
 
 def _markdown(lines: Sequence[Sequence[str]], left: int = 1) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.report.board.runs import BoardRun, TrackBoard
+from benchmark.report.markdown import nees_text
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.clustered import permutation_p
 from benchmark.scoring.paired import mcnemar
@@ -63,7 +64,7 @@ def wrong_by(answers: Sequence[QueryResult], metres: float) -> int:
 
 def _nees(answers: Sequence[QueryResult]) -> str:
     found = consistency(answers)
-    return "–" if found is None else f"{found.mean:.1f}"
+    return "–" if found is None else nees_text(found.mean)
 
 
 def _within(answers: Sequence[QueryResult]) -> str:
@@ -192,7 +193,7 @@ def asked(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     Raises:
         InputError: there is none.
     """
-    kept = rows[np.all([run.has[rows] for run in runs], axis=0)]
+    kept = rows[np.array([run.has[rows] for run in runs]).all(axis=0)]
     if not len(kept):
         methods = " and ".join(run.method for run in runs)
         raise InputError(f"{methods} from {runs[0].start} have no results of the chosen queries")
@@ -220,7 +221,7 @@ def _chosen_by(board: TrackBoard, word: str) -> NDArray[np.bool_]:
         runs = [run for run in board.runs if run.method == method]
         if not runs:
             raise InputError(f"{board.track.name} has no results of {method!r}")
-        return np.any([run.has for run in runs], axis=0)
+        return np.array([run.has for run in runs]).any(axis=0)
     flags = []
     for query in board.queries:
         names = {"all", "same" if query.same else "changed", query.dataset}
