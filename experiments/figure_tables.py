@@ -15,10 +15,8 @@ from benchmark.scoring.score import Interval, false_fixes, recall
 from benchmark.scoring.uncertainty import consistency
 from experiments.figure_values import (
     FOUND,
-    Pair,
     asked,
     known,
-    p_text,
     percent,
     run_of,
     select,
@@ -29,17 +27,12 @@ from objconnect.scene.errors import InputError
 
 Boards = Mapping[str, TrackBoard]
 
+# The columns of the table of methods: starts, and what each tells a method.
 _TOLD: Final = {
     "error=3m,5deg": "within 3 m and 5°",
-    "error=10m,10deg": "within 10 m and 10°",
     "gps=50m": "50 m, no heading",
-    "retrieval=10": "ten photographs",
     "none": "nothing",
 }
-"""What each start tells a method, in a few words."""
-
-# The columns of the table of methods.
-_SHOWN: Final = ("error=3m,5deg", "gps=50m", "none")
 _TRACK: Final = "uav-seasons"
 
 
@@ -51,12 +44,12 @@ def methods(boards: Boards) -> str:
     different days, beside other work.
     """
     board = track_of(boards, _TRACK)
-    rows = {start: _shared(board, start) for start in _SHOWN}
-    head = [f"told {_TOLD[start]} ({len(rows[start])})" for start in _SHOWN]
+    rows = {start: _shared(board, start) for start in _TOLD}
+    head = [f"told {_TOLD[start]} ({len(rows[start])})" for start in _TOLD]
     lines = [["method", *head, "false fixes"]]
     for method in board.track.methods:
         runs = {run.start: run for run in board.runs if run.method == method}
-        answers = [runs[s].of(rows[s]) if s in runs else None for s in _SHOWN]
+        answers = [runs[s].of(rows[s]) if s in runs else None for s in _TOLD]
         recalls = ["–" if a is None else _cell(recall(a, FOUND)) for a in answers]
         wrong = ["–" if a is None else str(wrong_count(a)) for a in answers]
         lines.append([f"`{method}`", *recalls, ", ".join(wrong)])
@@ -70,7 +63,7 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
         boards: tracks with their results.
         track: name of the track.
         start: name of the start.
-        by: what has a row of its own: ``part``, ``condition`` or ``place``.
+        by: what has a row of its own: ``part`` or ``condition``.
         season: words that choose the queries.
 
     Raises:
@@ -85,31 +78,6 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
     lines.append(_row("all", runs, everything, _cell))
     lines.append(["false fixes", *(_wrong_of(run, everything) for run in runs)])
     return _markdown(lines)
-
-
-def pairs(boards: Boards, track: str, method: str, words: str = "changed") -> str:
-    """Return what a method wins and loses against every other one, from each start.
-
-    Raises:
-        InputError: a name is unknown.
-    """
-    board = track_of(boards, track)
-    lines = [["told", "against", "queries", "won, lost", "p", "p by flights"]]
-    for start in board.track.starts:
-        first = run_of(board, start, method)
-        for second in (run for run in _runs(board, start) if run.method != method):
-            pair = Pair(board, first, second, words)
-            lines.append(
-                [
-                    _TOLD.get(start, start),
-                    f"`{second.method}`",
-                    str(len(pair.rows)),
-                    f"{pair.won}, {pair.lost}",
-                    p_text(pair.p),
-                    p_text(pair.flight_p),
-                ]
-            )
-    return _markdown(lines, left=2)
 
 
 def covariances(boards: Boards, track: str, start: str, method: str) -> str:
@@ -132,7 +100,6 @@ def covariances(boards: Boards, track: str, start: str, method: str) -> str:
 TABLES: Final[Mapping[str, Callable[..., str]]] = {
     "methods": methods,
     "recall": recall_by,
-    "pairs": pairs,
     "covariances": covariances,
 }
 """Each table by the first word of its comment; the other words are its arguments."""
@@ -173,7 +140,6 @@ def _row_names(board: TrackBoard, by: str, season: str) -> tuple[str, ...]:
     names = {
         "part": parts(board.queries),
         "condition": conditions([board.queries[row] for row in select(board, season)]),
-        "place": tuple(place.dataset for place in board.track.places),
     }
     return known(names, by, "kind of row")
 
@@ -204,8 +170,8 @@ def _cell(share: Interval) -> str:
     return f"{_short(share)} [{share.low:.1f}, {share.high:.1f}]"
 
 
-def _markdown(lines: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return lines as a table whose first columns are aligned left."""
+def _markdown(lines: Sequence[Sequence[str]]) -> str:
+    """Return lines as a table whose first column is aligned left."""
     head, *body = lines
-    marks = ["---"] * left + ["--:"] * (len(head) - left)
+    marks = ["---"] + ["--:"] * (len(head) - 1)
     return "\n".join(line(cells) for cells in (head, marks, *body)) + "\n"

@@ -57,6 +57,11 @@ def p_text(p: float | None) -> str:
     return f"{digit}e{int(power)}"
 
 
+def wrong_count(answers: Sequence[QueryResult]) -> int:
+    """Return the number of false fixes."""
+    return round(false_fixes(answers).value * len(answers) / 100)
+
+
 def wrong_by(answers: Sequence[QueryResult], metres: float) -> int:
     """Return how many answers of status ``ok`` are wrong by more than so many metres."""
     return sum(a.status is Status.OK and (a.t_err_m or 0.0) > metres for a in answers)
@@ -91,11 +96,6 @@ FIGURES: Final[Mapping[str, Callable[[Sequence[QueryResult]], str]]] = {
 and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, without an answer; false
 fixes as a count and a share; answers wrong by more than 1 m; mean NEES; share of errors in the
 95 % ellipsoid."""
-
-
-def wrong_count(answers: Sequence[QueryResult]) -> int:
-    """Return the number of false fixes."""
-    return round(false_fixes(answers).value * len(answers) / 100)
 
 
 class Pair:

@@ -10,7 +10,6 @@ its arguments, see ``experiments.figure_tables.TABLES``::
     <!-- figures: recall uav-seasons error=3m,5deg part -->      a row for each kind of place
     <!-- figures: recall uav-seasons none condition all -->      a row for each condition
     <!-- figures: recall street-seasons error=3m,5deg part all -->
-    <!-- figures: pairs uav-seasons objconnect -->               won, lost and p against the others
     <!-- figures: covariances uav-seasons none objconnect -->    NEES by condition
     <!-- end -->
 
