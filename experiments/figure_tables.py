@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import sqrt
+from statistics import stdev
 from typing import Final
 
 import numpy as np
@@ -10,7 +12,8 @@ from numpy.typing import NDArray
 
 from benchmark.report.board.cells import conditions, parts
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.markdown import line, nees_text
+from benchmark.report.markdown import line
+from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import Interval, false_fixes, recall
 from benchmark.scoring.uncertainty import consistency
 from experiments.figure_values import (
@@ -18,12 +21,12 @@ from experiments.figure_values import (
     asked,
     known,
     percent,
-    run_of,
     select,
     track_of,
     wrong_count,
 )
 from objconnect.scene.errors import InputError
+from objconnect.scene.localizer import Status
 
 Boards = Mapping[str, TrackBoard]
 
@@ -80,20 +83,20 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
     return _markdown(lines)
 
 
-def covariances(boards: Boards, track: str, start: str, method: str) -> str:
-    """Return how a method's errors compare with its covariances, by condition.
+def covariances(boards: Boards, track: str, method: str) -> str:
+    """Return how a method's errors compare with its covariances, by condition and start.
+
+    Cells hold the mean NEES with its standard error, and the percentage in the 95 % ellipsoid.
 
     Raises:
         InputError: a name is unknown.
     """
     board = track_of(boards, track)
-    run = run_of(board, start, method)
-    lines = [["condition", "answers", "mean NEES", "in the 95 % ellipsoid"]]
+    runs = [run for run in board.runs if run.method == method]
+    lines = [["", *(f"`{run.start}`" for run in runs)]]
     for name in ("all", *conditions(board.queries)):
-        found = consistency(run.of(asked(run, rows=select(board, name))))
-        if found is not None:
-            share = _cell(found.within_95)
-            lines.append([name, str(found.queries), nees_text(found.mean), share])
+        rows = select(board, name)
+        lines.append([name, *(_consistency(run.of(rows)) for run in runs)])
     return _markdown(lines)
 
 
@@ -159,6 +162,15 @@ def _row(
 def _wrong_of(run: BoardRun, rows: NDArray[np.int64]) -> str:
     answers = run.of(rows)
     return f"{wrong_count(answers)} ({percent(false_fixes(answers))})"
+
+
+def _consistency(answers: Sequence[QueryResult]) -> str:
+    found = consistency(answers)
+    if found is None or found.queries < 2:
+        return "–"
+    values = [a.nees for a in answers if a.status is Status.OK and a.nees is not None]
+    error = stdev(values) / sqrt(len(values))
+    return f"{found.mean:.2f}±{error:.2f}, {found.within_95.value:.1f}"
 
 
 def _short(share: Interval) -> str:

@@ -10,7 +10,7 @@ its arguments, see ``experiments.figure_tables.TABLES``::
     <!-- figures: recall uav-seasons error=3m,5deg part -->      a row for each kind of place
     <!-- figures: recall uav-seasons none condition all -->      a row for each condition
     <!-- figures: recall street-seasons error=3m,5deg part all -->
-    <!-- figures: covariances uav-seasons none objconnect -->    NEES by condition
+    <!-- figures: covariances uav-seasons objconnect -->         NEES by condition and start
     <!-- end -->
 
 A figure in a sentence stands between two comments without spaces. It names track, start, method and

@@ -18,6 +18,7 @@ Boards = Mapping[str, TrackBoard]
 
 SENTENCE = "It finds <!--figure:uav-small/none/sift/changed/found-->?<!--end--> of them."
 BLOCK = "<!-- figures: recall uav-small none part -->\n?\n<!-- end -->\n"
+COVARIANCES = "<!-- figures: covariances uav-small objconnect -->\n?\n<!-- end -->\n"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def test_documents_state_the_stored_results(path: Path, boards: Boards) -> None:
     assert not wrong, "python -m experiments.figures --write mends it"
 
 
-@pytest.mark.parametrize("text", [SENTENCE, BLOCK])
+@pytest.mark.parametrize("text", [SENTENCE, BLOCK, COVARIANCES])
 def test_figures_are_inserted_once(text: str, boards: Boards) -> None:
     made = inserted(boards, text)
     assert "?" not in made
