@@ -85,6 +85,8 @@ def test_a_picture_upside_down_is_found(localizer: Localizer) -> None:
     assert_right(answer, view.pose(TRUTH))
 
 
+# In the default part every method is asked about noise (``test_hostile``).
+@pytest.mark.thorough
 def test_what_no_place_fits_is_no_answer(localizer: Localizer) -> None:
     nothing = replace(QUERY, image=noise(QUERY.image.shape), prior=None)
     answer = localizer.localize(nothing)
