@@ -9,6 +9,7 @@ import pytest
 
 from simulate.camera.pinhole import PinholeCamera
 from simulate.place.town import build_town
+from simulate.place.world import World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from simulate.render.reach import Reach
@@ -32,8 +33,12 @@ def corners(away: float) -> dict[int, np.ndarray]:
 CORNERS = corners(300)
 
 
-def test_objects_in_view_are_needed_and_those_far_away_are_not() -> None:
-    town = build_town(3, AREA)
+@pytest.fixture(scope="module")
+def town() -> World:
+    return build_town(3, AREA)
+
+
+def test_objects_in_view_are_needed_and_those_far_away_are_not(town: World) -> None:
     centres = np.array([item.centre for item in town.objects])
     pose = CORNERS[0]
     needed = Reach(town.objects, 60.0)(CAMERA, pose, 0.0)
@@ -45,8 +50,7 @@ def test_objects_in_view_are_needed_and_those_far_away_are_not() -> None:
     assert needed[away < 200].all() and not needed[away > 500].any()
 
 
-def test_shadows_of_a_low_sun_reach_farther() -> None:
-    town = build_town(3, AREA)
+def test_shadows_of_a_low_sun_reach_farther(town: World) -> None:
     high, low = (Reach(town.objects, up)(CAMERA, CORNERS[0], 0.0) for up in (60.0, 8.0))
     assert low[high].all() and low.sum() > high.sum()
 
