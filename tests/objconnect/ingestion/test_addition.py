@@ -16,7 +16,7 @@ import objconnect.scene.colmap.database
 from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
 from objconnect.ingestion.command import ingest
-from objconnect.ingestion.neighbours import alike
+from objconnect.ingestion.neighbours import choose_similar
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.report import IngestReport
 from objconnect.localization.cache.map_cache import MapCache
@@ -31,7 +31,7 @@ from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.features import FeatureFile, Features, read_features, write_features
 from objconnect.scene.maps.sparse_map import SparseMap
-from tests.objconnect.ingestion.test_given import SESSION, geocentric, photographs_of
+from tests.objconnect.ingestion.test_imported_poses import SESSION, geocentric, photographs_of
 
 Ingested = tuple[Scene, IngestReport]
 OLD = 8
@@ -364,9 +364,10 @@ def test_photographs_look_alike_by_their_largest_features() -> None:
         "c": features(ground[30:]),
         "new": features(ground),
     }
-    chosen = alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=2))
+    chosen = choose_similar(["new"], ["a", "b", "c"], found, IngestOptions(nearest=2))
     assert chosen == [("a", "new"), ("c", "new")]
-    assert alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=1)) == [("a", "new")]
+    nearest = choose_similar(["new"], ["a", "b", "c"], found, IngestOptions(nearest=1))
+    assert nearest == [("a", "new")]
 
 
 def aligned(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, float]:
