@@ -298,7 +298,10 @@ def test_one_of_another_camera_and_one_of_elsewhere(
     [
         ({"mapper": "global"}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
         ({"checks": ("A",)}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
-        ({"camera": Camera("PINHOLE", 400, 100, (300.0, 300.0, 200.0, 50.0))}, "of its shape"),
+        (
+            {"camera": Camera("PINHOLE", 400, 100, (300.0, 300.0, 200.0, 50.0))},
+            "of the same aspect ratio",
+        ),
     ],
 )
 def test_options_that_do_not_go_with_it(

@@ -387,7 +387,9 @@ def test_too_few_photographs(photographs: Path, tmp_path: Path) -> None:
     shutil.copy(sorted(folder.iterdir())[0], folder / "again.jpg")
     whole = sorted(photographs.iterdir())[0].read_bytes()
     (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="2 usable photographs, a scene needs at least 3.*the same file"):
+    with pytest.raises(
+        InputError, match="2 usable photographs, a scene needs at least 3.*the same file"
+    ):
         run(folder, tmp_path / "scene")
     assert not (tmp_path / "scene").exists()
     with pytest.raises(InputError, match="lies in the folder of photographs"):

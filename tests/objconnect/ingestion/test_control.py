@@ -424,7 +424,12 @@ def test_exchanged_coordinates_are_named(tmp_path: Path) -> None:
     [
         ("control", 3.0, 364.0, "GPS contradicts ground control points by 364 m in height"),
         ("given", 250.0, 2.0, "GPS contradicts the imported poses by 250 m horizontally"),
-        ("control", 90.0, 48.0, "by 90 m horizontally and 48 m in height: check the coordinate system, the unit"),
+        (
+            "control",
+            90.0,
+            48.0,
+            "by 90 m horizontally and 48 m in height: check the coordinate system, the unit",
+        ),
         ("control", 5.0, 9.0, None),
         ("gps", 5.0, 99.0, None),
     ],

@@ -76,7 +76,7 @@ def test_a_given_camera_is_scaled_to_the_photographs(photographs: Path) -> None:
     assert first.calibrated
     assert first.camera.focal[0] == pytest.approx(233.0)
     assert (first.camera.width, first.camera.height) == (400, 225)
-    with pytest.raises(InputError, match="give a calibration of its shape"):
+    with pytest.raises(InputError, match="give a calibration of the same aspect ratio"):
         make_photographs(
             flight.images, 400, Camera("PINHOLE", 400, 300, (300.0, 300.0, 200.0, 150.0))
         )
