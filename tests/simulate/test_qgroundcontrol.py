@@ -19,7 +19,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import Aims, camera_centres
 from simulate.flight.qgroundcontrol import read_plan
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.planner import plan_session
 from tests.simulate.test_flights import hills
 
@@ -241,7 +241,7 @@ def test_a_plan_is_a_session(tmp_path: Path) -> None:
     assert config.session_names() == ("summer-noon-plan-map", "winter-dusk-plan-query")
     again = SimulateConfig.model_validate_json(config.model_dump_json())
     assert again == config
-    world = build_town(0, 160)
+    world = TOWN.build(0, 160)
     rng = np.random.default_rng(0)
     poses = plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     aims = read_plan(path, ORIGIN, 160, world.terrain.height, -90)

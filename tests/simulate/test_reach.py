@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simulate.camera.pinhole import PinholeCamera
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from simulate.render.reach import Reach
@@ -27,7 +27,7 @@ CORNERS = {0: looking_down(-300, -300, 60), 1: looking_down(300, 300, 60)}
 
 
 def test_objects_in_view_are_needed_and_those_far_away_are_not() -> None:
-    town = build_town(3, AREA)
+    town = TOWN.build(3, AREA)
     centres = np.array([item.centre for item in town.objects])
     pose = CORNERS[0]
     needed = Reach(town.objects, 60.0)(CAMERA, pose, 0.0)
@@ -40,7 +40,7 @@ def test_objects_in_view_are_needed_and_those_far_away_are_not() -> None:
 
 
 def test_shadows_of_a_low_sun_reach_farther() -> None:
-    town = build_town(3, AREA)
+    town = TOWN.build(3, AREA)
     high, low = (Reach(town.objects, up)(CAMERA, CORNERS[0], 0.0) for up in (60.0, 8.0))
     assert low[high].all() and low.sum() > high.sum()
 

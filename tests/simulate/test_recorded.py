@@ -12,12 +12,12 @@ from numpy.testing import assert_array_equal
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.planner import plan_session
 
 
 def planned(config: SimulateConfig) -> Any:
-    world, rng = build_town(0, 160), np.random.default_rng(0)
+    world, rng = TOWN.build(0, 160), np.random.default_rng(0)
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 

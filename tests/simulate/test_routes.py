@@ -18,9 +18,9 @@ from simulate.config import SimulateConfig
 from simulate.flight.clearance import check_flight, is_free
 from simulate.flight.config import CorridorFlight, FreeFlight
 from simulate.flight.gimbal import camera_centres
-from simulate.flight.routes import beside, corridor_aims, free_aims
+from simulate.flight.routes import corridor_aims, free_aims, offset_line
 from simulate.flight.site import FlightSite
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.place.world import World
 from simulate.planner import plan_session
 from tests.simulate.test_flights import CAMERA, assert_rigid, hills, level, nadir, pinhole
@@ -33,7 +33,7 @@ KINDS = ["nadir", "grid", "oblique", "corridor", "free", "street"]
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return build_town(7, AREA)
+    return TOWN.build(7, AREA)
 
 
 def configured(flight: object, role: str = "map", **fields: Any) -> SimulateConfig:
@@ -179,9 +179,9 @@ def test_corridor_overlaps_as_asked() -> None:
 def test_routes_that_turn_back_or_lead_nowhere_are_refused() -> None:
     at = np.zeros(1)
     with pytest.raises(InputError, match=r"turns back on itself at \(10, 0\)"):
-        beside(np.array([[0.0, 0], [10, 0], [0, 1]]), at, 0.0)
+        offset_line(np.array([[0.0, 0], [10, 0], [0, 1]]), at, 0.0)
     with pytest.raises(InputError, match="two points that differ"):
-        beside(np.array([[3.0, 3], [3, 3]]), at, 0.0)
+        offset_line(np.array([[3.0, 3], [3, 3]]), at, 0.0)
 
 
 @given(seed=st.integers(0, 10_000), frames=st.integers(1, 100))
