@@ -183,8 +183,8 @@ class FreeFlight(_Flight):
     kind: Literal["free"] = Field("free", description="Kind of the flight.")
     altitude_m: tuple[Positive, Positive] | None = Field(
         None,
-        description="Minimum and maximum altitude above the ground, m. None takes 0.7 and 1.1 times "
-        "the altitude of a survey.",
+        description="Minimum and maximum altitude above the ground, m. None takes 0.7 and 1.1 "
+        "times the altitude of a survey.",
     )
     pitch_deg: tuple[Pitch, Pitch] = Field(
         (-90, -45), description="Minimum and maximum pitch of the gimbal, deg."
@@ -243,8 +243,8 @@ class PlanFlight(_Flight):
         ge=-150,
         le=150,
         description="Height of the geoid above the ellipsoid, m, for heights above sea level. None "
-        "takes it from the grid of PROJ; without the grid, such heights are treated as ellipsoidal, "
-        "with a warning.",
+        "takes it from the grid of PROJ. Without the grid, such heights are treated as "
+        "ellipsoidal, with a warning.",
     )
 
     @model_validator(mode="before")

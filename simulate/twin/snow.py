@@ -23,10 +23,7 @@ _KEPT = {LOW: 1.0, ROOF: 1.0, CROWN: 0.42, WATER: 0.0}
 # ground (paths, pavements, gravel yards) is mostly walked on.
 _ON_ROADS, _ON_LOTS, _ON_PATHS = 0.12, 0.4, 0.5
 _PATH_M, _LOT_M = 4.0, 14.0  # maximum width of paths, minimum width of car parks
-_LIGHT, _TOO_LIGHT = (
-    1.8,
-    3.3,
-)  # range of light ground's albedo relative to roads; markings exceed it
+_LIGHT, _TOO_LIGHT = 1.8, 3.3  # range of light ground's albedo over that of roads, below markings
 _PAINT_M = 0.7  # blur of the albedo, against painted lines
 _RIM_M = 2.0  # minimum width of crowns; narrower ones are misclassified edges of roofs
 _STANDS_M, _ON_THINGS = 0.6, 0.9  # minimum height of cars and other objects, which keep their snow

@@ -64,5 +64,5 @@ def test_boards_are_seen_whole() -> None:
 
 def test_a_camera_too_small_is_one_line(tmp_path: Path) -> None:
     tiny = Camera("PINHOLE", 24, 24, (20.0, 20.0, 12.0, 12.0))
-    with pytest.raises(InputError, match="does not see the whole"):
+    with pytest.raises(InputError, match="cannot see the whole"):
         calibrate(tiny, tmp_path, views=4)

@@ -143,7 +143,7 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
         ([item(186, 50)], "186, DO_CHANGE_ALTITUDE"),
         ([item(179, 1)], "179, DO_SET_HOME"),
         ([item(31010)], "31010, USER_1"),
-        ([item(4242)], "4242, no command that is known"),
+        ([item(4242)], "4242, unknown command"),
         ([{**at(16, 0, 0, 40), "frame": None}], "frame is missing"),
         ([{**at(16, 0, 0, 40), "Altitude": 60, "AltitudeMode": 1}], "Altitude is 60"),
     ],
@@ -337,7 +337,10 @@ def test_distances_to_the_surface_have_a_reference(
         ({"DistanceMode": 0}, "DistanceMode is 0"),
         ({"DistanceMode": 7}, "DistanceMode is 7"),
         ({"DistanceMode": 2, "DistanceToSurfaceRelative": True}, "contradicts"),
-        ({"DistanceMode": 1, "HoverAndCapture": True, "TurnAroundDistance": 10}, "do not tell"),
+        (
+            {"DistanceMode": 1, "HoverAndCapture": True, "TurnAroundDistance": 10},
+            "do not determine",
+        ),
     ],
 )
 def test_unknown_references_of_surveys_are_named(

@@ -60,9 +60,9 @@ def test_what_cannot_be_repeated_is_refused(rendered_copy: Path, tmp_path: Path)
     elsewhere = config.model_copy(
         update={"origin": config.origin._replace(latitude=config.origin.latitude + 1e-3)}
     )
-    with pytest.raises(InputError, match="has its origin elsewhere"):
+    with pytest.raises(InputError, match="has another origin"):
         planned(elsewhere)
     manifest = rendered_copy / "scene.json"
     manifest.write_text(manifest.read_text() + "\n")
-    with pytest.raises(InputError, match="has changed since it was flown"):
+    with pytest.raises(InputError, match="has changed since the flight"):
         planned(config)

@@ -148,7 +148,7 @@ def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) ->
     assert {file.name: sha256_of(file) for file in folder.iterdir()} == files
     refused = CliRunner().invoke(app, ["supplement", str(rendered_copy), "--remove"])
     assert refused.exit_code == 2
-    assert "nothing was added" in refused.output
+    assert "has no added points" in refused.output
 
 
 def test_views_along_the_ground_are_refused(rendered: Scene) -> None:

@@ -62,7 +62,7 @@ def test_a_twin_does_not_lie_in_its_scene(rendered: Scene) -> None:
 def test_few_photographs_are_refused(rendered_copy: Path, tmp_path: Path) -> None:
     names = Scene.open(rendered_copy).splits.map[:5]
     site = SiteConfig(scene=with_map(rendered_copy, names))
-    with pytest.raises(InputError, match="has 5 photographs in its map, 8 are the fewest"):
+    with pytest.raises(InputError, match="has 5 photographs in its map, a site needs 8"):
         build_site(site, 120.0, Scene.open(rendered_copy).manifest.origin, 0, tmp_path)
 
 
