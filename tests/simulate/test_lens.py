@@ -236,7 +236,7 @@ def test_presets_are_drones_of_the_size_asked_for() -> None:
         (
             {"model": "OPENCV_FISHEYE", "width": 64, "height": 64,
              "params": [32, 32, 32, 32, 0, 0, 0, 0]},
-            "sees 160 degrees; at most 140",
+            "a field of view of 160 degrees, at most 140",
         ),
         ({"lens": "fish"}, "unknown key 'camera.lens'"),
     ],

@@ -258,10 +258,10 @@ def test_a_flight_that_counts_itself_takes_no_frames() -> None:
     ("flight", "message"),
     [
         ({"kind": "oblique", "altitude_m": 4, "radius_m": 40}, "in or under (building|tree)"),
-        ({"kind": "oblique", "centre": [5000, 0]}, "sees nothing of the place"),
-        ({"kind": "oblique", "pitch_deg": 50}, "sees nothing of the place"),
-        ({"kind": "corridor", "line": [[900, 0], [900, 90]]}, "sees nothing of the place"),
-        ({"kind": "nadir", "altitude_m": 0.1}, "below where a camera clears the ground"),
+        ({"kind": "oblique", "centre": [5000, 0]}, "does not show the place"),
+        ({"kind": "oblique", "pitch_deg": 50}, "does not show the place"),
+        ({"kind": "corridor", "line": [[900, 0], [900, 90]]}, "does not show the place"),
+        ({"kind": "nadir", "altitude_m": 0.1}, "below the minimum clearance"),
     ],
 )
 def test_impossible_flights_leave_nothing_behind(
@@ -276,5 +276,5 @@ def test_impossible_flights_leave_nothing_behind(
 
 
 def test_a_flight_of_millions_is_refused() -> None:
-    with pytest.raises(InputError, match="at most 20000 photographs"):
+    with pytest.raises(InputError, match="more than 20000 photographs"):
         nadir(600.0, level, altitude_m=1.0, forward_overlap=0.95, side_overlap=0.95)
