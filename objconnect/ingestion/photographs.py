@@ -150,7 +150,7 @@ def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
         log.warning("%s", line)
 
 
-def _read_image(folder: Path, file: str, digest: str, session: str) -> FlightImage:
+def _read_image(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
     exif, size = above_ellipsoid(read_exif(folder / file)), image_size(folder / file)
     name = f"{session}/images/{'_'.join(file.split())}"
     return FlightImage(file, name, digest, exif, size)

@@ -17,7 +17,7 @@ from simulate.place.change import (
     Change,
     change_world,
     change_worlds,
-    every_object,
+    list_objects,
 )
 from simulate.place.kerbs import PavementHeights
 from simulate.place.town import TOWN
@@ -89,7 +89,7 @@ def test_an_id_means_one_object_in_every_session(town: World) -> None:
     new = [{o.id for o in w.world.objects} - {o.id for o in town.objects} for w in (first, second)]
     assert new[0] and new[1] and not new[0] & new[1]
     assert max(new[1]) <= MAX_OBJECT_ID
-    listed = [o.id for o in every_object(town, [none, first, second])]
+    listed = [o.id for o in list_objects(town, [none, first, second])]
     assert listed == sorted({o.id for o in town.objects} | new[0] | new[1])
     # A renderer that is told the change and the first id makes the same world.
     told = change_world(town, other, second.first_new_id)

@@ -78,9 +78,7 @@ def test_light_follows_the_place() -> None:
 
 
 def test_a_polar_night_is_refused() -> None:
-    with pytest.raises(
-        InputError, match="'winter-noon' has no daylight at latitude 78 on 2026"
-    ):
+    with pytest.raises(InputError, match="'winter-noon' has no daylight at latitude 78 on 2026"):
         condition("winter-noon", Geodetic(78.0, 15.0, 0.0))
     with pytest.raises(InputError, match="no daylight at latitude 78"):
         SimulateConfig.load(None, {"origin": (78.0, 15.0, 0.0)})

@@ -107,7 +107,7 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
         ([item(205, 0, 0, 0, 0, 0, 0, 1), SHOT], "205, .*mode 1"),
         ([item(204, 2, 0, 0, 0, 0, 1, 0)], "204, .*rates"),
         ([item(1000, 0, 0, None, None, 2), SHOT], "1000, .*neutral"),
-        ([item(1000, None, None, 5, None, 0), SHOT], "1000, .*on and on"),
+        ([item(1000, None, None, 5, None, 0), SHOT], "1000, .*continuously"),
         ([item(1000, -90, 30, None, None, 64)], r"1000, .*params\[4\]"),
         ([item(1000, -90, 30, None, None, 48)], r"1000, .*params\[4\]"),
         ([item(1000, 0, 0, 9, None, 0), SHOT], "10.0 s before"),

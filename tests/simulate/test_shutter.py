@@ -116,7 +116,5 @@ def test_a_lens_and_a_rolling_shutter_are_one_line() -> None:
             None, {"sensor": {"readout_s": 0.03}, "camera": {"preset": "phantom-4-rtk-raw"}}
         )
     job = {"seed": 0, "area_m": 1, "condition": "summer-noon", "camera": CAMERA, "lens": "x"}
-    with pytest.raises(
-        ValidationError, match="rolling shutter is not supported"
-    ):
+    with pytest.raises(ValidationError, match="rolling shutter is not supported"):
         RenderJob(**job, poses={0: np.eye(4).tolist()}, travel={0: (1.0, 0.0, 0.0)})
