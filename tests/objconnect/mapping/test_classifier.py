@@ -43,7 +43,7 @@ def test_it_learns_what_only_figures_together_say() -> None:
     assert right.mean() > 0.85
     assert "8 of 8 small objects" in report(judge, other)[-1]
     blind = report(PointClassifier().eval(), other._replace(on_object=np.zeros(3000, bool)))
-    assert blind[0].startswith("95% of 0 places") and "0 of 8" in blind[0]
+    assert blind[0].startswith("95% of 0 points") and "0 of 8" in blind[0]
 
 
 def test_the_same_seed_learns_the_same() -> None:
