@@ -55,9 +55,6 @@ class Aircraft:
     """Executes commands in order and collects the exposures.
 
     The aircraft starts on the ground at home. Without a yaw, its nose points along the path.
-
-    Attributes:
-        doubts: Warnings for the user, one phrase each.
     """
 
     def __init__(self, vehicle: Vehicle, pitch_deg: float, positions: Positions) -> None:
@@ -76,6 +73,7 @@ class Aircraft:
 
     @property
     def doubts(self) -> list[str]:
+        """Return warnings for the user, one phrase each."""
         return self._triggers.doubts
 
     def fly(self, commands: Sequence[Command]) -> Aims:
