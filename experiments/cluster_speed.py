@@ -18,7 +18,7 @@ from experiments.renderer import nadir_job
 from objconnect.scene.runtime.cluster import worker_pool
 from simulate.config import SimulateConfig
 from simulate.render.job import RenderJob
-from simulate.render.remote import divide, frame_files
+from simulate.render.remote import render_files, split_job
 from tests.two_nodes import TwoNodes
 
 # In place of a frame's number: the processor seconds of the share that ends.
@@ -35,7 +35,7 @@ class Run(NamedTuple):
 def accounted(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Frames of a share, then the processor seconds they took."""
     before = _children()
-    yield from frame_files(share)
+    yield from render_files(share)
     yield _SPENT, repr(_children() - before).encode()
 
 
@@ -52,7 +52,7 @@ def measure(address: str, workers: int, job: RenderJob) -> Run:
         for _ in team.map([first] * workers):
             pass
         began, cpu, frames = time.perf_counter(), 0.0, 0
-        for frame, data in team.map(divide(job, sorted(job.poses), workers)):
+        for frame, data in team.map(split_job(job, sorted(job.poses), workers)):
             if frame == _SPENT:
                 cpu += float(data)
             else:

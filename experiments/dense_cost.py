@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.mapping.dense.consistency import agreeing
+from objconnect.mapping.dense.consistency import count_agreeing
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.mapping.dense.report import read_truth
 from objconnect.mapping.dense.sources import choose_all, seeds_in
@@ -71,7 +71,7 @@ def main() -> None:
         began = time.process_time()
         generator = torch.Generator().manual_seed(0)
         last = consistent_estimate(views[name], sources, planes, inverse, generator).planes[0]
-        sure = agreeing(views[name], sources, last, inverse) >= _CONFIRMED
+        sure = count_agreeing(views[name], sources, last, inverse) >= _CONFIRMED
         costs.append((seconds[name], time.process_time() - began))
         judged = truth[name].evaluable
         off = np.where(sure, np.abs(1 / last.numpy() / truth[name].depth - 1), np.inf)[judged]

@@ -1,4 +1,4 @@
-"""Makes scenes: procedural worlds, conditions, drone flights, and their exact renderings."""
+"""Render scenes: procedural worlds, conditions, drone flights and exact annotations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from simulate.config import SimulateConfig as SimulateConfig
 
 _TARGETS = {
-    # Render.
     "simulate": "simulate.command",
     "calibrate": "simulate.calibration",
     "SimulateConfig": "simulate.config",

@@ -1,4 +1,4 @@
-"""Annotations of a scene that need all its frames: covisibility and pixel digests."""
+"""Compute annotations over all frames of a scene: covisibility and pixel digests."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 
-# Points per side of the grid that samples a frame's surface, so shares are multiples of 1/256.
+# Side of the grid of points that samples a frame's surface; shares are multiples of 1/256.
 _PER_SIDE = 16
 
 
 def measure_covisibility(scene: Scene) -> Covisibility:
-    """Measure which share of every frame's surface each other frame sees, over all sessions.
+    """Measure the share of every frame's surface that each other frame sees, over all sessions.
 
     Raises:
         InputError: a session is missing or damaged.
@@ -45,8 +45,8 @@ def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
 def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
     """Return the SHA-256 of the pixels of every frame: of its "image" and of each layer.
 
-    Files differ between versions of the libraries that compress them, and pixels do not. The digest
-    is that of the array's bytes, row by row, little-endian.
+    Compressed files differ between versions of libraries; pixels do not. The digest is that of the
+    array's bytes, row by row, little-endian.
 
     Raises:
         InputError: a photograph or a layer is damaged.

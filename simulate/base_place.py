@@ -1,4 +1,4 @@
-"""The place of a scene before any change: built from its preset, or that of a site."""
+"""Build the place of a scene before any change, from its preset or its site."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from simulate.twin.report import PLACE, REPORT, SiteReport
 
 
 def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
-    """Check that a site can be rendered into a folder; other places always can.
+    """Check that a site can be rendered into a folder. Other presets always can.
 
     Raises:
-        InputError: The folder lies in the scene that the site is made of, or a cluster is to
-            render.
+        InputError: The folder lies in the source scene of the site, or a cluster is given.
     """
     if config.site is None:
         return
     if cluster is not None:
-        raise InputError("a site is rendered on this machine alone: leave --cluster out")
+        raise InputError("--cluster cannot render a site: leave it out")
     scene = config.site.scene
     if scene is not None and out.resolve().is_relative_to(scene.resolve()):
         raise InputError(f"{out} lies in the scene of the site: choose a folder outside it")
@@ -33,12 +32,12 @@ def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
 def base_place(
     config: SimulateConfig, out: Path, twin: Path | None = None
 ) -> tuple[World, SiteReport | None]:
-    """Return the place, and what was found of a site unless its folder holds that already.
+    """Return the place, and the report of a site that ``out`` does not hold yet.
 
     Args:
         config: configuration of the scene.
         out: folder of the scene.
-        twin: folder of a finished scene of the same site, whose place is taken over.
+        twin: folder of a finished scene of the same site, whose place is reused.
 
     Raises:
         InputError: The place cannot be built.
@@ -54,11 +53,11 @@ def base_place(
 
 
 def keep_site(out: Path, place: World, report: SiteReport) -> None:
-    """Write a site's place and what was found of it into the folder of the scene."""
+    """Write the place and the report of a site into the folder of the scene."""
     save_site(out / PLACE, place)
     write_json(out / REPORT, report)
 
 
 def site_file(config: SimulateConfig, out: Path) -> Path | None:
-    """Return the file that rendering processes read the place of a site from, else None."""
+    """Return the file of a site's place for rendering processes; None for other presets."""
     return None if config.site is None else (out / PLACE).resolve()

@@ -1,14 +1,14 @@
-"""The command ``calibrate``, which checks the simulated camera by rendered views of a chessboard.
+"""The command ``calibrate``: check the simulated camera by rendered views of a chessboard.
 
-The camera that OpenCV recovers from the pictures is compared with the truth. Detected corners are
-shifted by half a pixel, from OpenCV's pixels (the first centre is 0, 0) to COLMAP's (0.5, 0.5), so
-that the recovered principal point is in COLMAP's pixels too.
+OpenCV calibrates the camera from the pictures, and the result is compared with the truth. Detected
+corners are shifted by half a pixel, from OpenCV's pixels (the first centre is 0, 0) to COLMAP's
+(0.5, 0.5), so that the principal point is in COLMAP's pixels.
 
-Corners are detected twice. In a picture their positions are biased, because the lens bends edges
-and small squares have few pixels. By a first calibration, every view is therefore warped to a
-frontal view of the board, in which edges are straight and squares symmetrical. The corners are
-refined there and mapped back (Datta, Kim and Kanade, "Accurate camera calibration using iterative
-refinement of control points", 2009).
+Corners are detected twice. Their first positions are biased, because the lens bends edges and small
+squares have few pixels. A first calibration therefore warps every view to a frontal view of the
+board, in which edges are straight and squares symmetrical. The corners are refined there and mapped
+back (Datta, Kim and Kanade, "Accurate camera calibration using iterative refinement of control
+points", 2009).
 """
 
 from __future__ import annotations
@@ -42,40 +42,40 @@ Array = NDArray[np.float64]
 BOARD = Board(columns=7, rows=5, square_m=0.1)
 
 _SAMPLES = 64  # samples per pixel; corners need exact edges
-_TRIES = 400  # attempts to draw a pose from which the whole board is visible
+_TRIES = 400  # attempts to draw a pose that shows the whole board
 _BORDER_PX = 4.0
 # Frontal views of a board do not determine the focal length. With these tilts, 20 views of 320 x
 # 240 and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees give 0.059 %.
 _TILT_DEG = (20.0, 50.0)
-# Half sides of the windows in which corners are refined, over the spacing of corners. In a picture
-# a window must contain one corner; in the frontal view a wider window averages more noise.
+# Half sides of the windows of corner refinement, relative to the spacing of corners. In a picture a
+# window must contain a single corner; in the frontal view a wider window averages more noise.
 _WINDOW, _FRONT_WINDOW = 0.35, 0.6
 _FRONT_BLUR_PX = 1.0  # standard deviation; gradients of unblurred edges are noisy
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)  # of corner refinement
-_PAD_PX = 4  # around a picture, for the kernel that resamples it
+_PAD_PX = 4  # padding of a picture for the resampling kernel
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result of a calibration from V views of a chessboard.
+    """A calibration from V views of a chessboard.
 
     Attributes:
         truth: the simulated camera.
-        found: the camera that OpenCV recovers, of the same model, COLMAP pixels.
-        cam_from_board: the board poses (V, 4, 4) that OpenCV recovers.
+        estimated: the calibrated camera of the same model, COLMAP pixels.
+        cam_from_board: estimated board poses (V, 4, 4).
         views: names of the views in which the board was detected.
         corners: detected corners (V, K, 2), COLMAP pixels.
-        reprojected: projections (V, K, 2) of the corners by ``found`` and its board poses.
+        reprojected: projections (V, K, 2) of the corners by the estimated camera and board poses.
         rms_px: root mean square distance between ``corners`` and ``reprojected``.
         truth_rms_px: root mean square distance between ``corners`` and their true projections,
             which is the error of rendering and detection.
-        rotation_deg: rotation error (V,) of each recovered board pose.
-        translation_m: translation error (V,) of each recovered board pose.
+        rotation_deg: rotation error (V,) of each board pose.
+        translation_m: translation error (V,) of each board pose.
         distance_m: distance (V,) of the board from the camera.
     """
 
     truth: Camera
-    found: Camera
+    estimated: Camera
     cam_from_board: Array
     views: tuple[str, ...]
     corners: Array
@@ -98,7 +98,7 @@ class Calibration:
             "truth_rms_px": self.truth_rms_px,
             "parameters": {
                 name: {"truth": a, "found": b, "difference": b - a}
-                for name, a, b in zip(names, self.truth.params, self.found.params, strict=True)
+                for name, a, b in zip(names, self.truth.params, self.estimated.params, strict=True)
             },
             "boards": [
                 {"view": v, "distance_m": float(d), "rotation_deg": float(r), "translation_m": t}
@@ -120,7 +120,7 @@ class Calibration:
             lines.append(
                 f"{name:4}{row['truth']:14.5f}{row['found']:14.5f}{row['difference']:14.5f}"
             )
-        relative = np.abs(np.divide(self.found.focal, self.truth.focal) - 1).max()
+        relative = np.abs(np.divide(self.estimated.focal, self.truth.focal) - 1).max()
         lines += [
             f"focal length within {100 * relative:.3f} %, "
             f"{len(self.views)} views, {self.corners[..., 0].size} corners, "
@@ -136,12 +136,11 @@ class Calibration:
 def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Calibration:
     """Render views of a chessboard, calibrate from them, and write pictures into ``out``.
 
-    The pictures are ``views/NNNNNN.png`` and ``corners.png``, which shows the views with their
-    corners.
+    The pictures are ``views/NNNNNN.png``, and ``corners.png`` with the corners of all views.
 
     Raises:
-        InputError: the camera cannot be rendered or is too small for the board to be detected, or
-            ``out`` cannot be written.
+        InputError: the camera cannot be rendered or is too small to detect the board, or ``out``
+            cannot be written.
     """
     corners_picture = out / "corners.png"
     views_of = (out / "views" / f"{k:06d}.png" for k in range(views))
@@ -151,20 +150,20 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     pictures = _photographs(camera, poses, seed, out)
     for name, picture in pictures.items():
         with atomic_write(out / "views" / name) as partial:
-            Image.fromarray(picture).save(partial, "PNG", pnginfo=_ours())
+            Image.fromarray(picture).save(partial, "PNG", pnginfo=_provenance())
     detected = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
     kept = [k for k, corners in enumerate(detected.values()) if corners is not None]
     if len(kept) < 4:
         raise InputError(
-            f"the chessboard was found in {len(kept)} of {views} views of {camera}: "
-            "use a larger picture"
+            f"the chessboard was detected in {len(kept)} of {views} views of {camera}: "
+            "use larger pictures or more views"
         )
     views_kept = [list(pictures)[k] for k in kept]
     corners = np.stack([c for c in detected.values() if c is not None])
     first = _solve(camera, views_kept, corners, poses[kept])
     corners = np.stack(
         [
-            refine_corners(pictures[name], first.found, pose, BOARD)
+            refine_corners(pictures[name], first.estimated, pose, BOARD)
             for name, pose in zip(views_kept, first.cam_from_board, strict=True)
         ]
     )
@@ -173,7 +172,7 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     return result
 
 
-def _ours() -> PngInfo:
+def _provenance() -> PngInfo:
     info = PngInfo()
     for key, value in PNG_METADATA.items():
         info.add_text(key, value)
@@ -188,10 +187,10 @@ def board_points(board: Board) -> Array:
 
 
 def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
-    """Draw a ``cam_from_board`` (4, 4): wholly in the picture, tilted by 20 to 50 degrees.
+    """Draw a random pose ``cam_from_board`` (4, 4) that shows the whole board at a tilt.
 
     Raises:
-        InputError: the camera never sees the whole board.
+        InputError: no pose shows the whole board.
     """
     side = board.square_m
     x = side * np.linspace(-1.5, board.columns + 0.5, 5)
@@ -214,13 +213,15 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
         inside = seen.valid & camera.contains(seen.xy, border=_BORDER_PX)
         if bool(valid.all()) and bool(inside.all()):
             return pose
-    raise InputError(f"camera {camera} does not see the whole chessboard from anywhere")
+    raise InputError(
+        f"camera {camera} cannot see the whole chessboard: use a larger field of view or picture"
+    )
 
 
 def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     """Detect the inner corners (rows * columns, 2) of a chessboard in a picture (H, W, 3).
 
-    They are in COLMAP pixels and in the order of ``board_points``; None when no board is detected.
+    They are in COLMAP pixels and in the order of ``board_points``; None without a detection.
     """
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     whole, corners = cv2.findChessboardCornersSB(
@@ -278,7 +279,7 @@ def refine_corners(
 def _photographs(
     camera: Camera, poses: Array, seed: int, beside: Path
 ) -> dict[str, NDArray[np.uint8]]:
-    """Render the board as the camera sees it, (H, W, 3) by file name."""
+    """Render the board in the camera, (H, W, 3) by file name."""
     pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=seed,
@@ -351,7 +352,7 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
     shown = _project(estimated, recovered, points)
     return Calibration(
         truth=camera,
-        found=estimated,
+        estimated=estimated,
         cam_from_board=recovered,
         views=tuple(views),
         corners=corners,
@@ -391,6 +392,6 @@ def _save_picture(result: Calibration, pictures: dict[str, NDArray[np.uint8]], p
         ax.imshow(pictures[name], extent=extent)
         ax.plot(*seen.T, "o", mfc="none", mec="red", ms=5, mew=0.6)
         ax.plot(*shown.T, "+", color="cyan", ms=5, mew=0.6)
-    figure.suptitle(f"found (circles) and reprojected (crosses): RMS {result.rms_px:.3f} px")
+    figure.suptitle(f"detected (circles) and reprojected (crosses): RMS {result.rms_px:.3f} px")
     with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=80, metadata=PNG_METADATA)

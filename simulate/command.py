@@ -1,4 +1,4 @@
-"""The command ``simulate``, which renders a scene frame by frame and resumes interrupted runs."""
+"""The command ``simulate``: render a scene frame by frame; resume interrupted runs."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
-from simulate.place.change import ChangedWorld, change_worlds, every_object
+from simulate.place.change import ChangedWorld, change_worlds, list_objects
 from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import estimate_bytes, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
-from simulate.render.remote import frame_files, render_remotely
+from simulate.render.remote import render_files, render_remotely
 
 _CONFIG = f"{TEMPORARY_PREFIX}config.json"
 _RENDERED = f"{TEMPORARY_PREFIX}rendered"
@@ -78,11 +78,11 @@ def simulate(
         out: new folder, or one left by a run of the same configuration.
         jobs: number of rendering processes on this machine.
         cluster: cluster that renders instead, as ``cluster.worker_pool`` takes it.
-        twin: finished scene of the same site, whose place is taken over; None builds it.
+        twin: finished scene of the same site, whose place is reused; None builds the place.
 
     Raises:
-        InputError: ``out`` holds something else or cannot be written, rendering failed, or there is
-            no such cluster.
+        InputError: ``out`` holds something else or cannot be written, rendering failed, or the
+            cluster does not exist.
     """
     check_site(config, out, cluster)
     with write_lock(out):
@@ -99,7 +99,7 @@ def _simulate(
     base, report = base_place(config, out, twin)
     worlds = change_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
-    # All flights are planned before anything is rendered, because one may be impossible.
+    # Plan all flights first, so that an impossible flight is refused before rendering.
     planned = [
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
@@ -112,7 +112,7 @@ def _simulate(
     with _renderer(jobs, cluster) as renderer:
         for name, session, flight in zip(names, config.sessions, planned, strict=True):
             _make_session(out, name, session, config, flight, renderer)
-    write_json(out / "objects.json", _objects(base, every_object(base, worlds)))
+    write_json(out / "objects.json", _objects(base, list_objects(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
@@ -125,18 +125,18 @@ def _simulate(
 
 @contextmanager
 def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
-    """Return the function that renders missing frames, on this machine or on a cluster."""
+    """Yield the function that renders missing frames, on this machine or on a cluster."""
     if cluster is None:
         yield lambda job, folder, on_frame: render(job, folder, jobs, on_frame)
         return
-    with worker_pool(cluster, frame_files) as workers:
+    with worker_pool(cluster, render_files) as workers:
         yield partial(render_remotely, workers)
 
 
 def _count_left(
     out: Path, names: Sequence[str], planned: Sequence[_Planned]
 ) -> dict[str, tuple[int, int]]:
-    """Return the numbers of frames that each unfinished session has to render and to pack."""
+    """Return the numbers of frames to render and to pack, by unfinished session."""
     left = {}
     for name, flight in zip(names, planned, strict=True):
         folder, frames = out / "sessions" / name, len(flight.poses)
@@ -147,7 +147,7 @@ def _count_left(
 
 
 def _resumable(out: Path, config: SimulateConfig) -> ResumableFolder:
-    """Return the folder of a scene, whose record is the configuration while it is unfinished."""
+    """Return the folder of a scene, which stores the configuration while it is unfinished."""
 
     def difference(record: Path) -> str | None:
         recorded = read_json(record, SimulateConfig, "configuration of the unfinished scene")
@@ -157,19 +157,19 @@ def _resumable(out: Path, config: SimulateConfig) -> ResumableFolder:
 
 
 def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
-    """Return the scene of a configuration if it is finished; None if it is still to be rendered.
+    """Return the finished scene of a configuration; None if it is not finished.
 
     Raises:
-        InputError: ``out`` holds something else than this scene or a part of it.
+        InputError: ``out`` holds anything but this scene or a part of it.
     """
     unfinished = _resumable(out, config)
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)
-        if scene.manifest.config != _plain(config):
+        if scene.manifest.config != _dump(config):
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
-        unfinished.end()  # left by a run that was killed at its very end
+        unfinished.end()  # a run that was killed just before its end leaves its record
         return scene
     if not unfinished.resume(
         lambda difference: (
@@ -181,10 +181,10 @@ def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
     return None
 
 
-def _plain(config: SimulateConfig) -> dict[str, Any]:
-    # Scenes from before there was a choice do not say what they were made with.
-    unsaid = {k for k, v in (("site", None), ("denoising", "high")) if getattr(config, k) == v}
-    return config.model_dump(mode="json", exclude=unsaid)
+def _dump(config: SimulateConfig) -> dict[str, Any]:
+    # Manifests of older scenes lack these fields, which had these values.
+    omitted = {k for k, v in (("site", None), ("denoising", "high")) if getattr(config, k) == v}
+    return config.model_dump(mode="json", exclude=omitted)
 
 
 def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifest:
@@ -192,7 +192,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
         versions={name: version(name) for name in ("objconnect", "bpy", "numpy", "pillow", "h5py")},
         preset=config.preset,
         seed=config.seed,
-        config=_plain(config),
+        config=_dump(config),
         origin=config.origin,
         sessions={
             name: Session(
@@ -251,9 +251,9 @@ def render_job(
     first_new_id: int = 0,
     prepared: Path | None = None,
 ) -> RenderJob:
-    """Return the render job of a session, whose poses (N, 4, 4) become frames 0 to N - 1.
+    """Return the render job of a session with poses (N, 4, 4) for frames 0 to N - 1.
 
-    ``first_new_id`` is that of the session's changed world; ``prepared`` is the file of a site.
+    ``first_new_id`` is that of the session's changed world. ``prepared`` is the file of a site.
     """
     pinhole, lens = split_lens(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -283,11 +283,11 @@ def _make_session(
     planned: _Planned,
     renderer: _Renderer,
 ) -> None:
-    """Render and pack a session, unless its ``frames.h5``, which is written last, exists."""
+    """Render and pack a session unless it is finished; ``frames.h5`` is written last."""
     folder = out / "sessions" / name
     rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
-        shutil.rmtree(rendered, ignore_errors=True)  # left by a run that was killed
+        shutil.rmtree(rendered, ignore_errors=True)  # a killed run may leave it
         return
     poses = planned.poses
     job = render_job(config, session, poses, planned.first_new_id, site_file(config, out))
@@ -312,7 +312,7 @@ def _make_session(
 
 
 class _Planned(NamedTuple):
-    """A planned session: poses (N, 4, 4), first id of new objects, and generator of its noise."""
+    """A planned session: poses (N, 4, 4), first id of new objects, and its noise generator."""
 
     poses: NDArray[np.float64]
     first_new_id: int
@@ -327,7 +327,7 @@ def _plan(
     Raises:
         InputError: the session cannot be flown.
     """
-    # Each session has its own generator, so that adding a session changes no other.
+    # Each session has its own generator, so that adding a session does not change others.
     rng = np.random.default_rng([config.seed, index])
     camera = config.photo_camera(session)
     poses = plan_session(session, config, camera, changed.world, rng)
@@ -343,14 +343,14 @@ def _frames(
     config: SimulateConfig,
     rng: np.random.Generator,
 ) -> Frames:
-    """Return the session's frames, with priors drawn from their stated noise."""
+    """Return the frames of a session, with priors drawn from the configured noise."""
     n = len(poses)
     truth = Pose.from_matrix(poses)
     tilt = config.attitude_sigma_deg * rng.standard_normal((n, 3))
     off = np.array(config.gps_sigma_m) * rng.standard_normal((n, 3))
     memory = math.exp(-config.interval_s / config.drift_s)
-    off += np.array(config.gps_drift_m) * lasting_noise(n, memory, rng)
-    tilt += config.attitude_drift_deg * lasting_noise(n, memory, rng)
+    off += np.array(config.gps_drift_m) * draw_drift(n, memory, rng)
+    tilt += config.attitude_drift_deg * draw_drift(n, memory, rng)
     noise = Pose.exp(torch.from_numpy(np.hstack([np.radians(tilt), np.zeros((n, 3))])))
     gps_sigma = np.hypot(config.gps_sigma_m, config.gps_drift_m)
     start = condition(session.condition, config.origin).time.timestamp()
@@ -368,7 +368,7 @@ def _frames(
     )
 
 
-def lasting_noise(count: int, memory: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def draw_drift(count: int, memory: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw a stationary first-order Gauss-Markov process (count, 3) of unit variance.
 
     ``memory`` is the correlation between successive rows.
@@ -392,8 +392,7 @@ def _pack(
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
                 focal_35mm=36 * camera.focal[0] / max(camera.width, camera.height),
             )
-            # Each photograph has its own generator, so its noise does not depend on the order of
-            # rendering.
+            # Each photograph has its own generator, so that the order of rendering does not matter.
             rng = np.random.default_rng([config.seed, *name.encode()])
             picture = expose(layers["rgb"], config.sensor, rng)
             write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)

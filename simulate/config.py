@@ -33,7 +33,7 @@ from simulate.twin.options import LEAST_SITE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
-_LEAST_M = 120.0  # side of a place that is made up: streets and blocks need room
+_LEAST_M = 120.0  # least side of a procedural place, for streets and blocks
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
 
@@ -41,28 +41,30 @@ Role = Literal["map", "query"]
 class SessionConfig(Config):
     """One flight under one condition."""
 
-    condition: str = Field(description="SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.")
-    flight: Flight = Field(
-        description='Kind of flight and its numbers, or the kind alone, as "nadir".'
+    condition: str = Field(
+        description="Condition, SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``."
     )
-    role: Role = Field(description='"map" if its frames build the map, or "query".')
+    flight: Flight = Field(
+        description='Kind of flight with its options, or the kind alone, such as "nadir".'
+    )
+    role: Role = Field(description='Role of the frames, "map" or "query".')
     frames: int | None = Field(
         None,
         ge=1,
         le=MAX_PHOTOGRAPHS,
-        description="Number of photographs; None takes the scene's ``frames``, or as many as the "
-        "flight's overlaps need.",
+        description="Number of photographs. None takes the scene's ``frames``, or the number that "
+        "the flight's overlaps need.",
     )
     change: Change = Field(
-        Change(), description="Objects that are moved, removed or added since the place was built."
+        Change(), description="Objects that are moved, removed or added in this session."
     )
     camera: CameraConfig | None = Field(
-        None, description="Camera of this session's photographs; None takes the scene's."
+        None, description="Camera of this session. None takes the scene's."
     )
     name: str | None = Field(
         None,
         pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$",
-        description="Name of its folder; None is condition-flight-role.",
+        description="Name of the session's folder. None is condition-flight-role.",
     )
 
     @field_validator("condition")
@@ -72,22 +74,24 @@ class SessionConfig(Config):
 
     @property
     def world_change(self) -> Change:
-        """Return the configured change, with bare trees where the season has them."""
+        """Return the configured change, with bare trees in a leafless season."""
         if not condition(self.condition).season.bare:
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
 
     @model_validator(mode="after")
-    def _one_count(self) -> SessionConfig:
+    def _check_count(self) -> SessionConfig:
         if self.frames is not None and self.flight.counts_photographs:
-            raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
+            raise ValueError(
+                f"the {self.flight.kind} flight determines its number of frames: leave frames out"
+            )
         return self
 
 
 def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
-    """Return the two sessions of a drive along the longest road, one for each side's camera.
+    """Return two sessions of a drive along the longest road, one for each camera.
 
-    Maps are driven there and back. Queries are driven back on another track.
+    Map drives go both ways. Query drives go back at another lateral offset.
     """
     return tuple(
         SessionConfig(
@@ -109,10 +113,10 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
 
 
 @cache
-def _usual(preset: str) -> dict[str, Any]:
+def _preset_defaults(preset: str) -> dict[str, Any]:
     """Return the defaults of a preset that replace the general ones.
 
-    They are made at first use, because checking a camera with a lens loads torch.
+    They are made at first use, because validating a camera with distortion loads torch.
     """
     if preset != "street":
         return {}
@@ -127,72 +131,70 @@ def _usual(preset: str) -> dict[str, Any]:
     }
 
 
-def _of_site(values: dict[str, Any]) -> dict[str, Any]:
-    """Add area and origin of a site that says neither, or one of them."""
+def _add_extent(values: dict[str, Any]) -> dict[str, Any]:
+    """Add the area and origin of a site where the configuration lacks them."""
     if values.get("site") is None or {"area", "origin"} <= values.keys():
         return values
-    from simulate.twin.source import extent  # late, because it loads torch
+    from simulate.twin.source import measure_extent  # late, because it loads torch
 
     site = SiteConfig.model_validate(values["site"])
-    found = extent(site, sized="area" in values)
-    return {"area": found.side_m, "origin": found.origin} | values | {"site": site}
+    extent = measure_extent(site, sized="area" in values)
+    return {"area": extent.side_m, "origin": extent.origin} | values | {"site": site}
 
 
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
 
     The preset street has its own defaults for area, frames and sessions, which are drives with two
-    cameras. The preset site is a real place, of the files that ``site`` names.
+    cameras. The preset site is a real place, reconstructed from the files of ``site``.
     """
 
-    preset: str = Field("town", description="Kind of place, such as town or farmland.")
+    preset: str = Field("town", description="Kind of place to render, such as town or farmland.")
     seed: int = Field(
         0,
         ge=0,
-        description="Random seed of the place and of every noise; the same seed gives the same "
-        "scene.",
+        description="Random seed of the place and of all noise. Equal seeds give equal scenes.",
     )
     area: float = Field(
         200.0,
         ge=LEAST_SITE_M,
         le=2000,
-        description="Side of the square place, metres; 120 or more but for a site.",
+        description="Side of the square place, m; at least 120, or 40 for a site.",
     )
     size: int = Field(
         512,
         ge=64,
         le=4096,
-        description="Long side of the photographs, pixels, unless the camera has its own size.",
+        description="Longer side of the photographs, px, unless the camera states its own size.",
     )
     fov_deg: float = Field(
         60.0,
         gt=5,
         lt=120,
-        description="Horizontal field of view of the square photographs taken without a "
-        "``camera``.",
+        description="Horizontal field of view without a ``camera``, deg; photographs are square.",
     )
     camera: CameraConfig | None = Field(
         None,
-        description="Camera of sessions without their own; None is a square pinhole of ``size`` "
+        description="Camera of sessions without their own. None is a square pinhole of ``size`` "
         "and ``fov_deg``.",
     )
     spp: int = Field(
         4,
         ge=1,
         le=_MOST_SAMPLES,
-        description="Rendering samples per pixel; the result is denoised.",
+        description="Rendering samples per pixel, before denoising.",
     )
     denoising: Denoising = Field(
         "fast",
-        description='Quality of the denoiser, "fast" or "high". The latter takes 7 % longer, and '
-        "is 0 to 0.2 dB nearer to a picture of 64 samples. With an ``spp`` below 4 choose it: of "
-        "few samples the fast one leaves noise that feature extractors take for texture.",
+        description='Quality of the denoiser, "fast" or "high". High takes 7 % longer, and is 0 to '
+        "0.2 dB closer to a picture of 64 samples. Use it with an ``spp`` below 4, where fast "
+        "leaves noise that feature extractors take for texture.",
     )
     frames: int = Field(
         30,
         ge=1,
         le=MAX_PHOTOGRAPHS,
-        description="Number of photographs of sessions that give no number of their own.",
+        description="Number of photographs of sessions without their own number.",
     )
     sessions: tuple[SessionConfig, ...] = Field(
         (
@@ -201,53 +203,58 @@ class SimulateConfig(Config):
             SessionConfig(condition="winter-dusk", flight=NadirFlight(), role="query", frames=10),
         ),
         min_length=1,
-        description='Flights; on the command line "condition:flight[:role][:change]", where by '
-        "default the first is a map session and the others are query sessions.",
+        description='Flights; on the command line "condition:flight[:role][:change]". By default '
+        "the first is a map session and the others are query sessions.",
     )
-    map_plan: FlightPlan = Field(MAP_PLAN, description="Numbers of map flights.")
-    query_plan: FlightPlan = Field(QUERY_PLAN, description="Numbers of query flights.")
+    map_plan: FlightPlan = Field(MAP_PLAN, description="Defaults of map flights.")
+    query_plan: FlightPlan = Field(QUERY_PLAN, description="Defaults of query flights.")
     position_jitter_m: float = Field(
-        0.7, ge=0, description="Standard deviation of positions per axis by wind, metres."
+        0.7, ge=0, description="Standard deviation of positions by wind, per axis, m."
     )
     attitude_jitter_deg: float = Field(
-        1.5, ge=0, description="Standard deviation of attitudes per axis by wind, degrees."
+        1.5, ge=0, description="Standard deviation of attitudes by wind, per axis, deg."
     )
     gps_sigma_m: tuple[float, float, float] = Field(
         (1.5, 1.5, 2.5),
-        description="Standard deviation of the white noise of position priors: east, north, up.",
+        description="Standard deviation of the white noise of position priors east, north and up, "
+        "m.",
     )
     gps_drift_m: tuple[NotNegative, NotNegative, NotNegative] = Field(
         (0.0, 0.0, 0.0),
-        description="Standard deviation of the drift of position priors, which has zero mean over "
-        "many flights: east, north, up.",
+        description="Standard deviation of the drift of position priors east, north and up, m. It "
+        "has zero mean over many flights.",
     )
     attitude_sigma_deg: float = Field(
-        2.0, ge=0, description="Standard deviation of the white noise of attitude priors per axis."
+        2.0,
+        ge=0,
+        description="Standard deviation of the white noise of attitude priors, deg per axis.",
     )
     attitude_drift_deg: float = Field(
-        0.0, ge=0, description="Standard deviation of the drift of attitude priors per axis."
+        0.0, ge=0, description="Standard deviation of the drift of attitude priors, deg per axis."
     )
-    drift_s: float = Field(600.0, gt=0, description="Time constant of both drifts, seconds.")
-    interval_s: float = Field(2.0, gt=0, description="Time between exposures, seconds.")
+    drift_s: float = Field(600.0, gt=0, description="Time constant of both drifts, s.")
+    interval_s: float = Field(2.0, gt=0, description="Time between exposures, s.")
     sensor: SensorConfig = Field(
         SensorConfig(), description="Effects of lens and sensor on the photographs."
     )
-    jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs.")
-    origin: Geodetic = Field(PLACE, description="Geodetic coordinates of the world's origin.")
+    jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs, 1 to 100.")
+    origin: Geodetic = Field(
+        PLACE, description="Latitude (deg), longitude (deg) and altitude (m) of the origin."
+    )
     site: SiteConfig | None = Field(
         None,
-        description="Files of the preset site, from which area and origin follow where they are "
+        description="Files of the preset site. They determine ``area`` and ``origin`` if these are "
         "left out.",
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _usual_values(cls, values: object) -> object:
+    def _add_defaults(cls, values: object) -> object:
         if not isinstance(values, dict) or not isinstance(values.get("preset"), str):
             return values
         if values["preset"] == SITE:
-            return _of_site(values)
-        return _usual(values["preset"]) | values
+            return _add_extent(values)
+        return _preset_defaults(values["preset"]) | values
 
     @field_validator("preset")
     @classmethod
@@ -258,12 +265,12 @@ class SimulateConfig(Config):
 
     @field_validator("sessions", mode="before")
     @classmethod
-    def _from_words(cls, sessions: object) -> object:
+    def _parse_sessions(cls, sessions: object) -> object:
         """Parse sessions of the command line, "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
-            _session_from_words(item, first=k == 0) if isinstance(item, str) else item
+            _parse_session(item, first=k == 0) if isinstance(item, str) else item
             for k, item in enumerate(sessions)
         )
 
@@ -272,35 +279,36 @@ class SimulateConfig(Config):
         if self.preset == SITE and self.site is None:
             raise ValueError("the preset site needs --from SCENE, or --ortho and --dsm")
         if self.preset != SITE and self.site is not None:
-            raise ValueError(f"files of a site are for the preset site, not for {self.preset}")
+            raise ValueError(f"files of a site need --preset site, got --preset {self.preset}")
         if self.preset != SITE and self.area < _LEAST_M:
-            raise ValueError(f"area: a place has {_LEAST_M:.0f} m or more, got {self.area:g}")
+            raise ValueError(f"area must be {_LEAST_M:.0f} m or more, got {self.area:g}")
         return self
 
     @model_validator(mode="after")
-    def _map_exists(self) -> SimulateConfig:
+    def _require_map(self) -> SimulateConfig:
         if not any(session.role == "map" for session in self.sessions):
             raise ValueError("at least one session must have the role map")
         return self
 
     @model_validator(mode="after")
-    def _check_rows(self) -> SimulateConfig:
+    def _check_rolling_shutter(self) -> SimulateConfig:
         cameras = (self.photo_camera(session) for session in self.sessions)
         if self.sensor.readout_s and any(split_lens(c)[1] is not None for c in cameras):
             raise ValueError(
-                "sensor.readout_s needs a camera without distortion and with one focal length"
+                "rolling shutter (sensor.readout_s) is not supported with lens distortion or two "
+                "focal lengths: use a pinhole camera or set it to 0"
             )
         return self
 
     @model_validator(mode="after")
-    def _names_differ(self) -> SimulateConfig:
+    def _require_unique_names(self) -> SimulateConfig:
         names = self.session_names()
         if len(set(names)) < len(names):
-            raise ValueError(f"two sessions have one name: {', '.join(names)}")
+            raise ValueError(f"session names must be unique: {', '.join(names)}")
         return self
 
     @model_validator(mode="after")
-    def _sun_rises(self) -> SimulateConfig:
+    def _check_conditions(self) -> SimulateConfig:
         for session in self.sessions:
             condition(session.condition, self.origin)
         return self
@@ -309,16 +317,16 @@ class SimulateConfig(Config):
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
         """Load a configuration from a YAML file and overrides; see ``config.load_config``.
 
-        Overrides that are None are options which were not given.
+        Overrides that are None are ignored.
 
         Raises:
             InputError: unreadable file, unknown key or bad value.
         """
-        given = {key: value for key, value in overrides.items() if value is not None}
-        return load_config(SimulateConfig, path, given)
+        options = {key: value for key, value in overrides.items() if value is not None}
+        return load_config(SimulateConfig, path, options)
 
     def photo_camera(self, session: SessionConfig | None = None) -> Camera:
-        """Return the camera of a session's photographs, or of sessions without their own camera."""
+        """Return the camera of a session, or the default camera without a session."""
         camera = (session.camera if session is not None else None) or self.camera
         if camera is not None:
             return camera.build(self.size)
@@ -327,7 +335,7 @@ class SimulateConfig(Config):
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
     def session_names(self) -> tuple[str, ...]:
-        """Folder names, numbered from the second of the same name."""
+        """Return the folder names; repeated names are numbered from 2."""
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
@@ -337,16 +345,16 @@ class SimulateConfig(Config):
         return tuple(names)
 
 
-def _session_from_words(text: str, first: bool) -> dict[str, object]:
+def _parse_session(text: str, first: bool) -> dict[str, object]:
     name, colon, flight = text.partition(":")
     if not colon:
         raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
     session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
-    # The name of a file or a folder may hold colons of its own.
+    # A path may contain colons.
     named = flight.partition("=")[0] in WRITTEN_WITH_PATH
     head, _, last = flight.rpartition(":")
     if head and (last.partition("=")[0] in Change.model_fields if named else "=" in last):
-        session["change"] = dict(_setting(word) for word in last.split(","))
+        session["change"] = dict(_parse_setting(word) for word in last.split(","))
         flight = head
     head, _, last = flight.rpartition(":")
     if head and (last in get_args(Role) or not named):
@@ -355,7 +363,7 @@ def _session_from_words(text: str, first: bool) -> dict[str, object]:
     return session | {"flight": flight}
 
 
-def _setting(word: str) -> tuple[str, str]:
+def _parse_setting(word: str) -> tuple[str, str]:
     key, equals, value = word.partition("=")
     if not equals:
         raise ValueError(f"a change is written share=value[,...], got {word!r}")

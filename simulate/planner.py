@@ -1,4 +1,4 @@
-"""From the configuration of a session to the poses of its photographs."""
+"""Plan the poses of a session's photographs from its configuration."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from simulate.place.world import World
 Array = NDArray[np.float64]
 
 Planner = Callable[[Any, FlightSite, Any, np.random.Generator], Array]
-"""Plans the poses (N, 4, 4) of a flight from its configuration, the site, the number of frames
-(None where the flight counts its photographs itself) and a generator of random numbers."""
+"""A function that plans the poses (N, 4, 4) of a flight from its configuration, the site, the
+number of frames (None where the flight determines it) and a random generator."""
 
 
 def plan_session(
@@ -52,15 +52,15 @@ def plan_session(
     Args:
         session: The session, whose flight is planned.
         config: The configuration of the scene.
-        camera: The camera of the photographs; its footprint is taken to be that of a pinhole.
-        world: The place as it is in this session.
-        rng: The generator of the wind and of free flights.
+        camera: The camera of the photographs; its footprint is approximated by a pinhole.
+        world: The place with the session's change.
+        rng: The random generator of the wind and of free flights.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: The flight asks for what cannot be planned.
+        InputError: The flight cannot be planned.
     """
     flight = session.flight
     site = FlightSite(
@@ -99,9 +99,11 @@ def _plan_street(
 def _plan_mission(
     flight: PlanFlight, site: FlightSite, _frames: None, rng: np.random.Generator
 ) -> Array:
-    """Plan what a mission plan photographs, which must be the file that the flight was given."""
+    """Plan the photographs of a mission plan, whose file must not have changed."""
     if plan_digest(flight.file) != flight.sha256:
-        raise InputError(f"mission plan {flight.file} is no longer the scene's: restore it")
+        raise InputError(
+            f"mission plan {flight.file} has changed since the scene was configured: restore it"
+        )
     aims: Aims = read_plan(
         flight.file,
         site.origin,
@@ -116,7 +118,7 @@ def _plan_mission(
 def _plan_recorded(
     flight: FlownFlight, site: FlightSite, _frames: None, _rng: np.random.Generator
 ) -> Array:
-    """Plan what was flown; the wind of that day is in its poses."""
+    """Return the recorded poses, which include the wind of their flight."""
     return read_flown_poses(flight, site)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.photograph_order import SHIFTS
 from benchmark.auditing.statements import Stated
-from objconnect.ingestion.georegister import similarity
+from objconnect.ingestion.georegister import fit_similarity
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
 from objconnect.scene.storage.images import Exif
@@ -251,7 +251,7 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
     """Return the best similarity (3, 4), and the median residual (m); bad fixes are left out."""
     good = np.ones(len(stated), bool)
     for _ in range(4):
-        fitted = similarity(stated[good], measured[good])
+        fitted = fit_similarity(stated[good], measured[good])
         off = np.linalg.norm(stated @ fitted[:, :3].T + fitted[:, 3] - measured, axis=1)
         limit = 3 * SIGMA_OF_MEDIAN * float(np.median(off))
         good = off <= max(limit, 1e-6)

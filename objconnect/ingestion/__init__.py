@@ -1,1 +1,1 @@
-"""Making scenes of folders of photographs."""
+"""Make scenes from folders of photographs."""

@@ -1,7 +1,7 @@
-"""Photographs added to a finished scene, which becomes a new scene of both.
+"""Add photographs to a finished scene, which makes a new scene of both.
 
-The scene itself is not touched: results that were measured on it stay results of it. The new scene
-has its frames, bit by bit, and the new photographs as a session of their own.
+The finished scene is not changed, so that results on it stay valid. The new scene has the same
+frames, bit by bit, and the new photographs as a session of their own.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.attitude import find_upside_down
-from objconnect.ingestion.imported_poses import keep_imported
-from objconnect.ingestion.lenses import with_known_lenses
-from objconnect.ingestion.neighbours import alike, choose_pairs
+from objconnect.ingestion.imported_poses import compare_with_fixes
+from objconnect.ingestion.lenses import apply_known_lenses
+from objconnect.ingestion.neighbours import choose_pairs, choose_similar
 from objconnect.ingestion.outputs import (
     COVISIBILITY_POINTS,
     FRAMES,
@@ -33,7 +33,7 @@ from objconnect.ingestion.photographs import (
     Flight,
     FlightImage,
     copy_photographs,
-    photographs_of,
+    make_photographs,
     read_flight,
     warn_of_doubts,
 )
@@ -46,10 +46,10 @@ from objconnect.ingestion.plan import (
     make_scene,
     read_plan,
 )
-from objconnect.ingestion.positions import local, with_positions
+from objconnect.ingestion.positions import local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
-from objconnect.ingestion.rotated_photographs import begin_again, read_turned
-from objconnect.ingestion.split import queries_of
+from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.split import choose_queries
 from objconnect.scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
 from objconnect.scene.bundle.manifest import Manifest, Splits, write_json
 from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene
@@ -72,23 +72,19 @@ from objconnect.scene.storage.locks import write_lock
 
 Array = NDArray[np.float64]
 
-# Poses of map and frames that differ by less (m, rad) are one pose, but for rounding.
+# Poses of map and frames that differ by less (m, rad) are equal up to rounding.
 _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
 class _Source:
-    """What a scene is extended by.
+    """The inputs of a run; all but ``base`` are those of the new photographs.
 
     Attributes:
         base: the scene that photographs are added to.
-        session: session of the new photographs.
-        folder: folder of the new photographs.
-        flight: the new photographs, and the files that are left out.
-        taken: the new photographs as structure from motion takes them.
-        fixes: measured positions (3,) of new photographs by name, metres in the scene's world.
-        queries: names of new photographs that are queries.
-        plan: what was asked for.
+        taken: the photographs as structure from motion takes them.
+        fixes: measured positions (3,) by name, metres in the scene's world.
+        queries: names of the queries.
     """
 
     base: Scene
@@ -109,18 +105,18 @@ def add_photographs(
     gps: Path | None = None,
     camera: Camera | None = None,
 ) -> IngestReport:
-    """Make a scene of a finished scene and new photographs, or continue an interrupted run.
+    """Add photographs to a finished scene, or continue an interrupted run.
 
     The frames of the scene keep their poses, cameras and files. New photographs are registered in
-    its map by their matches. Positions are not needed: they choose what is matched, and become
-    priors. A photograph of a lens of the scene has its camera.
+    its map by feature matches. Positions are optional: they choose the pairs to match, and become
+    priors. A photograph from a lens of the scene takes the scene's camera of that lens.
 
     Args:
         photographs: folder of the new photographs.
         scene: finished scene with a map; it does not change.
         out: new folder, or one left by a run of the same scene, photographs and options.
         asked: size, split and options of the run.
-        gps: table of positions instead of those in EXIF.
+        gps: table of positions that replace those in EXIF.
         camera: calibration of the new photographs.
 
     Raises:
@@ -129,32 +125,32 @@ def add_photographs(
             or is being written by another run.
     """
     if scene.resolve() in (out.resolve(), *out.resolve().parents):
-        raise InputError(f"{out} lies in the scene {scene}, which stays as it is: choose another")
+        raise InputError(f"{out} lies in the scene {scene}: choose a folder outside it")
     base = Scene.open(scene)
     base.require_lists()
     base.covisibility.of([*base.splits.map, *sum(base.splits.queries.values(), ())])
     read_map_features(base)
     session = _free_session(base)
-    earlier = _earlier(base)
-    flight = _without_earlier(read_flight(photographs, session), earlier, scene)
+    known = _known_photographs(base)
+    flight = _drop_known(read_flight(photographs, session), known, scene)
     if gps is not None:
-        flight = with_positions(flight, gps)
+        flight = replace_positions(flight, gps)
     warn_of_doubts(flight, with_lenses=camera is None)
     plan = asked.model_copy(
         update={
             "camera": None if camera is None else str(camera),
             "gps": None if gps is None else sha256_of(gps),
             "base": sha256_of(scene / MANIFEST),
-            "known": earlier,
+            "known": known,
             "photographs": {image.file: image.sha256 for image in flight.images},
         }
     )
     names = [image.name for image in flight.images]
-    _, fixes = local(flight.images, base.manifest.origin)
-    queries = queries_of(names, fixes, plan.split, plan.every)
-    taken = photographs_of(flight.images, plan.size, camera)
+    _, fixes = local_positions(flight.images, base.manifest.origin)
+    queries = choose_queries(names, fixes, plan.split, plan.every)
+    taken = make_photographs(flight.images, plan.size, camera)
     if camera is None:
-        taken = with_known_lenses(base, flight.images, taken)
+        taken = apply_known_lenses(base, flight.images, taken)
     source = _Source(base, session, photographs, flight, taken, fixes, queries, plan)
     with write_lock(out):
         return make_scene(
@@ -173,8 +169,8 @@ def _free_session(base: Scene) -> str:
     return name
 
 
-def _earlier(base: Scene) -> dict[str, str]:
-    """Return the photographs that went into a scene: file by digest, before and after copying."""
+def _known_photographs(base: Scene) -> dict[str, str]:
+    """Return the photographs of a scene: file by digest, of originals and of copies."""
     files = {digest: name for name, digest in base.manifest.sha256.items() if "/images/" in name}
     plan = read_plan(base.manifest)
     if plan is not None:
@@ -182,22 +178,21 @@ def _earlier(base: Scene) -> dict[str, str]:
     return files
 
 
-def _without_earlier(flight: Flight, earlier: Mapping[str, str], scene: Path) -> Flight:
+def _drop_known(flight: Flight, known: Mapping[str, str], scene: Path) -> Flight:
     """Return the flight without photographs that are in the scene."""
-    there = {
-        image.file: f"already in the scene as {earlier[image.sha256]}"
+    duplicates = {
+        image.file: f"already in the scene as {known[image.sha256]}"
         for image in flight.images
-        if image.sha256 in earlier
+        if image.sha256 in known
     }
-    left = flight.without(there)
-    if not left.images:
-        file, why = next(iter(left.left_out.items()))
+    new = flight.without(duplicates)
+    if not new.images:
+        file, why = next(iter(new.left_out.items()))
+        reason = f"{file} is {why}" if file in duplicates else why
         raise InputError(
-            f"none of the {len(left.left_out)} photographs can be added to {scene}: {file} is {why}"
-            if file in there
-            else f"none of the {len(left.left_out)} photographs can be added to {scene}: {why}"
+            f"none of the {len(new.left_out)} photographs can be added to {scene}: {reason}"
         )
-    return left
+    return new
 
 
 def _build(out: Path, source: _Source) -> IngestReport:
@@ -205,22 +200,22 @@ def _build(out: Path, source: _Source) -> IngestReport:
     base, queries = source.base, source.queries
     _copy(base, out)
     known = _read_known_map(base)
-    flight, model, turned = _register(out, source, known)
+    flight, model, rotated = _register(out, source, known)
     images, fixes = flight.images, source.fixes
-    placed = replace(keep_imported(_only(model, images), fixes), level="map")
-    adjusted = Adjusted(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
+    placed = replace(compare_with_fixes(_select_images(model, images), fixes), level="map")
+    adjusted = AdjustedModel(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
     wrong = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
     splits = _write_lists(out, source, model, [image.name for image in images])
-    over = [image.file for image in images if image.name in turned]
+    rotated_files = [image.file for image in images if image.name in rotated]
     report = make_report(
         source.taken,
         flight,
         adjusted,
         fixes,
         sparse_map,
-        Findings(wrong, over, georeference=base.manifest.on_earth),
+        Findings(wrong, rotated_files, georeference=base.manifest.on_earth),
     ).model_copy(
         update={
             "registered": len(images),
@@ -274,44 +269,42 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
     """Return the registered photographs, the map with them, and the rotated photographs."""
     root, models = out / "sessions", out / WORK / "models"
     base = source.base
-    turned = read_turned(out)
-    copied = copy_photographs(source.flight, source.folder, root, source.plan.size, turned)
-    there = {image.name for image in copied.images}
-    taken = [photograph for photograph in source.taken if photograph.name in there]
+    rotated = read_rotated(out)
+    copied = copy_photographs(source.flight, source.folder, root, source.plan.size, rotated)
+    names = {image.name for image in copied.images}
+    taken = [photograph for photograph in source.taken if photograph.name in names]
     _match(out, source, known, taken)
     with progress_bar("register", len(taken)) as advance, atomic_folder(models) as folder:
         model = register_photographs(root, known, taken, out / WORK / DATABASE, folder, advance)
-    fits = model.images.keys()
-    flight = copied.without(
-        {i.file: "not registered: too few matches" for i in copied.images if i.name not in fits}
-    )
+    registered = model.images.keys()
+    lost = [image.file for image in copied.images if image.name not in registered]
+    flight = copied.without(dict.fromkeys(lost, "not registered: too few matches"))
     if not flight.images:
         raise InputError(
             f"none of the {len(source.flight.images)} new photographs could be registered in "
-            f"{source.base.path}: they must show what its map photographs show, in like light"
+            f"{source.base.path}: photograph the ground that its map shows, in similar light"
         )
-    if not turned:
-        only = _only(model, flight.images)
-        where = keep_imported(only, source.fixes)
-        turned = find_upside_down(
-            only,
-            where,
+    if not rotated:
+        new = _select_images(model, flight.images)
+        rotated = find_upside_down(
+            new,
+            compare_with_fixes(new, source.fixes),
             flight.images,
             agreeing=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
         )
-        if turned:
-            begin_again(out, turned, models)
+        if rotated:
+            restart_rotated(out, rotated, models)
             return _register(out, source, known)
     poses = {image.name: image.cam_from_world for image in known.images}
     images = {
         name: replace(image, cam_from_world=poses.get(name, image.cam_from_world))
         for name, image in model.images.items()
     }
-    return flight, replace(model, images=images), turned
+    return flight, replace(model, images=images), rotated
 
 
 def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photograph]) -> None:
-    """Match the new photographs with each other and with the map's that are near or look alike."""
+    """Match the new photographs with each other, and with map photographs near or similar."""
     options, root, database = source.plan.options, out / "sessions", out / WORK / DATABASE
     new, old = [p.name for p in taken], [image.name for image in known.images]
     centres = {n: known.sparse_map.images[n].centre for n in old}
@@ -325,14 +318,14 @@ def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photogra
     if len(fixed) < len(new):
         blind = [name for name in new if name not in source.fixes]
         features = read_features(database, root)
-        pairs |= set(alike(blind, old, features, options))
+        pairs |= set(choose_similar(blind, old, features, options))
     job = replace(job, pairs=sorted(pairs))
     with progress_bar("match", len(old) + len(new) + len(pairs)) as advance:
         match_new(known, taken, job, database, advance)
 
 
-def _only(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap:
-    """Return a model with some of its photographs alone."""
+def _select_images(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap:
+    """Return a model with some of its photographs."""
     return replace(model, images={image.name: model.images[image.name] for image in images})
 
 
@@ -371,7 +364,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
 
 
 def _in_view(xyz: Array, camera: Camera, cam_from_world: Array) -> Array:
-    """Return the points (N, 3) that lie in a picture; hidden points count as seen."""
+    """Return the points (N, 3) that project into a picture; occlusion is not tested."""
     import torch
 
     projected = camera.project(Pose.from_matrix(cam_from_world).transform(torch.from_numpy(xyz)))

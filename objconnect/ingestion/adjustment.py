@@ -1,4 +1,4 @@
-"""Place a model of structure from motion in the world by GPS, and adjust it there."""
+"""Georegister a model of structure from motion by GPS, and bundle-adjust it in the world."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.ingestion.georegister import Georegistration, georegister
-from objconnect.ingestion.gps_delay import find_delay, motions, undo_delay
+from objconnect.ingestion.gps_delay import estimate_motions, find_delay, undo_delay
 from objconnect.scene.colmap.structure_from_motion import (
     MeasuredPositions,
     RefinedLenses,
@@ -34,24 +34,23 @@ _MIN_RELIEF: Final = 0.25
 # is shorter than this. If all cameras face one way, a principal point cannot be distinguished from
 # a shift.
 _MAX_COMMON_DIRECTION: Final = 0.8
-# They are refined only where this reduces the reprojection error by more than this share. Otherwise
-# errors of GPS would move them.
+# Principal points are refined only where this reduces the reprojection error by more than this
+# share. Otherwise errors of GPS would move them.
 _MIN_GAIN: Final = 0.002
-# Most iterations of the delay. Each changes the centres, and so the velocities from which the next
-# one is computed.
+# Maximum iterations of the delay. Each one changes the centres, and with them the velocities.
 _ROUNDS: Final = 3
 
 
 @dataclass(frozen=True)
-class Adjusted:
-    """A model in the world, and how it was placed there.
+class AdjustedModel:
+    """A georegistered and adjusted model.
 
     Attributes:
         model: The adjusted model, in world metres.
-        placed: Where GPS placed the model before the adjustment.
-        refined: Parameters of the lenses that were adjusted.
-        delay: Seconds that fixes are behind the photographs; 0 where it is not known.
-        undone: Fixes (3,) without the delay by name, world metres; empty where there is no delay.
+        placed: The georegistration before the adjustment.
+        refined: The lenses whose parameters were adjusted.
+        delay: Seconds by which fixes lag behind the photographs; 0 where unknown.
+        undone: Fixes (3,) with the delay removed, by name, world metres; empty without a delay.
         folder: Folder of the model.
     """
 
@@ -69,14 +68,14 @@ def adjust(
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
     work: Path,
-) -> Adjusted:
-    """Place a model by GPS and adjust it to pixels and GPS.
+) -> AdjustedModel:
+    """Georegister a model by GPS and adjust it to pixels and GPS.
 
     Args:
         model_path: Folder of the model.
-        taken: The photographs of the model in the order they were taken; there may be others.
+        taken: Photographs in the order they were taken; some may not be in the model.
         fixes: Measured positions (3,) by name, world metres.
-        times: Seconds since any one moment, by name.
+        times: Time stamps in seconds, by name.
         work: Folder for the adjusted model.
 
     Raises:
@@ -87,17 +86,17 @@ def adjust(
     placed, delay, used = _place(raw, order, fixes, times)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = np.minimum(placed.sigma, NO_ALTITUDE)
-    blind = blind_of(positions)
+    blind = find_blind(positions)
     if placed.level == "ground":
         blind = set(positions)
     for name in positions:
         if name in blind:
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
-    tell = _relief(raw) > _MIN_RELIEF
-    focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
+    has_relief = _relief(raw) > _MIN_RELIEF
+    focal = {p.lens for p in taken if not p.calibrated and (has_relief or not p.focal_known)}
 
-    def solve(principal_point: bool) -> Adjusted:
+    def solve(principal_point: bool) -> AdjustedModel:
         out = work / ("adjusted-principal" if principal_point else "adjusted")
         refined = RefinedLenses(focal, principal_point)
         with atomic_folder(out) as folder:
@@ -109,26 +108,28 @@ def adjust(
                 refined,
                 folder,
             )
-        return Adjusted(model, placed, refined, delay, {} if used is fixes else used, out)
+        return AdjustedModel(model, placed, refined, delay, {} if used is fixes else used, out)
 
     best = solve(principal_point=False)
     if _common_direction(raw, taken) < _MAX_COMMON_DIRECTION:
-        off_middle = solve(principal_point=True)
-        least = (1 - _MIN_GAIN) * best.model.reprojection_error()
-        if off_middle.model.reprojection_error() < least:
-            best = off_middle
-    return _at_height(best, used) if placed.level == "ground" and blind_of(used) else best
+        refined = solve(principal_point=True)
+        limit = (1 - _MIN_GAIN) * best.model.reprojection_error()
+        if refined.model.reprojection_error() < limit:
+            best = refined
+    return (
+        _raise_to_altitudes(best, used) if placed.level == "ground" and find_blind(used) else best
+    )
 
 
-def blind_of(fixes: Mapping[str, Array]) -> set[str]:
+def find_blind(fixes: Mapping[str, Array]) -> set[str]:
     """Return the photographs whose fix has no altitude."""
     return {name for name, fix in fixes.items() if np.isnan(fix[2])}
 
 
-def _at_height(adjusted: Adjusted, fixes: Mapping[str, Array]) -> Adjusted:
-    """Return the model raised to the median of the few altitudes that there are."""
+def _raise_to_altitudes(adjusted: AdjustedModel, fixes: Mapping[str, Array]) -> AdjustedModel:
+    """Return the model shifted vertically to the median of the known altitudes."""
     images = adjusted.model.images
-    names = [name for name in fixes.keys() - blind_of(fixes) if name in images]
+    names = [name for name in fixes.keys() - find_blind(fixes) if name in images]
     if not names:
         return adjusted
     up = float(np.median([fixes[name][2] - images[name].centre[2] for name in names]))
@@ -142,22 +143,22 @@ def _place(
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
 ) -> tuple[Georegistration, float, Mapping[str, Array]]:
-    """Place a model by its fixes, without their delay if they have one.
+    """Georegister a model by its fixes, and remove their delay if they have one.
 
     Args:
         raw: The model, in a frame of its own.
         order: Names of its photographs in the order they were taken.
         fixes: Measured positions (3,) by name, world metres.
-        times: Seconds since any one moment, by name.
+        times: Time stamps in seconds, by name.
 
     Returns:
-        Where the model is, the delay in seconds (0 if unknown), and the fixes without the delay;
-        without a delay these are ``fixes`` itself.
+        The georegistration, the delay in seconds (0 if unknown), and the fixes with the delay
+        removed; without a delay these are ``fixes`` itself.
     """
     placed, used, delay = georegister(raw, fixes), fixes, 0.0
     for _ in range(_ROUNDS):
         centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
-        moving = motions(order, centres, times)
+        moving = estimate_motions(order, centres, times)
         trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
         delay = find_delay(moving, centres, trusted)
         if delay == 0:
@@ -182,10 +183,11 @@ def _relief(model: SparseMap) -> float:
 
 
 def _common_direction(model: SparseMap, taken: Sequence[Photograph]) -> float:
-    """Return how much the cameras of any uncalibrated lens face one way.
+    """Return how closely the headings of an uncalibrated lens's cameras agree, 0 to 1.
 
-    It is the largest length, over the lenses, of the mean of the cameras' unit vectors to the
-    right: 1 where all cameras of a lens face one way. Without an uncalibrated lens it is infinite.
+    It is the length of the mean of the cameras' unit vectors to the right, and the largest over the
+    lenses: 1 where all cameras of a lens have one heading. Without an uncalibrated lens it is
+    infinite.
     """
     right: dict[str, list[Array]] = {}
     for photograph in taken:

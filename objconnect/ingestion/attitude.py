@@ -1,4 +1,4 @@
-"""Attitudes that a gimbal wrote into photographs, and photographs that were rotated afterwards."""
+"""Gimbal attitudes in EXIF: their errors, and photographs that were rotated afterwards."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from objconnect.scene.geometry.gimbal import gimbal_pose as gimbal_pose
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# A photograph contradicts its gimbal if their attitudes differ by more than this. Usual errors of
-# gimbals are a few degrees, and those of compasses are larger.
+# A photograph contradicts its gimbal if their attitudes differ by more than this. Errors of gimbals
+# are usually a few degrees; errors of compasses are larger.
 _MAX_ERROR_DEG: Final = 30.0
-# Standard deviations of attitudes are at least this: gimbals write tenths of a degree.
+# Lower bound of the standard deviation, because gimbals write tenths of a degree.
 _MIN_SIGMA_DEG: Final = 0.1
-_OVER = np.diag([-1.0, -1.0, 1.0])
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
 def find_upside_down(
@@ -30,11 +30,11 @@ def find_upside_down(
     images: Sequence[FlightImage],
     agreeing: int = 0,
 ) -> set[str]:
-    """Return the names of photographs that someone has rotated by 180 degrees.
+    """Return the names of photographs that were rotated by 180 degrees after they were taken.
 
-    Their gimbals contradict them by 180 degrees, while the gimbals of more of the other photographs
-    agree. Such a photograph has the same lens as the others, but its principal point lies on the
-    other side of the image.
+    Their attitudes differ from their gimbals' by 180 degrees, while more of the other photographs
+    agree with theirs. Such a photograph has the same lens as the others, but its principal point is
+    mirrored.
 
     Args:
         model: The model, in a frame of its own.
@@ -43,31 +43,31 @@ def find_upside_down(
         agreeing: Number of other photographs whose gimbals are known to agree.
     """
     linear = placed.world_from_model[:, :3]
-    turn = linear / np.cbrt(np.linalg.det(linear))
-    over, upright = set(), agreeing
+    world_from_model = linear / np.cbrt(np.linalg.det(linear))
+    rotated, upright = set(), agreeing
     for image in images:
         if image.exif.gimbal is None or image.name not in model.images:
             continue
-        seen = model.images[image.name].cam_from_world[:3, :3] @ turn.T
-        upright += _degrees(image, seen) < _MAX_ERROR_DEG
-        if _degrees(image, _OVER @ seen) < _MAX_ERROR_DEG:
-            over.add(image.name)
-    return over if len(over) < upright else set()
+        rotation = model.images[image.name].cam_from_world[:3, :3] @ world_from_model.T
+        upright += _error_deg(image, rotation) < _MAX_ERROR_DEG
+        if _error_deg(image, _HALF_TURN @ rotation) < _MAX_ERROR_DEG:
+            rotated.add(image.name)
+    return rotated if len(rotated) < upright else set()
 
 
-def _degrees(image: FlightImage, cam_from_world: NDArray[np.float64]) -> float:
+def _error_deg(image: FlightImage, cam_from_world: NDArray[np.float64]) -> float:
     """Return the angle between the gimbal and a rotation (3, 3) of the camera."""
     assert image.exif.gimbal is not None
-    said = gimbal_pose(*image.exif.gimbal)
-    return float(said.error_to(Pose(torch.tensor(cam_from_world), said.translation))[1])
+    gimbal = gimbal_pose(*image.exif.gimbal)
+    return float(gimbal.error_to(Pose(torch.tensor(cam_from_world), gimbal.translation))[1])
 
 
-def attitudes(
+def read_attitudes(
     images: Sequence[FlightImage],
     poses: NDArray[np.float64],
     queries: set[str],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
-    """Return the attitudes of the gimbal, how exact they are, and those that are wrong.
+    """Return the attitudes of the gimbal, their standard deviations, and the wrong ones.
 
     Args:
         images: The photographs.
@@ -76,15 +76,15 @@ def attitudes(
 
     Returns:
         Quaternions (N, 4), w x y z, and their sigma (N,) in degrees per axis, both NaN for a
-        photograph without a usable attitude; and by file the error in degrees of each attitude
-        that contradicts its photograph.
+        photograph without a usable attitude; and the error in degrees of each attitude that
+        contradicts its photograph, by file.
     """
     quaternions = np.full((len(images), 4), np.nan)
     errors = np.full(len(images), np.nan)
     for k, image in enumerate(images):
         if image.exif.gimbal is not None:
             quaternions[k] = gimbal_pose(*image.exif.gimbal).quaternion().numpy()
-            errors[k] = _degrees(image, poses[k, :3, :3])
+            errors[k] = _error_deg(image, poses[k, :3, :3])
     wrong = errors > _MAX_ERROR_DEG
     blunders = {images[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
     quaternions[wrong] = errors[wrong] = np.nan

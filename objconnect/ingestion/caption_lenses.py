@@ -1,4 +1,4 @@
-"""Focal lengths and digital zoom that subtitles tell."""
+"""Focal lengths and digital zoom of a drone's subtitles."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from objconnect.ingestion.captions import Caption, quantity
+from objconnect.ingestion.captions import Caption, parse_quantity
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 from objconnect.scene.quantities.film_lens import (
     focal_on_film,
@@ -17,7 +17,7 @@ from objconnect.scene.quantities.film_lens import (
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 ZOOMS: Final = ("dzoom_ratio", "dzoom")
-"""Names of the field of a digital zoom."""
+"""Field names of the digital zoom."""
 _FOCAL: Final = "focal_len"
 _APERTURES: Final = ("fnum", "f-num")
 
@@ -27,94 +27,94 @@ class Lenses:
     """Lenses of the subtitles of a file.
 
     Attributes:
-        focals: Focal length of each subtitle on 35 mm film without digital zoom, mm; None where it
-            is not known.
-        zooms: Digital zoom of each subtitle, a ratio; 1 where the file tells of none, None where it
-            is not known.
-        doubts: Why some are unknown, a phrase each.
-        of_each: Why those of each subtitle are unknown, or how they were told.
+        focals: 35 mm equivalent focal length of each subtitle without digital zoom, mm; None where
+            unknown.
+        zooms: Digital zoom of each subtitle, a ratio; 1 where the file has none, None where
+            unknown.
+        doubts: Reasons why some are unknown, a phrase each.
+        doubts_of: Reasons for each subtitle, or how its values were decided.
     """
 
     focals: Sequence[float | None]
     zooms: Sequence[float | None]
     doubts: tuple[str, ...]
-    of_each: Sequence[tuple[str, ...]]
+    doubts_of: Sequence[tuple[str, ...]]
 
 
-def lenses_of(
+def parse_lenses(
     captions: Sequence[Caption], marks: DecimalMarks, lenses: Collection[float]
 ) -> Lenses:
-    """Return the lenses of a file's subtitles.
+    """Parse the lenses of a file's subtitles.
 
-    A subtitle that does not tell has the value of the others, if they all tell the same one.
+    A subtitle without a value takes that of the others, if these are all equal.
 
     Args:
-        captions: Subtitles in the order of their times.
+        captions: Subtitles sorted by time.
         marks: Decimal marks of the file.
-        lenses: Focal lengths of the map's cameras on 35 mm film, mm.
+        lenses: 35 mm equivalent focal lengths of the map's cameras, mm.
     """
-    focals = _focals(captions, marks, lenses)
-    zooms = _zooms(captions, marks)
-    of_each = [
+    focals = _parse_focals(captions, marks, lenses)
+    zooms = _parse_zooms(captions, marks)
+    doubts_of = [
         tuple(doubt for reading in pair if reading is not None for doubt in reading.doubts)
         for pair in zip(focals, zooms, strict=True)
     ]
-    doubts = dict.fromkeys(doubt for each in of_each for doubt in each)
+    doubts = dict.fromkeys(doubt for each in doubts_of for doubt in each)
     if all(zoom is None for zoom in zooms):
         zooms = [known(1.0, ZOOMS[0])] * len(captions)
-    return Lenses(_fill_gaps(focals), _fill_gaps(zooms), tuple(doubts)[:3], of_each)
+    return Lenses(_fill_gaps(focals), _fill_gaps(zooms), tuple(doubts)[:3], doubts_of)
 
 
 def _fill_gaps(readings: Sequence[Reading[float] | None]) -> list[float | None]:
-    """Return values; where a subtitle says nothing, the one that all others have."""
+    """Return values, with missing ones taken from the others if these are all equal."""
     values = {reading.value for reading in readings if reading is not None}
     same = values.pop() if len(values) == 1 else None
     return [same if reading is None else reading.value for reading in readings]
 
 
-def _focals(
+def _parse_focals(
     captions: Sequence[Caption], marks: DecimalMarks, lenses: Collection[float]
 ) -> list[Reading[float] | None]:
     texts = [caption.fields.get(_FOCAL) for caption in captions]
-    read = [None if text is None else _millimetres(text, marks) for text in texts]
-    understood = [
+    numbers = [None if text is None else _parse_millimetres(text, marks) for text in texts]
+    valid = [
         (str(text), number)
-        for text, number in zip(texts, read, strict=True)
-        # Zero is no focal length: the camera did not tell.
+        for text, number in zip(texts, numbers, strict=True)
+        # Cameras write zero for an unknown focal length.
         if number is not None and number > 0
     ]
-    if not understood:
-        return [_unread(text) for text in texts]
+    if not valid:
+        return [_unparsable(text) for text in texts]
     apertures = {
         caption.fields[name]
         for caption in captions
         for name in _APERTURES
         if name in caption.fields
     }
-    written, numbers = zip(*understood, strict=True)
+    written, values = zip(*valid, strict=True)
     unit = known(1.0, _FOCAL)
     if not any("mm" in text for text in written):
         scaled = scales_whole_numbers(apertures, _writes_ten_thousandths(captions))
-        unit = millimetres_per_unit(written, numbers, scaled, lenses)
-    found: list[Reading[float] | None] = []
-    for text, number in zip(texts, read, strict=True):
+        unit = millimetres_per_unit(written, values, scaled, lenses)
+    readings: list[Reading[float] | None] = []
+    for text, number in zip(texts, numbers, strict=True):
         if text is None or number is None or number <= 0:
-            found.append(_unread(text))
+            readings.append(_unparsable(text))
             continue
         millimetres = None if unit.value is None else focal_on_film(unit.value * number)
         doubts = unit.doubts
         if unit.is_known and millimetres is None:
-            doubts = (*doubts, f"{_FOCAL} {text} is no focal length on 35 mm film")
-        found.append(Reading(millimetres, _FOCAL, doubts))
-    return found
+            doubts = (*doubts, f"{_FOCAL} {text} is no 35 mm equivalent focal length")
+        readings.append(Reading(millimetres, _FOCAL, doubts))
+    return readings
 
 
-def _unread(text: str | None) -> Reading[float] | None:
+def _unparsable(text: str | None) -> Reading[float] | None:
     return None if text is None else unknown(_FOCAL, f"{_FOCAL} {text[:40]} is not understood")
 
 
-def _millimetres(text: str, marks: DecimalMarks) -> float | None:
-    number, unit = quantity(text, marks)
+def _parse_millimetres(text: str, marks: DecimalMarks) -> float | None:
+    number, unit = parse_quantity(text, marks)
     return number if unit in ("", "mm") else None
 
 
@@ -128,20 +128,25 @@ def _writes_ten_thousandths(captions: Sequence[Caption]) -> bool:
     )
 
 
-def _zooms(captions: Sequence[Caption], marks: DecimalMarks) -> list[Reading[float] | None]:
+def _parse_zooms(captions: Sequence[Caption], marks: DecimalMarks) -> list[Reading[float] | None]:
     in_ten_thousandths = _writes_ten_thousandths(captions)
-    found: list[Reading[float] | None] = []
+    zooms: list[Reading[float] | None] = []
     for caption in captions:
-        names = [name for name in caption.fields if "zoom" in name]
-        readings = [_zoom(name, caption.fields[name], marks, in_ten_thousandths) for name in names]
-        bad = [reading for reading in readings if not reading.is_known]
-        told = [reading for name, reading in zip(names, readings, strict=True) if name in ZOOMS]
-        found.append(bad[0] if bad else told[0] if told else None)
-    return found
+        readings = {
+            name: _parse_zoom(name, text, marks, in_ten_thousandths)
+            for name, text in caption.fields.items()
+            if "zoom" in name
+        }
+        unknown_ones = [reading for reading in readings.values() if not reading.is_known]
+        known_ones = [reading for name, reading in readings.items() if name in ZOOMS]
+        zooms.append(next(iter((*unknown_ones, *known_ones)), None))
+    return zooms
 
 
-def _zoom(name: str, text: str, marks: DecimalMarks, in_ten_thousandths: bool) -> Reading[float]:
-    number, unit = quantity(text, marks)
+def _parse_zoom(
+    name: str, text: str, marks: DecimalMarks, in_ten_thousandths: bool
+) -> Reading[float]:
+    number, unit = parse_quantity(text, marks)
     if number is None or unit not in ("", "x", "X"):
         return unknown(name, f"{name} {text[:40]} is not understood")
     reading = zoom_ratio(text.rstrip("xX "), number, in_ten_thousandths, name)

@@ -1,7 +1,7 @@
-"""The words of a subtitle that a drone wrote: fields, numbers in parentheses, and short words.
+"""Split the text of a drone's subtitle into fields and tuples.
 
-A value is the whole text of a field. Nothing is cut from it here, so that a reader sees a unit, a
-second number or a mark that it does not know.
+A value is the whole text of a field. Nothing is removed from it here, so that its reader notices a
+unit, a second number or an unknown character.
 """
 
 from __future__ import annotations
@@ -19,28 +19,26 @@ from objconnect.scene.storage.subtitles import Subtitle
 _TAG: Final = re.compile(r"<[^<>]*>|\{\\[^{}]*\}")
 _PARENTHESES: Final = re.compile(r"(?<![\w.])([A-Za-z][\w.]*)\s{0,8}:?\s{0,8}\(([^()]{0,200})\)")
 _FIELD: Final = re.compile(r"(?<![\w.-])([A-Za-z][\w-]*)\s{0,8}:")
-# Words of compact subtitles, which have no colon. A field's value ends before them.
+# Keys of compact subtitles, which have no colon. A field's value ends before them.
 _SHORT: Final = r"(?:H\.S|V\.S|DZOOM|ISO|EV|SS|F/|GPS|RTK|HOME|[FG]\.PRY|H|D)"
 _SHORT_WORD: Final = re.compile(r"(?<![\w.])(H\.S|DZOOM|H|D)[ \t]+(?=[-+\d])")
 _END: Final = re.compile(rf"[\[\];\n|]|,\s*(?=[A-Za-z])|\s(?={_SHORT}(?:[\s(/]|$))")
-# A longer value is no number, and is not cut to be one.
+# Maximum length of a value. A longer one is not a number and is replaced by "...".
 _LONGEST: Final = 200
 _VALUE: Final = re.compile(r"([-+]?[\d.,]*\d[\d.,]*(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 _LETTER: Final = re.compile(r"(?:([NSEW])\s*:?\s*)?(.*?)\s*([NSEW])?")
-# The second stands for a byte of another encoding.
+# U+FFFD is a degree sign that was written in another encoding.
 DEGREE_SIGNS: Final = ("", "°", "\ufffd", "º", "deg", "degrees")
-"""Marks after an angle in degrees."""
+"""Units of an angle in degrees."""
 
 
 @dataclass(frozen=True)
 class Caption:
-    """What a subtitle says, in its own words.
+    """A subtitle split into fields and tuples, as text.
 
     Attributes:
-        subtitle: The subtitle.
-        text: Its text without tags.
-        fields: Texts of values by name in lower case, such as ``focal_len``, ``h.s`` or
-            ``barometer``.
+        text: Text without tags.
+        fields: Values by name in lower case, such as ``focal_len``, ``h.s`` or ``barometer``.
         tuples: Texts in parentheses by name in lower case, such as ``gps``.
     """
 
@@ -50,11 +48,11 @@ class Caption:
     tuples: Mapping[str, str]
 
     @staticmethod
-    def of(subtitle: Subtitle) -> Caption:
-        """Take a subtitle apart.
+    def parse(subtitle: Subtitle) -> Caption:
+        """Split a subtitle.
 
-        A value in a bracket that is not closed was cut short, and is left out. Of two values of one
-        name that differ, neither is a number.
+        A value in an unclosed bracket is truncated and is dropped. Two different values of one name
+        are joined, so that neither is read as a number.
         """
         text = html.unescape(_TAG.sub(" ", subtitle.text)).replace("\xa0", " ")
         tuples = _unique((name.lower(), inner) for name, inner in _PARENTHESES.findall(text))
@@ -68,46 +66,46 @@ class Caption:
         return Caption(subtitle, text, fields, tuples)
 
     def numbers(self, *names: str) -> Iterator[str]:
-        """Yield the texts of the numbers of some fields, and of those in parentheses."""
+        """Yield the numbers of the named fields and of all tuples, as text."""
         for name in names:
-            if name in self.fields and (found := _VALUE.fullmatch(self.fields[name].strip())):
-                yield found[1]
+            if name in self.fields and (match := _VALUE.fullmatch(self.fields[name].strip())):
+                yield match[1]
         for inner in self.tuples.values():
-            for part in parts_of(inner):
-                if found := _VALUE.fullmatch(_without_letter(part)):
-                    yield found[1]
+            for part in split_tuple(inner):
+                if match := _VALUE.fullmatch(split_letter(part)[1]):
+                    yield match[1]
 
 
 def _unique(items: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> dict[str, str]:
-    found: dict[str, str] = {}
+    merged: dict[str, str] = {}
     for name, text in items:
         text = text.strip()
-        found[name] = text if found.get(name, text) == text else f"{found[name]} and {text}"
-    return found
+        merged[name] = text if merged.get(name, text) == text else f"{merged[name]} and {text}"
+    return merged
 
 
 def _fields(text: str) -> Iterator[tuple[str, str]]:
+    """Yield names in lower case and values of fields with a colon and of compact fields."""
     names = list(_FIELD.finditer(text))
-    starts = [*(found.start() for found in names), len(text)]
-    for found in (*names, *_SHORT_WORD.finditer(text)):
-        after = starts[bisect_right(starts, found.start())]
-        whole = after - found.end() <= _LONGEST
-        value = text[found.end() : min(after, found.end() + _LONGEST)].lstrip(" \t")
+    starts = [*(match.start() for match in names), len(text)]
+    for match in (*names, *_SHORT_WORD.finditer(text)):
+        after = starts[bisect_right(starts, match.start())]
+        whole = after - match.end() <= _LONGEST
+        value = text[match.end() : min(after, match.end() + _LONGEST)].lstrip(" \t")
         end = _END.search(value)
         value = (value[: end.start()] if end else value).rstrip(" \t,")
-        yield found[1].lower(), value if end or whole else "..."
+        yield match[1].lower(), value if end or whole else "..."
 
 
-def parts_of(inner: str) -> list[str]:
-    """Return the parts of a text in parentheses, as its own marks divide them.
+def split_tuple(inner: str) -> list[str]:
+    """Split the text in parentheses at its separators.
 
-    A comma divides numbers that have points. Where they have none, a comma before white space
-    divides, and a comma between digits may be a decimal mark. One part is returned where the marks
-    do not tell.
+    Commas separate numbers with decimal points. Without points, only commas before white space
+    separate, because a comma between digits may be a decimal mark. An ambiguous text is one part.
 
     Example:
-        >>> parts_of("8.5,47.1,17"), parts_of("8,5000, 47,1000, 17"), parts_of("8,5,47,1,17")
-        (['8.5', '47.1', '17'], ['8,5000', '47,1000', '17'], ['8,5,47,1,17'])
+        >>> [split_tuple(text) for text in ("8.5,47.1,17", "8,50, 47,10, 17", "8,5,47,1,17")]
+        [['8.5', '47.1', '17'], ['8,50', '47,10', '17'], ['8,5,47,1,17']]
     """
     if ";" in inner:
         return [part.strip() for part in inner.split(";")]
@@ -117,31 +115,27 @@ def parts_of(inner: str) -> list[str]:
 
 
 def split_letter(part: str) -> tuple[str, str]:
-    """Return the letter of a direction (N, S, E, W or none) and the rest of a part of a pair.
+    """Split a coordinate into the letter of its direction (N, S, E, W or none) and the rest.
 
     Example:
         >>> split_letter("W: 97.6"), split_letter("8.5"), split_letter("47.1° N")
         (('W', '97.6'), ('', '8.5'), ('N', '47.1°'))
     """
-    found = _LETTER.fullmatch(part.strip())
-    if found is None or (found[1] and found[3]):
+    match = _LETTER.fullmatch(part.strip())
+    if match is None or (match[1] and match[3]):
         return "?", part
-    return found[1] or found[3] or "", found[2]
+    return match[1] or match[3] or "", match[2]
 
 
-def _without_letter(part: str) -> str:
-    return split_letter(part)[1]
-
-
-def quantity(text: str | None, marks: DecimalMarks) -> tuple[float | None, str]:
-    """Return the number and the unit of a value; no number where the value is anything else."""
-    found = _VALUE.fullmatch((text or "").strip())
-    if found is None:
+def parse_quantity(text: str | None, marks: DecimalMarks) -> tuple[float | None, str]:
+    """Return the number and the unit of a value; None and "" where it is not a quantity."""
+    match = _VALUE.fullmatch((text or "").strip())
+    if match is None:
         return None, ""
-    return marks.parse(found[1]), (found[2] or "").strip()
+    return marks.parse(match[1]), (match[2] or "").strip()
 
 
-def angle(text: str | None, marks: DecimalMarks) -> float | None:
-    """Return an angle in degrees; None where the value is anything else."""
-    number, unit = quantity(text, marks)
+def parse_angle(text: str | None, marks: DecimalMarks) -> float | None:
+    """Return an angle in degrees; None where the value is not an angle."""
+    number, unit = parse_quantity(text, marks)
     return number if unit.lower() in DEGREE_SIGNS else None

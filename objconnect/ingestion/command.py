@@ -1,4 +1,4 @@
-"""The command ``ingest``, which makes a scene of photographs and resumes interrupted runs."""
+"""The command ``ingest``: make a scene from photographs; resume interrupted runs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.ingestion.addition import add_photographs
-from objconnect.ingestion.adjustment import Adjusted, adjust
+from objconnect.ingestion.adjustment import AdjustedModel, adjust
 from objconnect.ingestion.attitude import find_upside_down
 from objconnect.ingestion.control import fit_to_control
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
-from objconnect.ingestion.georeference import Receiver, georeference_of
+from objconnect.ingestion.georeference import Receiver, estimate_georeference
 from objconnect.ingestion.georegister import georegister
-from objconnect.ingestion.imported_poses import Given, read_given, triangulate_imported
+from objconnect.ingestion.imported_poses import (
+    ImportedPoses,
+    read_imported,
+    triangulate_imported,
+)
 from objconnect.ingestion.neighbours import choose_pairs
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.outputs import (
@@ -31,17 +35,17 @@ from objconnect.ingestion.photographs import (
     SESSION,
     Flight,
     copy_photographs,
-    photographs_of,
+    make_photographs,
     read_flight,
     read_sigmas,
     warn_of_doubts,
 )
 from objconnect.ingestion.picture import PICTURE, draw
 from objconnect.ingestion.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
-from objconnect.ingestion.positions import FEWEST, local, with_positions
+from objconnect.ingestion.positions import FEWEST, local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
-from objconnect.ingestion.rotated_photographs import begin_again, read_turned
-from objconnect.ingestion.split import Split, queries_of
+from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.split import Split, choose_queries
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.colmap.database import MatchingJob, match_photographs
 from objconnect.scene.colmap.options import SiftOptions
@@ -63,17 +67,14 @@ _DEFAULTS: Final = IngestOptions()
 
 @dataclass(frozen=True)
 class _Source:
-    """What a scene is made of.
+    """The inputs of a run.
 
     Attributes:
-        folder: folder of the photographs.
-        flight: its photographs, and the files that are left out.
         taken: the photographs as structure from motion takes them.
-        origin: place of the world's origin.
+        origin: geodetic coordinates of the world's origin.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
-        plan: what was asked for.
-        given: poses of another program; None for structure from motion.
+        imported: poses of another program; None for structure from motion.
         control: ground control points, with marks in the photographs of the folder.
     """
 
@@ -84,7 +85,7 @@ class _Source:
     fixes: Mapping[str, NDArray[np.float64]]
     queries: set[str]
     plan: Plan
-    given: Given | None
+    imported: ImportedPoses | None
     control: Sequence[ControlPoint]
 
 
@@ -106,29 +107,29 @@ def ingest(
     every: int = 4,
     options: IngestOptions = _DEFAULTS,
 ) -> IngestReport:
-    """Make a scene of a folder of geotagged JPEGs, or continue an interrupted run.
+    """Make a scene from a folder of geotagged JPEGs, or continue an interrupted run.
 
-    Poses come from structure from motion of all photographs together, georegistered by GPS, or from
-    a file of another program. The map is triangulated again from its own photographs.
+    Poses come from structure from motion of all photographs, georegistered by GPS, or from a file
+    of another program. The map is then triangulated from the map photographs alone.
 
     Args:
         photographs: folder of the photographs, with sub-folders.
         out: new folder, or one left by a run of the same photographs and options.
-        gps: table of positions instead of those in EXIF, see ``with_positions``.
+        gps: table of positions that replace those in EXIF, see ``replace_positions``.
         poses: poses and cameras of another program, see ``scene.imports``; photographs without a
             pose are left out.
         poses_frame: frame of ``poses``, where the file leaves it open.
-        gcp: list of ground control points, see ``control_points``. With ``poses``, which stay as
-            they are, all points are check points.
-        checks: names of points that are only compared.
-        add: finished scene to which the photographs are added, see ``add_photographs``; it stays as
-            it is, and ``out`` becomes a scene of both.
+        gcp: list of ground control points, see ``control_points``. With ``poses``, which are not
+            adjusted, all points are check points.
+        checks: names of the check points, which do not take part in the adjustment.
+        add: finished scene to which the photographs are added, see ``add_photographs``. It is not
+            changed, and ``out`` becomes a scene of both.
         camera: calibration of all photographs; None takes it from ``poses`` or EXIF.
         size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
         split: queries are every ``every``-th "photo" or flight "line", or "none".
         every: see ``split``.
-        options: which photographs are matched, and how exact receiver and ground control are.
+        options: which photographs are matched, and standard deviations of GPS and ground control.
 
     Raises:
         InputError: fewer than three photographs can be read, have positions or overlap; ``out``
@@ -136,28 +137,28 @@ def ingest(
             ``add_photographs``.
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
-        raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
+        raise InputError(f"{out} lies in the folder of photographs: choose a folder outside it")
     if add is not None:
         other = (poses, poses_frame, gcp)
         if any(each is not None for each in other) or checks or mapper != "incremental":
             raise InputError(
-                "added photographs are registered in the map of their scene: leave out --poses, "
+                "--add registers photographs in the map of the scene: leave out --poses, "
                 "--poses-frame, --gcp, --gcp-check and --mapper"
             )
         asked = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
         return add_photographs(photographs, add, out, asked, gps, camera)
     if poses is None and poses_frame is not None:
-        raise InputError("--poses-frame states the frame of a file of poses: give --poses")
+        raise InputError("--poses-frame needs a file of poses: give --poses")
     flight = read_flight(photographs)
     if gps is not None:
-        flight = with_positions(flight, gps)
+        flight = replace_positions(flight, gps)
     warn_of_doubts(flight, with_lenses=camera is None and poses is None)
-    given = None
+    imported = None
     if poses is not None:
-        flight, given = read_given(poses, flight, size, camera, poses_frame)
-    _require(flight, photographs)
+        flight, imported = read_imported(poses, flight, size, camera, poses_frame)
+    _require_enough(flight, photographs)
     if checks and gcp is None:
-        raise InputError("check points are points of a list: give --gcp")
+        raise InputError("--gcp-check names points of a list: give --gcp")
     control = [] if gcp is None else read_control_points(gcp, flight, size, checks)
     plan = Plan(
         size=size,
@@ -166,36 +167,36 @@ def ingest(
         every=every,
         camera=None if camera is None else str(camera),
         gps=None if gps is None else sha256_of(gps),
-        poses=None if given is None else given.sha256,
+        poses=None if imported is None else imported.sha256,
         gcp=None if gcp is None else sha256_of(gcp),
         checks=tuple(sorted(set(checks))),
         photographs={image.file: image.sha256 for image in flight.images},
         options=options,
     )
-    source = _source(photographs, flight, camera, given, control, plan)
+    source = _gather_source(photographs, flight, camera, imported, control, plan)
     with write_lock(out):
         return _ingest(out, source)
 
 
-def _source(
+def _gather_source(
     photographs: Path,
     flight: Flight,
     camera: Camera | None,
-    given: Given | None,
+    imported: ImportedPoses | None,
     control: Sequence[ControlPoint],
     plan: Plan,
 ) -> _Source:
-    """Return what a scene is made of; only the photographs themselves are still unread."""
-    origin, fixes = local(flight.images, None if given is None else given.origin)
+    """Gather the inputs of a run; the pixels of the photographs are not read yet."""
+    origin, fixes = local_positions(flight.images, None if imported is None else imported.origin)
     names = [image.name for image in flight.images]
-    course = fixes if given is None or given.origin is None else given.centres
-    queries = queries_of(names, course, plan.split, plan.every)
-    if given is None:
-        taken = photographs_of(flight.images, plan.size, camera)
+    course = fixes if imported is None or imported.origin is None else imported.centres
+    queries = choose_queries(names, course, plan.split, plan.every)
+    if imported is None:
+        taken = make_photographs(flight.images, plan.size, camera)
     else:
-        taken = given.photographs()
+        taken = imported.photographs()
         control = [replace(point, check=True) for point in control]
-    return _Source(photographs, flight, taken, origin, fixes, queries, plan, given, control)
+    return _Source(photographs, flight, taken, origin, fixes, queries, plan, imported, control)
 
 
 def _ingest(out: Path, source: _Source) -> IngestReport:
@@ -212,13 +213,14 @@ def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
     taken, fixes, queries = source.taken, source.fixes, source.queries
     options = source.plan.options
-    if source.given is not None:
-        flight, adjusted, turned = _use_imported_poses(out, source, source.given)
+    rotated: set[str] = set()
+    if source.imported is not None:
+        flight, adjusted = _use_imported_poses(out, source, source.imported)
     else:
-        flight, model_path, turned = _structure(out, source)
+        flight, model_path, rotated = _reconstruct(out, source)
         times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
         adjusted = adjust(model_path, taken, fixes, times, out / WORK)
-    points = [_follow_rotation(point, turned, taken) for point in source.control]
+    points = [_rotate_marks(point, rotated, taken) for point in source.control]
     adjusted, residuals = fit_to_control(
         adjusted, points, source.origin, taken, out / WORK, options
     )
@@ -227,10 +229,10 @@ def _build(out: Path, source: _Source) -> IngestReport:
     wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries)
-    over = [image.file for image in images if image.name in turned]
+    rotated_files = [image.file for image in images if image.name in rotated]
     receiver = Receiver(fixes, {} if source.plan.gps is not None else read_sigmas(images))
-    placed = georeference_of(model, adjusted.placed, receiver, residuals, options)
-    findings = Findings(wrong_attitudes, over, residuals, placed)
+    georeference = estimate_georeference(model, adjusted.placed, receiver, residuals, options)
+    findings = Findings(wrong_attitudes, rotated_files, residuals, georeference)
     report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(
@@ -247,63 +249,58 @@ def _build(out: Path, source: _Source) -> IngestReport:
     return report
 
 
-def _follow_rotation(
-    point: ControlPoint, turned: set[str], taken: Sequence[Photograph]
+def _rotate_marks(
+    point: ControlPoint, rotated: set[str], taken: Sequence[Photograph]
 ) -> ControlPoint:
-    """Return a point with its marks in photographs as they are in the scene, where some are
-    rotated."""
+    """Return a point with its marks rotated in the photographs that the scene rotates."""
     size = {p.name: np.array([p.camera.width, p.camera.height]) for p in taken}
-    marks = {name: size[name] - xy if name in turned else xy for name, xy in point.marks.items()}
+    marks = {name: size[name] - xy if name in rotated else xy for name, xy in point.marks.items()}
     return replace(point, marks=marks)
 
 
 def _use_imported_poses(
-    out: Path, source: _Source, given: Given
-) -> tuple[Flight, Adjusted, set[str]]:
-    """Return the photographs, their model with the given poses, and no rotated photographs."""
-    placed = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
-    _require(placed, source.folder)
-    there = [image.name for image in placed.images]
-    taken = [photograph for photograph in source.taken if photograph.name in set(there)]
+    out: Path, source: _Source, imported: ImportedPoses
+) -> tuple[Flight, AdjustedModel]:
+    """Return the copied photographs and their model with the imported poses."""
+    copied = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
+    _require_enough(copied, source.folder)
+    names = [image.name for image in copied.images]
+    taken = [photograph for photograph in source.taken if photograph.name in set(names)]
     options, database = source.plan.options, out / WORK / DATABASE
-    _match(taken, given.centres, options, out)
-    adjusted = triangulate_imported(given, there, source.fixes, out / "sessions", database)
-    return placed, adjusted, set()
+    _match(taken, imported.centres, options, out)
+    adjusted = triangulate_imported(imported, names, source.fixes, out / "sessions", database)
+    return copied, adjusted
 
 
-def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
+def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     """Return the photographs of one model, the folder of the model, and the rotated photographs."""
     fixes, options = source.fixes, source.plan.options
-    turned = read_turned(out)
-    placed = copy_photographs(
-        source.flight, source.folder, out / "sessions", source.plan.size, turned
+    rotated = read_rotated(out)
+    copied = copy_photographs(
+        source.flight, source.folder, out / "sessions", source.plan.size, rotated
     )
-    _require(placed, source.folder)
-    files = {image.name: image.file for image in placed.images}
-    there = [photograph for photograph in source.taken if photograph.name in files]
-    _match(there, fixes, options, out)
-    model_path, elsewhere = _map(there, out, source.plan.mapper)
-    if not turned:
+    _require_enough(copied, source.folder)
+    files = {image.name: image.file for image in copied.images}
+    taken = [photograph for photograph in source.taken if photograph.name in files]
+    _match(taken, fixes, options, out)
+    model_path, unregistered = _map(taken, out, source.plan.mapper)
+    if not rotated:
         raw = read_model(model_path)
-        where = georegister(raw, fixes)
-        turned = find_upside_down(raw, where, placed.images)
-        if turned:
-            begin_again(out, turned, model_path.parent)
-            return _structure(out, source)
-    return (
-        placed.without({files[name]: reason for name, reason in elsewhere.items()}),
-        model_path,
-        turned,
-    )
+        rotated = find_upside_down(raw, georegister(raw, fixes), copied.images)
+        if rotated:
+            restart_rotated(out, rotated, model_path.parent)
+            return _reconstruct(out, source)
+    flight = copied.without({files[name]: reason for name, reason in unregistered.items()})
+    return flight, model_path, rotated
 
 
-def _require(flight: Flight, folder: Path) -> None:
+def _require_enough(flight: Flight, folder: Path) -> None:
     """Refuse a flight with too few photographs for a scene."""
     if len(flight.images) < FEWEST:
         reasons = "".join(f"; {file}: {why}" for file, why in list(flight.left_out.items())[:3])
         raise InputError(
-            f"{folder} has {len(flight.images)} usable photographs, {FEWEST} are the fewest that "
-            f"make a scene{reasons}"
+            f"{folder} has {len(flight.images)} usable photographs, a scene needs at least "
+            f"{FEWEST}{reasons}"
         )
 
 
@@ -329,8 +326,8 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
         members = [read_model(path).names for path in models_by_size]
     if not members or len(members[0]) < FEWEST:
         raise InputError(
-            f"no {FEWEST} of the {len(taken)} photographs hang together: they need overlap and "
-            "texture"
+            f"no {FEWEST} of the {len(taken)} photographs could be registered together: "
+            "photograph with more overlap, over ground with texture"
         )
     reasons = {photograph.name: "not registered: too few matches" for photograph in taken}
     for names in reversed(members):  # a photograph may be in several

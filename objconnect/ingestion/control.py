@@ -1,4 +1,4 @@
-"""Ground control points in a model: where it sees them, which are wrong, and the fit to them."""
+"""Ground control points: triangulate their marks, detect wrong points, adjust the model to them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.control_points import ControlPoint
-from objconnect.ingestion.georegister import is_on_a_line, robust_similarity, similarity
+from objconnect.ingestion.georegister import fit_robust_similarity, fit_similarity, is_on_a_line
 from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.colmap.ground_control import SurveyedPoint, adjust_to_points
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -25,11 +25,11 @@ from objconnect.scene.storage.atomic import atomic_folder
 Array = NDArray[np.float64]
 Role = Literal["used", "check", "wrong", "unseen"]
 
-# Points that a similarity needs, and that tell which of them is wrong.
+# Minimum number of points of a similarity, and of points among which a wrong one is detected.
 _FEWEST: Final = 3
-_TELLING: Final = 5
-# A point is wrong if it is further than this (m), and than sigmas of the others, from where they
-# put it: wrong marks move it by less, a name that is mixed up by more.
+_FEWEST_TO_DETECT: Final = 5
+# A point is wrong if the fit of the others leaves it further off than this (m), and than their
+# scatter explains. Inexact marks move a point by less, mixed-up names by more.
 _WRONG_M: Final = 1.0
 
 
@@ -37,12 +37,12 @@ class ControlResidual(BaseModel):
     """A ground control point after the adjustment.
 
     Attributes:
-        name: its name in the list.
-        role: "used" in the adjustment; a "check" point; "wrong", because it contradicts the others,
-            and not used; "unseen", with fewer than two marks in photographs of the scene.
-        marks: number of its marks in photographs of the scene.
-        off: where its marks put it, minus its surveyed position, metres east, north and up.
-        mark_px: root mean square distance of its marks from there, pixels.
+        name: name in the list.
+        role: "used" in the adjustment; a "check" point; "wrong", which contradicts the others and
+            is not used; "unseen", with fewer than two marks in photographs of the scene.
+        marks: number of marks in photographs of the scene.
+        off: triangulated minus surveyed position, metres east, north and up.
+        mark_px: root mean square reprojection error of the marks, pixels.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -55,9 +55,9 @@ class ControlResidual(BaseModel):
 
 
 def control_text(points: Sequence[ControlResidual]) -> list[str]:
-    """Return lines of text: root mean squares by role, and every point that is wrong or unseen."""
+    """Return a summary as lines: errors by role, and every point that is wrong or unseen."""
     lines = []
-    for role, what in (("used", "used"), ("check", "only compared")):
+    for role, what in (("used", "used"), ("check", "as check points")):
         off = np.array([p.off for p in points if p.role == role and p.off is not None])
         if len(off):
             east_north, up = np.sqrt([(off[:, :2] ** 2).sum(1).mean(), (off[:, 2] ** 2).mean()])
@@ -75,19 +75,19 @@ def control_text(points: Sequence[ControlResidual]) -> list[str]:
 
 
 def triangulate_marks(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Array, float] | None:
-    """Return the point that marks show, (3,) world metres, and their distance from it.
+    """Triangulate the marks of a point: position (3,), world metres, and reprojection error.
 
-    The point has the least sum of squared distances in pixels, by Gauss and Newton. The distance is
-    the root mean square, in pixels. The result is None for fewer than two marks in the model's
-    photographs, or for marks whose rays do not meet in front of the cameras.
+    Gauss-Newton minimises the sum of squared reprojection errors. The returned error is their root
+    mean square, in pixels. The result is None for fewer than two marks in the model's photographs,
+    or for marks whose rays do not meet in front of the cameras.
     """
-    there = [name for name in marks if name in model.images]
-    if len(there) < 2:
+    names = [name for name in marks if name in model.images]
+    if len(names) < 2:
         return None
-    images = [model.images[name] for name in there]
-    xy = torch.from_numpy(np.array([marks[name] for name in there]))
+    images = [model.images[name] for name in names]
+    xy = torch.from_numpy(np.array([marks[name] for name in names]))
     poses = [image.pose for image in images]
-    across, onto = np.zeros((3, 3)), np.zeros(3)
+    normal, right = np.zeros((3, 3)), np.zeros(3)
     for image, pose, pixel in zip(images, poses, xy, strict=True):
         ray, valid = image.camera.unproject(pixel[None])
         if not bool(valid[0]):
@@ -95,10 +95,10 @@ def triangulate_marks(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Arr
         direction = (ray[0] @ pose.rotation).numpy()
         direction /= np.linalg.norm(direction)
         plane = np.eye(3) - np.outer(direction, direction)
-        across, onto = across + plane, onto + plane @ image.centre
-    if np.linalg.cond(across) > 1e8:  # the rays are parallel
+        normal, right = normal + plane, right + plane @ image.centre
+    if np.linalg.cond(normal) > 1e8:  # the rays are parallel
         return None
-    point = torch.from_numpy(np.linalg.solve(across, onto))
+    point = torch.from_numpy(np.linalg.solve(normal, right))
     for _ in range(5):
         residuals, slopes = [], []
         for image, pose, pixel in zip(images, poses, xy, strict=True):
@@ -115,38 +115,38 @@ def triangulate_marks(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Arr
 
 
 def fit_to_control(
-    adjusted: Adjusted,
+    adjusted: AdjustedModel,
     points: Sequence[ControlPoint],
     origin: Geodetic,
     taken: Sequence[Photograph],
     work: Path,
     options: IngestOptions,
-) -> tuple[Adjusted, tuple[ControlResidual, ...]]:
-    """Adjust a model in the world to the points that are no check points, and measure all of them.
+) -> tuple[AdjustedModel, tuple[ControlResidual, ...]]:
+    """Adjust a georegistered model to the control points, and measure all points.
 
-    Three or more points that are not on a line are adjusted together with the pixels, and GPS has
-    no influence any more. Fewer points shift the model.
+    Three or more points that are not on a line are adjusted together with the pixels, and replace
+    GPS. Fewer points shift the model. Check points are measured and not used.
 
     Args:
         adjusted: the model as GPS placed it.
-        points: the points, with marks in the photographs as they are in the scene.
-        origin: place of the world's origin.
-        taken: photographs of the model; further ones are ignored.
+        points: the points, with marks in the scene's photographs.
+        origin: geodetic coordinates of the world's origin.
+        taken: photographs of the model; others are ignored.
         work: folder for the adjusted model.
         options: sigma of the points.
     """
     surveyed = {point.name: point.position(origin) for point in points}
-    found = {
+    triangulated = {
         p.name: seen[0] for p in points if (seen := triangulate_marks(adjusted.model, p.marks))
     }
-    free = [p for p in points if p.name in found and not p.check]
-    wrong = _wrong(
-        np.array([found[p.name] for p in free]).reshape(-1, 3),
-        np.array([surveyed[p.name] for p in free]).reshape(-1, 3),
+    control = [p for p in points if p.name in triangulated and not p.check]
+    wrong = _find_wrong(
+        np.array([triangulated[p.name] for p in control]).reshape(-1, 3),
+        np.array([surveyed[p.name] for p in control]).reshape(-1, 3),
     )
-    used = [point for point, bad in zip(free, wrong, strict=True) if not bad]
+    used = [point for point, bad in zip(control, wrong, strict=True) if not bad]
     roles: dict[str, Role] = {p.name: "check" if p.check else "wrong" for p in points}
-    roles |= {p.name: "unseen" for p in points if p.name not in found}
+    roles |= {p.name: "unseen" for p in points if p.name not in triangulated}
     roles |= {p.name: "used" for p in used}
     if used:
         fixed = [
@@ -155,38 +155,38 @@ def fit_to_control(
             )
             for p in used
         ]
-        there = np.array([found[p.name] for p in used])
-        adjusted = _fit_to_control(adjusted, fixed, there, taken, work)
+        before = np.array([triangulated[p.name] for p in used])
+        adjusted = _fit_to_control(adjusted, fixed, before, taken, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
     )
 
 
-def _wrong(found: Array, surveyed: Array) -> NDArray[np.bool_]:
-    """Return which points contradict the others, (N,); too few points tell of none."""
-    if len(found) < _TELLING or is_on_a_line(found):
-        return np.zeros(len(found), bool)
-    return ~robust_similarity(found, surveyed, _WRONG_M)[1]
+def _find_wrong(triangulated: Array, surveyed: Array) -> NDArray[np.bool_]:
+    """Return which points contradict the others, (N,); none where there are too few to judge."""
+    if len(triangulated) < _FEWEST_TO_DETECT or is_on_a_line(triangulated):
+        return np.zeros(len(triangulated), bool)
+    return ~fit_robust_similarity(triangulated, surveyed, _WRONG_M)[1]
 
 
 def _fit_to_control(
-    adjusted: Adjusted,
+    adjusted: AdjustedModel,
     points: Sequence[SurveyedPoint],
-    found: Array,
+    triangulated: Array,
     taken: Sequence[Photograph],
     work: Path,
-) -> Adjusted:
-    """Return the model after the fit to points that it has found elsewhere, (N, 3)."""
+) -> AdjustedModel:
+    """Return the model after the fit to points, which it has ``triangulated`` at (N, 3)."""
     surveyed = np.array([point.xyz for point in points])
-    if len(points) < _FEWEST or is_on_a_line(found):
-        shift = np.column_stack([np.eye(3), (surveyed - found).mean(0)])
+    if len(points) < _FEWEST or is_on_a_line(triangulated):
+        shift = np.column_stack([np.eye(3), (surveyed - triangulated).mean(0)])
         return replace(adjusted, model=adjusted.model.transform(shift))
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,
             taken,
-            similarity(found, surveyed),
+            fit_similarity(triangulated, surveyed),
             points,
             adjusted.refined,
             folder,

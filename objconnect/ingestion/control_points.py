@@ -1,4 +1,4 @@
-"""The list of ground control points, in ODM's format ``gcp_list.txt``.
+"""Read ground control points in ODM's format ``gcp_list.txt``.
 
 The first line names the coordinate system, see ``objconnect.scene.geo.named_systems``. Each
 other line is a mark: ``x y z px py photograph [name]``, where x is east or longitude, y north or
@@ -23,7 +23,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.storage.files import read_text
 
-# Surveyed points lie no further than this from the photographs' GPS positions, metres.
+# Maximum distance (m) of surveyed points from the photographs' GPS positions.
 _FARTHEST_M = 20_000.0
 _COLUMNS = "x y z px py photograph [name]"
 
@@ -34,36 +34,36 @@ class ControlPoint:
 
     Attributes:
         name: name in the list, or its number there.
-        place: where it is on earth; the height is ellipsoidal unless the list's system has another.
-        check: whether it is only compared, and has no influence.
+        geodetic: surveyed coordinates; the height is ellipsoidal unless the list's system has
+            another.
+        check: whether it is a check point, which does not take part in the adjustment.
         marks: (2,) COLMAP pixels by name of the photograph.
     """
 
     name: str
-    place: Geodetic
+    geodetic: Geodetic
     check: bool = False
     marks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def position(self, origin: Geodetic) -> NDArray[np.float64]:
         """Return the surveyed position, (3,) metres from an origin."""
-        return enu_from_geodetic(self.place, origin)
+        return enu_from_geodetic(self.geodetic, origin)
 
 
 def read_control_points(
     path: Path, flight: Flight, size: int, checks: Collection[str] = ()
 ) -> list[ControlPoint]:
-    """Read the points of a list with their marks in a flight.
+    """Read the points of a list with their marks in the photographs of a flight.
 
     Args:
         path: the list.
         flight: photographs; marks in others are ignored.
         size: longest side of the photographs in the scene, to which marks are scaled, pixels.
-        checks: names of the points that are only compared.
+        checks: names of the check points.
 
     Raises:
         InputError: the list cannot be read, names no coordinate system, has a bad line or one name
-            for two points, has none of the photographs or none of ``checks``; pyproj is not
-            installed.
+            for two points, or lacks the photographs or ``checks``; pyproj is not installed.
     """
     header, *lines = read_text(path, "list of ground control points").split("\n")
     rows = [
@@ -83,17 +83,24 @@ def read_control_points(
         name = name or next((n for n, known in coordinates.items() if known == xyz), "")
         name = name or f"point {len(points) + 1}"
         if coordinates.setdefault(name, xyz) != xyz:
-            raise InputError(f"{where}: {name!r} has other coordinates than before")
+            raise InputError(
+                f"{where}: {name!r} has other coordinates than in an earlier line: give each point "
+                "one position"
+            )
         if name not in points:
-            place = system.to_geodetic(np.array(xyz), f"{path}:1")
-            if not is_on_earth(place):
-                raise InputError(f"{where}: {name!r} is no place on earth")
-            points[name] = ControlPoint(name, place, name in checks)
+            geodetic = system.to_geodetic(np.array(xyz), f"{path}:1")
+            if not is_on_earth(geodetic):
+                raise InputError(
+                    f"{where}: the coordinates of {name!r} are not on earth: check line 1 and units"
+                )
+            points[name] = ControlPoint(name, geodetic, name in checks)
         if photograph not in of:
             continue
         image = images[of[photograph]]
         if image.name in points[name].marks:
-            raise InputError(f"{where}: {name!r} is marked twice in {photograph}")
+            raise InputError(
+                f"{where}: {name!r} is marked twice in {photograph}: remove one of the marks"
+            )
         scale = np.array(reduce_size(image, size)) / np.array(image.size)
         points[name].marks[image.name] = (pixel + 0.5) * scale
     _require(path, points, listed, flight, checks)
@@ -120,12 +127,12 @@ def _require(
     flight: Flight,
     checks: Collection[str],
 ) -> None:
-    """Refuse a list that has nothing to do with the photographs or the names of check points."""
+    """Refuse a list without marks in the photographs or without the named check points."""
     if not any(point.marks for point in points.values()):
         first = next(iter(listed), "")
         raise InputError(
-            f"{path} has none of the photographs: its first is {first!r}, that of the folder "
-            f"{flight.images[0].file!r}"
+            f"{path} names none of the photographs: its first name is {first!r}, the first of the "
+            f"folder {flight.images[0].file!r}"
         )
     for name in checks:
         if name not in points:
@@ -140,13 +147,13 @@ def _require_near(
     system: NamedSystem,
     flight: Flight,
 ) -> None:
-    """Refuse points that lie nowhere near the GPS positions of the photographs."""
-    there = [image.exif.position for image in flight.images if image.exif.position is not None]
-    if not there:
+    """Refuse points far from the GPS positions of the photographs."""
+    known = [image.exif.position for image in flight.images if image.exif.position is not None]
+    if not known:
         return
     middle = Geodetic(
-        float(np.median([place.latitude for place in there])),
-        float(np.median([place.longitude for place in there])),
+        float(np.median([position.latitude for position in known])),
+        float(np.median([position.longitude for position in known])),
         0.0,
     )
     listed = np.array(list(coordinates.values()))
@@ -162,12 +169,12 @@ def _require_near(
 
 
 def _distance(coordinates: NDArray[np.float64], system: NamedSystem, middle: Geodetic) -> float:
-    """Return how far points (N, 3) are from a place in the median, metres; infinite if nowhere."""
+    """Return the median distance (m) of points (N, 3) from ``middle``; infinite if not on earth."""
     off = []
     for row in coordinates:
         try:
-            place = system.projection.to_geodetic(row)
+            point = system.projection.to_geodetic(row)
         except InputError:
             return math.inf
-        off.append(np.linalg.norm(enu_from_geodetic(place._replace(altitude=0.0), middle)))
+        off.append(np.linalg.norm(enu_from_geodetic(point._replace(altitude=0.0), middle)))
     return float(np.median(off))

@@ -1,4 +1,4 @@
-"""How exactly a model of photographs is placed on earth, from what placed it there."""
+"""Estimate the georeferencing accuracy of a model, from GPS or ground control points."""
 
 from __future__ import annotations
 
@@ -17,52 +17,52 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 
-# Fewer fixes than place a model do not tell how far they scatter.
+# Fewer fixes or points determine the georegistration without residuals.
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
 class Receiver:
-    """What a flight's positions say of themselves.
+    """GPS positions of a flight.
 
     Attributes:
         fixes: Measured positions (3,) by name, world metres.
-        stated: Standard deviations (3,) of positions to the east, north and up, metres, by name,
-            where the receiver states them, as with RTK.
+        stated: Standard deviations (3,) east, north and up that the receiver states, as with RTK,
+            metres, by name.
     """
 
     fixes: Mapping[str, Array]
     stated: Mapping[str, tuple[float, float, float]]
 
 
-def georeference_of(
+def estimate_georeference(
     model: SparseMap,
     placed: Georegistration,
     receiver: Receiver,
     control: Sequence[ControlResidual],
     options: IngestOptions,
 ) -> Georeference | None:
-    """Return how exactly a model is placed on earth; None where nothing tells.
+    """Estimate the accuracy of a model's georegistration; None where it is unknown.
 
-    Surveyed points tell it best. Their residuals and the sigma of their coordinates add up, as
-    variances. Points that were only compared count where there are any, because the adjustment has
-    made the residuals of the others small.
+    Ground control points take precedence: the variance is that of their residuals plus that of
+    their coordinates. Check points replace control points where there are any, because the
+    adjustment has made the residuals of control points small.
 
-    Without them the fixes tell. The variance of each axis is that of what all fixes of a flight
-    share, and that of the fixes about their cameras. The number of fixes does not divide it:
-    errors of one flight are alike, and a model follows what is common to all of them.
+    Without points, the variance of each axis is that of the error that all fixes of a flight share,
+    plus that of the fixes' residuals. It is not divided by the number of fixes, because errors
+    within one flight are correlated and the model follows their common part.
 
     Args:
         model: The model in the world.
-        placed: How it was placed, with the scatter of its fixes.
+        placed: Its georegistration, with the scatter of its fixes.
         receiver: The fixes.
         control: The ground control points.
-        options: The sigmas that nothing measures.
+        options: The sigmas that cannot be measured.
     """
-    known = _by_control(control, options)
+    by_control = _from_control(control, options)
     used = [n for n in model.names if n in receiver.fixes and n not in placed.blunders]
-    if known is not None or len(used) < _FEWEST:
-        return known
+    if by_control is not None or len(used) < _FEWEST:
+        return by_control
     stated = [receiver.stated.get(name) for name in used]
     measured = [sigma for sigma in stated if sigma is not None]
     if len(measured) == len(used):  # corrected positions, with heights above the ellipsoid
@@ -75,12 +75,14 @@ def georeference_of(
     return _georeference(east + north, math.sqrt(up), "gps")
 
 
-def _by_control(control: Sequence[ControlResidual], options: IngestOptions) -> Georeference | None:
-    """Return what ground control points tell; None without one that was seen and is not wrong."""
+def _from_control(
+    control: Sequence[ControlResidual], options: IngestOptions
+) -> Georeference | None:
+    """Return the accuracy by ground control points; None without enough usable ones."""
     off = np.array([p.off for p in control if p.role == "check" and p.off is not None])
     if not len(off):
         used = [p.off for p in control if p.role == "used" and p.off is not None]
-        if len(used) < _FEWEST:  # their residuals are what the shift has left
+        if len(used) < _FEWEST:  # the shift to them leaves no independent residuals
             return None
         off = np.array(used)
     east, north, up = (off**2).mean(0) + options.control_sigma_m**2

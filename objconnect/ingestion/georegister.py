@@ -1,4 +1,4 @@
-"""Placing a model of unknown frame and scale in the world, from GPS that may be bad.
+"""Georegister a model of unknown frame and scale by GPS with outliers.
 
 Similarities are (3, 4) arrays: scale times rotation, and translation.
 """
@@ -20,29 +20,29 @@ Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
 BLUNDER_SIGMAS: Final = 5.0
-"""A position is wrong if it is further from its camera than this many standard deviations of the
-others, and further than the usual error: drift makes the tails of a receiver's errors long."""
+"""A fix is an outlier if its residual exceeds this many standard deviations of the others, and the
+usual error. The factor is large because drift makes the tails of a receiver's errors long."""
 
 USUAL_ERROR_M: Final = 5.0
-"""Usual error (m) of receivers without corrections. Positions within it are not wrong."""
+"""Usual error (m) of receivers without corrections. Fixes within it are no outliers."""
 
 MIN_SIGMA_M: Final = 0.02
-"""Standard deviations of positions are at least this (m), that of a receiver with corrections."""
+"""Lower bound (m) of standard deviations of positions, that of a receiver with corrections."""
 
-# Random samples of positions from which a placement is chosen: with half of them wrong, none of so
-# many samples of three is right by a chance of 1e-29.
+# Random samples of least median of squares. If half of the fixes are wrong, the probability that no
+# sample of three is right is 1e-29.
 _SAMPLES: Final = 500
-# Least width of a flight, as a share of its length, at which its positions determine the rotation
-# about its course.
+# Minimum width of a flight, as a share of its length, from which on its positions determine the
+# rotation about its course.
 _MIN_WIDTH: Final = 0.05
-# Ground and cameras that agree with each other and differ by more than this from the vertical of
-# GPS contradict its altitudes.
+# GPS altitudes are rejected if ground and cameras agree with each other, and differ by more than
+# this from the vertical of GPS.
 _MAX_TILT_DEG: Final = 8.0
 # Points further from the plane of the ground than this many standard deviations are not ground.
 _GROUND_SIGMAS: Final = 2.5
-# Altitudes that tell a rotation.
-_WHOLE: Final = 3
-# Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
+# Minimum number of altitudes that determine a rotation.
+_FEWEST_ALTITUDES: Final = 3
+# Median of the chi-squared distribution, by its degrees of freedom.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
 
@@ -52,9 +52,9 @@ class Georegistration:
 
     Attributes:
         world_from_model: Similarity (3, 4).
-        level: What decides which way is up: "gps", the "ground" where altitudes or a straight
-            flight cannot tell, poses that are "given", or points of "control".
-        blunders: Photographs whose fix contradicts the others.
+        level: What defines the vertical: "gps", the "ground" where altitudes are unusable or the
+            flight is straight, poses that are "given", or points of "control".
+        blunders: Photographs whose fix is an outlier.
         sigma: Standard deviation (3,) of the other fixes per axis, metres.
     """
 
@@ -69,26 +69,26 @@ class Georegistration:
 
 
 def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
-    """Find the similarity from camera centres to GPS by least median of squares.
+    """Estimate the similarity from camera centres to GPS by least median of squares.
 
-    The estimate holds with up to half of the fixes wrong, and needs no threshold that depends on
-    the receiver. Altitudes take part unless both the ground (the plane near most points) and the
-    mean direction of the cameras contradict them, as they contradict a barometer that drifts. In
-    that case, and where the cameras are on one line, the ground is taken to be level. A hillside is
-    not mistaken for a tilt, because the cameras over it look straight down.
+    The estimate tolerates up to half of the fixes being wrong, and needs no threshold that depends
+    on the receiver. Altitudes are used unless both the ground (the plane near most points) and the
+    mean direction of the cameras contradict them, as with a barometer that drifts. In that case,
+    and where the cameras are on one line, the ground is assumed to be level. A hillside is not
+    mistaken for a tilt, because the cameras over it look straight down.
 
     Args:
         model: The model, in a frame of its own.
         fixes: Measured camera centres (3,) by name, east, north, up in metres.
 
     Raises:
-        InputError: Fewer than three photographs of the model have a fix, or all fixes are one.
+        InputError: Fewer than three photographs of the model have a fix, or all fixes are equal.
     """
     names = [name for name in model.names if name in fixes]
     if len(names) < 3:
         raise InputError(
-            f"only {len(names)} of the {len(model.names)} photographs that hang together have a "
-            "GPS position, three are needed to place them"
+            f"only {len(names)} of the {len(model.names)} registered photographs have a GPS "
+            "position, georegistration needs three: give --gps"
         )
     centres = np.array([model.images[name].centre for name in names])
     measured = np.array([fixes[name] for name in names])
@@ -96,12 +96,12 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
     away = measured - np.median(measured, 0)
     away[:, 2] = measured[:, 2] - np.median(measured[high, 2]) if high.any() else 0.0
     if np.linalg.norm(np.nan_to_num(away), axis=1).max() < MIN_SIGMA_M:
-        raise InputError("all GPS positions are one: they do not tell scale and direction")
+        raise InputError("all GPS positions are equal: scale and direction are unknown; give --gps")
 
     upright = _upright(model)
     level = "ground"
-    if high.sum() >= _WHOLE and not is_on_a_line(centres[high]):
-        placed, good = _fit_whole(centres, measured)
+    if high.sum() >= _FEWEST_ALTITUDES and not is_on_a_line(centres[high]):
+        placed, good = _fit_with_altitudes(centres, measured)
         if _tilt_deg(placed, model, upright[2]) <= _MAX_TILT_DEG:
             level = "gps"
     if level == "ground":
@@ -116,9 +116,9 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
 
 
 def rms_of(off: Array) -> Array:
-    """Return the root mean square (3,) of differences (N, 3), of which some ups are NaN.
+    """Return the root mean square (3,) of differences (N, 3); vertical ones may be NaN.
 
-    That of the ups is infinite where all of them are.
+    The vertical one is infinite where all of them are NaN.
     """
     high = np.isfinite(off[:, 2])
     if high.all():
@@ -127,14 +127,14 @@ def rms_of(off: Array) -> Array:
     return np.array([*np.sqrt((off[:, :2] ** 2).mean(0)), up])
 
 
-def _fit_whole(centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Fit to the fixes that have an altitude, and judge the others by the horizontal axes."""
+def _fit_with_altitudes(centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit to the fixes with an altitude, and classify the others by their horizontal residuals."""
     high = np.isfinite(measured[:, 2])
-    placed, right = robust_similarity(centres[high], measured[high])
+    placed, inliers = fit_robust_similarity(centres[high], measured[high])
     off = np.linalg.norm((_apply(placed, centres) - measured)[:, :2], axis=1)
-    usual = SIGMA_OF_MEDIAN * float(np.median(off[high][right]))
+    usual = SIGMA_OF_MEDIAN * float(np.median(off[high][inliers]))
     good = off <= max(BLUNDER_SIGMAS * usual, USUAL_ERROR_M)
-    good[high] = right
+    good[high] = inliers
     return placed, good
 
 
@@ -143,9 +143,9 @@ def _apply(similarity: Array, points: Array) -> Array:
 
 
 def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
-    """Return by how much ground and cameras together contradict the vertical of a similarity.
+    """Return the angle between a similarity's vertical and that of ground and cameras.
 
-    It is 0 where they differ more from each other than from that vertical.
+    It is 0 where ground and cameras differ more from each other than from that vertical.
 
     Args:
         similarity: Similarity from GPS with its altitudes.
@@ -154,52 +154,54 @@ def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
     """
     vertical = similarity[2, :3]
     backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
-    apart = _degrees(ground, backwards)
-    off = min(_degrees(vertical, ground), _degrees(vertical, backwards))
-    return off if off > apart else 0.0
+    disagreement = _angle_deg(ground, backwards)
+    off = min(_angle_deg(vertical, ground), _angle_deg(vertical, backwards))
+    return off if off > disagreement else 0.0
 
 
-def _degrees(a: Array, b: Array) -> float:
+def _angle_deg(a: Array, b: Array) -> float:
     cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def is_on_a_line(points: Array) -> bool:
-    """Return whether points (N, 3) are too near one line to tell the rotation about it."""
+    """Return whether points (N, 3) are too near one line to determine the rotation about it."""
     singular = np.linalg.svd(points - points.mean(0), compute_uv=False)
     return bool(singular[1] < _MIN_WIDTH * max(singular[0], 1e-12))
 
 
-def robust_similarity(
+def fit_robust_similarity(
     source: Array, target: Array, usual_error_m: float = USUAL_ERROR_M
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Fit a similarity to points (N, 3) of which up to half are wrong.
+    """Fit a similarity to points (N, 3) of which up to half are outliers.
 
     Args:
         source: Points (N, 3).
-        target: Where they are found, (N, 3) metres.
-        usual_error_m: Points within it are not wrong.
+        target: Their positions (N, 3) in the target frame, metres.
+        usual_error_m: Points with a smaller residual are inliers.
 
     Returns:
-        The similarity (3, 4), and which points fit it, (N,).
+        The similarity (3, 4), and the mask (N,) of inliers.
     """
-    return _robust(similarity, source, target, 3, usual_error_m)
+    return _fit_robust(fit_similarity, source, target, 3, usual_error_m)
 
 
 def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Fit with the ground level, and with heights at the scale of the model."""
-    turned = centres @ upright.T
-    horizontal, good = _robust(_level_similarity, turned, np.nan_to_num(measured), 2, USUAL_ERROR_M)
+    level = centres @ upright.T
+    horizontal, good = _fit_robust(
+        _fit_level_similarity, level, np.nan_to_num(measured), 2, USUAL_ERROR_M
+    )
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
     up = (measured - _apply(similarity, centres))[:, 2]
-    # Only a few may have an altitude, and these be wrong in the horizontal axes.
+    # All fixes with an altitude may be horizontal outliers.
     used = good & np.isfinite(up) if (good & np.isfinite(up)).any() else np.isfinite(up)
     if used.any():
         similarity[2, 3] += np.median(up[used])
     return similarity, good
 
 
-def _robust(
+def _fit_robust(
     fit: _Fit, source: Array, target: Array, axes: int, usual_error_m: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Fit by least median of squares over random samples, then by least squares over inliers."""
@@ -224,8 +226,8 @@ def _median_square(similarity: Array, source: Array, target: Array, axes: int) -
     return float(np.median((off**2).sum(1)))
 
 
-def similarity(source: Array, target: Array) -> Array:
-    """Return the similarity (3, 4) of points (N, 3) by least squares (Umeyama 1991)."""
+def fit_similarity(source: Array, target: Array) -> Array:
+    """Fit the similarity (3, 4) between points (N, 3) by least squares (Umeyama 1991)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, singular, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -234,7 +236,7 @@ def similarity(source: Array, target: Array) -> Array:
     return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
 
 
-def _level_similarity(source: Array, target: Array) -> Array:
+def _fit_level_similarity(source: Array, target: Array) -> Array:
     """Fit the horizontal axes alone by least squares, with a rotation about the vertical."""
     a, b = (x[:, 0] + 1j * x[:, 1] for x in (source - source.mean(0), target - target.mean(0)))
     turn = (b * a.conj()).sum() / max((np.abs(a) ** 2).sum(), 1e-12)

@@ -1,8 +1,8 @@
-"""The delay of GPS positions behind the photographs they are written into.
+"""Estimate and remove the delay of GPS positions behind their photographs.
 
-A receiver needs time to compute, and a camera asks it only now and then, so that a photograph holds
-where the aircraft was some time before. Over lines flown in both directions this is not a shift of
-the whole flight.
+A receiver needs time to compute, and a camera polls it at intervals. A photograph may therefore
+hold an earlier position of the aircraft. If lines are flown in both directions, the delay does not
+act as a shift of the whole flight.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from objconnect.ingestion.split import flight_lines
 
 Array = NDArray[np.float64]
 
-# Largest share of the ways to reverse single flight lines that may explain the positions as well as
-# the true courses do.
+# Significance level of the permutation test: the largest share of line reversals that may explain
+# the positions as well as the true courses do.
 _MAX_CHANCE: Final = 0.05
-# Up to this many lines, all ways are tried. For more, the same number of ways is drawn at random.
+# Up to this many lines, all reversals are tested. For more lines, as many are drawn at random.
 _ENUMERATED_LINES: Final = 10
 
 
@@ -39,17 +39,17 @@ class Motion:
     velocity: Array
 
 
-def motions(
+def estimate_motions(
     names: Sequence[str],
     centres: Mapping[str, Array],
     times: Mapping[str, float],
 ) -> dict[str, Motion]:
-    """Return the motion at photographs whose time is known and that have neighbours on their line.
+    """Estimate the motion at photographs with a time and neighbours on their flight line.
 
     Args:
         names: Photographs in the order they were taken.
         centres: Camera centres (3,) by name, world metres.
-        times: Seconds since any one moment, by name.
+        times: Time stamps in seconds, by name.
     """
     known = [name for name in names if name in centres and name in times]
     lines = flight_lines(known, centres)
@@ -68,25 +68,25 @@ def find_delay(
     centres: Mapping[str, Array],
     fixes: Mapping[str, Array],
 ) -> float:
-    """Return the seconds that fixes are behind the photographs, or 0 where they are uncertain.
+    """Return the seconds by which fixes lag behind the photographs, or 0 where uncertain.
 
-    The delay is found by horizontal least squares of
-    ``fix = similarity(centre) - delay * velocity``. The errors of a receiver drift: within a
-    flight line they are alike, and may look like a delay. The evidence is therefore counted in
-    lines and not in photographs: the fit is repeated with some of the lines reversed, which shows
-    how well chance explains the fixes. Fewer than six lines prove nothing.
+    The delay is the horizontal least-squares solution of
+    ``fix = similarity(centre) - delay * velocity``. Errors of a receiver are correlated within a
+    flight line and may look like a delay. A permutation test over lines therefore decides whether
+    the delay is significant: the fit is repeated with some of the lines reversed. Fewer than six
+    lines are never significant.
 
     Args:
-        moving: The motions that ``motions`` returned.
-        centres: Camera centres (3,) by name, world metres, placed by the fixes.
-        fixes: Measured positions (3,) by name; those without a motion do not count.
+        moving: Result of ``estimate_motions``.
+        centres: Camera centres (3,) by name, world metres, georegistered by the fixes.
+        fixes: Measured positions (3,) by name; those without a motion are ignored.
     """
     names = [name for name in moving if name in fixes]
     if not names:
         return 0.0
     numbers = np.unique([moving[name].line for name in names], return_inverse=True)[1]
-    ways = _ways(int(numbers.max()) + 1)
-    if 1 / len(ways) > _MAX_CHANCE:
+    reversals = _list_reversals(int(numbers.max()) + 1)
+    if 1 / len(reversals) > _MAX_CHANCE:
         return 0.0
     velocity = np.array([moving[name].velocity[:2] for name in names])
     x, y = np.array([centres[name][:2] for name in names]).T
@@ -99,7 +99,7 @@ def find_delay(
         return np.asarray(stacked - basis @ (basis.T @ stacked))
 
     off = residuals_at(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
-    moved = np.array([residuals_at(velocity * way[numbers, None]) for way in ways])
+    moved = np.array([residuals_at(velocity * signs[numbers, None]) for signs in reversals])
     along = moved @ off
     squares = np.square(moved).sum(1)
     explained = np.square(along) / np.maximum(squares, 1e-12)
@@ -108,8 +108,8 @@ def find_delay(
     return float(-along[0] / squares[0])
 
 
-def _ways(lines: int) -> Array:
-    """Return signs (K, lines) that reverse lines, the true ones first.
+def _list_reversals(lines: int) -> Array:
+    """Return signs (K, lines) that reverse flight lines; the first row reverses none.
 
     Reversing all lines at once is the same as reversing none.
     """
@@ -123,5 +123,5 @@ def _ways(lines: int) -> Array:
 def undo_delay(
     fixes: Mapping[str, Array], moving: Mapping[str, Motion], delay: float
 ) -> dict[str, Array]:
-    """Return the fixes (3,) without their delay, for the photographs that have a motion."""
+    """Return the fixes (3,) with the delay removed, for the photographs that have a motion."""
     return {name: fixes[name] + delay * moving[name].velocity for name in moving if name in fixes}

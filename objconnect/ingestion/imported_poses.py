@@ -1,4 +1,4 @@
-"""Photographs whose poses another program has found, which replace structure from motion."""
+"""Poses of photographs from another program, which replace structure from motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.georegister import (
     BLUNDER_SIGMAS,
     MIN_SIGMA_M,
@@ -39,12 +39,12 @@ _IDENTITY = np.eye(4)[:3]
 
 
 @dataclass(frozen=True)
-class Given:
-    """Poses that another program has found, and their world.
+class ImportedPoses:
+    """Poses from another program, and the origin of their world.
 
     Attributes:
         images: photographs with pose and camera (at the size of the scene's photographs), by name.
-        origin: place of the world's origin; None where GPS has to place the world.
+        origin: geodetic coordinates of the world's origin; None where GPS georegisters the model.
     """
 
     images: Mapping[str, PosedImage]
@@ -53,8 +53,8 @@ class Given:
     @property
     def sha256(self) -> str:
         """Return a digest of poses, cameras and origin."""
-        each = ((f"{name} {of.camera}", of.cam_from_world) for name, of in self.images.items())
-        return sha256(repr(self.origin), *(piece for pieces in each for piece in pieces))
+        pieces = ((f"{name} {i.camera}", i.cam_from_world) for name, i in self.images.items())
+        return sha256(repr(self.origin), *(piece for pair in pieces for piece in pair))
 
     @property
     def centres(self) -> dict[str, Array]:
@@ -70,13 +70,13 @@ class Given:
         ]
 
 
-def read_given(
+def read_imported(
     path: Path,
     flight: Flight,
     size: int,
     calibration: Camera | None,
     frame: Frame | None = None,
-) -> tuple[Flight, Given]:
+) -> tuple[Flight, ImportedPoses]:
     """Read the poses of photographs from another program's file.
 
     Args:
@@ -90,45 +90,45 @@ def read_given(
         The flight without photographs that have no pose, and the poses.
 
     Raises:
-        InputError: the file cannot be read, tells no attitudes or no cameras, means none of the
-            photographs, or has a camera of another shape.
+        InputError: the file cannot be read, has no attitudes, no cameras or none of the
+            photographs, or has a camera of another aspect ratio.
     """
     foreign = read_foreign(path, frame)
     if not foreign.has_attitude:
-        raise InputError(f"{path} tells positions without attitudes: give it as --gps")
-    found = match_files([image.file for image in flight.images], foreign.names, path)
-    if not found:
+        raise InputError(f"{path} has positions without attitudes: give it as --gps")
+    matched = match_files([image.file for image in flight.images], foreign.names, path)
+    if not matched:
         raise InputError(
-            f"{path} has none of the photographs: its first name is {foreign.names[0]!r}, that of "
-            f"the first photograph {flight.images[0].file!r}"
+            f"{path} names none of the photographs: its first name is {foreign.names[0]!r}, the "
+            f"first photograph is {flight.images[0].file!r}"
         )
     row = {name: k for k, name in enumerate(foreign.names)}
     images = {}
     for image in flight.images:
-        if image.file not in found:
+        if image.file not in matched:
             continue
-        k = row[found[image.file]]
+        k = row[matched[image.file]]
         camera = calibration or foreign.cameras[k]
         if camera is None:
-            raise InputError(f"{path} tells no camera of {image.file}: give --camera")
+            raise InputError(f"{path} has no camera of {image.file}: give --camera")
         sized = scale_camera(camera, size, image)
         images[image.name] = PosedImage(image.name, sized, foreign.cam_from_world[k])
-    left = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in found}
-    return flight.without(left), Given(images, foreign.origin)
+    left = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in matched}
+    return flight.without(left), ImportedPoses(images, foreign.origin)
 
 
 def triangulate_imported(
-    given: Given,
-    there: Sequence[str],
+    imported: ImportedPoses,
+    names: Sequence[str],
     fixes: Mapping[str, Array],
     root: Path,
     database: Path,
-) -> Adjusted:
-    """Triangulate the matches of posed photographs, and place them by GPS if they need it.
+) -> AdjustedModel:
+    """Triangulate photographs with imported poses, and georegister them if they have no origin.
 
     Args:
-        given: the poses, which do not change relative to each other.
-        there: names of the photographs.
+        imported: the poses, which do not change relative to each other.
+        names: names of the photographs.
         fixes: measured positions (3,) by name, world metres.
         root: folder that the names are relative to.
         database: file filled by ``match_photographs``; the model is written beside it.
@@ -136,18 +136,18 @@ def triangulate_imported(
     Raises:
         InputError: no point could be triangulated, or as ``georegister``.
     """
-    images = [given.images[name] for name in there]
+    images = [imported.images[name] for name in names]
     lenses, folder = RefinedLenses(()), database.parent / "given"
     with atomic_folder(folder) as partial:
         raw, _ = triangulate_again(root, images, database, partial)
-    if given.origin is not None:
-        return Adjusted(raw, keep_imported(raw, fixes), lenses, 0.0, {}, folder)
+    if imported.origin is not None:
+        return AdjustedModel(raw, compare_with_fixes(raw, fixes), lenses, 0.0, {}, folder)
     placed = georegister(raw, fixes)
-    return Adjusted(raw.transform(placed.world_from_model), placed, lenses, 0.0, {}, folder)
+    return AdjustedModel(raw.transform(placed.world_from_model), placed, lenses, 0.0, {}, folder)
 
 
-def keep_imported(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
-    """Return the placement of a model that is in the world, and the fixes that contradict it."""
+def compare_with_fixes(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
+    """Compare a model that is already in the world with its fixes, without moving it."""
     names = [name for name in model.names if name in fixes]
     off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
     distance = np.linalg.norm(np.nan_to_num(off), axis=1)

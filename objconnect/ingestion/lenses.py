@@ -1,4 +1,4 @@
-"""Lenses of a scene that took new photographs too."""
+"""Recognise the lenses of a scene in new photographs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _SAME_FOCAL: Final = 0.005
 
 @dataclass(frozen=True)
 class _Lens:
-    """What EXIF says of a lens: maker and model, and focal length (mm) on 35 mm film.
+    """A lens by its EXIF: maker and model, and 35 mm equivalent focal length (mm).
 
-    Where its fields contradict each other, ``focals`` are what they say (longest sides).
+    Where the fields of EXIF contradict each other, ``focals`` are their values (longest sides).
     """
 
     body: tuple[str, str]
@@ -34,18 +34,21 @@ class _Lens:
         return self.body == other.body and abs(self.focal / other.focal - 1) < _SAME_FOCAL
 
 
-def with_known_lenses(
+def apply_known_lenses(
     scene: Scene, images: Sequence[FlightImage], taken: Sequence[Photograph]
 ) -> list[Photograph]:
-    """Return photographs of which those of a lens of the map have its camera, calibrated.
+    """Give photographs taken with a lens of the map the calibrated camera of that lens.
 
-    A photograph is of a lens of the map if maker, model, focal length and the picture's shape are
-    equal. The camera of most of the map's photographs is taken where there are several.
+    A lens is the same if maker, model, focal length and aspect ratio are equal. Where it has
+    several cameras in the map, the most frequent one is used.
 
     Args:
         scene: a scene with a map.
-        images: the photographs as found.
+        images: the photographs with their EXIF.
         taken: the same photographs as structure from motion takes them.
+
+    Returns:
+        ``taken`` with the known cameras.
     """
     seen: Counter[tuple[_Lens, Camera]] = Counter()
     for name, mapped in scene.sparse_map().images.items():
@@ -53,19 +56,19 @@ def with_known_lenses(
         if exif.make or exif.model:
             seen[_Lens((exif.make, exif.model), exif.focal_35mm, exif.focals), mapped.camera] += 1
     known = [lens for lens, _ in seen.most_common()]
-    found = []
+    calibrated = []
     for image, photograph in zip(images, taken, strict=True):
-        said = image.exif
-        lens = _Lens((said.make, said.model), said.focal_35mm, said.focals)
+        exif = image.exif
+        lens = _Lens((exif.make, exif.model), exif.focal_35mm, exif.focals)
         size = photograph.camera.width, photograph.camera.height
         camera = next((c for like, c in known if lens.is_like(like) and _has_shape(c, size)), None)
         if camera is not None:
             shared = camera.resize(*size)
             photograph = Photograph(image.name, shared, image.lens, True, True)
-        found.append(photograph)
-    return found
+        calibrated.append(photograph)
+    return calibrated
 
 
 def _has_shape(camera: Camera, size: tuple[int, int]) -> bool:
-    """Return whether a camera is that of pictures of a size, whose sides are whole pixels."""
+    """Return whether a camera has the aspect ratio of a size, up to rounding to whole pixels."""
     return abs(camera.width * size[1] - camera.height * size[0]) <= max(camera.width, camera.height)

@@ -1,7 +1,7 @@
-"""Pairs of photographs that may show the same ground: neighbours by GPS, in time and by features.
+"""Choose pairs of photographs to match: neighbours by GPS, in time and by features.
 
-GPS alone would do for a good receiver. The order of the photographs helps where positions are late
-or missing.
+GPS alone suffices with a good receiver. The order of the photographs helps where positions are
+delayed or missing.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from objconnect.scene.maps.matching import match
 from objconnect.scene.runtime.progress import progress_bar
 
 _DEFAULTS: Final = IngestOptions()
-# Number of photographs before and after with which one without a position is matched.
+# A photograph without a position is matched with this many before and after it.
 _BLIND: Final = 10
-# Number of the largest features of a photograph by which photographs are compared.
+# Number of the largest features of a photograph that ``choose_similar`` compares.
 _LARGEST: Final = 500
 
 
@@ -30,19 +30,19 @@ def choose_pairs(
     fixes: Mapping[str, NDArray[np.float64]],
     options: IngestOptions = _DEFAULTS,
 ) -> list[tuple[str, str]]:
-    """Return the pairs of photographs worth matching, each once.
+    """Return the pairs of photographs to match, each once.
 
     Args:
         names: Photographs in the order they were taken.
-        fixes: Positions (3,) in metres of the photographs that have one; altitudes do not count.
+        fixes: Positions (3,) in metres of the photographs that have one; altitudes are ignored.
         options: How many photographs each one is matched with.
     """
-    place = np.array([fixes[n][:2] if n in fixes else (np.nan, np.nan) for n in names])
+    xy = np.array([fixes[n][:2] if n in fixes else (np.nan, np.nan) for n in names])
     pairs = set()
     for i, name in enumerate(names):
         after = options.following
         if name in fixes:
-            distance = np.linalg.norm(place - place[i], axis=1)
+            distance = np.linalg.norm(xy - xy[i], axis=1)
             distance[i] = np.nan
             nearest = np.argsort(distance, kind="stable")  # NaN comes last
             known = int(np.isfinite(distance).sum())
@@ -54,17 +54,17 @@ def choose_pairs(
     return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
 
 
-def alike(
+def choose_similar(
     names: Sequence[str],
     known: Sequence[str],
     features: Mapping[str, Features],
     options: IngestOptions,
 ) -> list[tuple[str, str]]:
-    """Return the pairs of photographs without a position and those of a map that look alike.
+    """Pair photographs without a position with the most similar photographs of a map.
 
-    They are compared by the matches of their largest features alone, which other distances and most
-    changes of the picture leave as they are (the preemptive matching of Wu, "Towards linear-time
-    incremental structure from motion", 2013).
+    Similarity is the number of matches among their largest features, which persist over changes of
+    distance and appearance (preemptive matching; Wu, "Towards linear-time incremental structure
+    from motion", 2013).
 
     Args:
         names: Photographs without a position.

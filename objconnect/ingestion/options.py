@@ -1,4 +1,4 @@
-"""Options of ingest: which photographs are matched, and how exact what it is told is."""
+"""Options of ``ingest``: photographs to match, and standard deviations of its inputs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from objconnect.scene.config import Config
 
 
 class IngestOptions(Config):
-    """The options of ingest. The manifest of the scene records these options."""
+    """Options of ``ingest``, which the manifest of the scene records."""
 
     nearest: int = Field(
         12, ge=0, description="Number of nearest photographs by GPS with which each one is matched."
@@ -20,24 +20,24 @@ class IngestOptions(Config):
         0.05,
         ge=0.001,
         le=1000,
-        description="Standard deviation of a coordinate of a ground control point (m).",
+        description="Standard deviation of each coordinate of a ground control point, m.",
     )
     receiver_sigma_m: float = Field(
         3.3,
         ge=0,
-        description="Standard deviation (m) to the east, and to the north, of what all positions "
-        "of a flight share, where the receiver does not state its own: 8 m for 95 % of positions "
-        "(GPS SPS Performance Standard, 2020).",
+        description="Standard deviation to the east, and to the north, of the GPS error that all "
+        "positions of a flight share, m. It counts where the receiver states none. The default "
+        "corresponds to 8 m for 95 % of positions (GPS SPS Performance Standard, 2020).",
     )
     receiver_height_sigma_m: float = Field(
         6.6,
         ge=0,
-        description="The same of the height: 13 m for 95 % of positions.",
+        description="The same standard deviation of the height, m: 13 m for 95 % of positions.",
     )
     height_datum_sigma_m: float = Field(
         30.6,
         ge=0,
-        description="Standard deviation (m) of what altitudes of receivers are above, which is the "
-        "sea or the ellipsoid: the root mean square of the geoid's height over the earth. It does "
-        "not count where ground control points give heights.",
+        description="Standard deviation of the vertical datum, m: altitudes of receivers are above "
+        "sea level or above the ellipsoid. The default is the root mean square of the geoid's "
+        "height over the earth. It does not count where ground control points give heights.",
     )

@@ -1,4 +1,4 @@
-"""The files of an ingested scene that hold its frames, its split and its covisibility."""
+"""Write the files of an ingested scene: frames, map, split and covisibility."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import NO_ALTITUDE, Adjusted, blind_of
-from objconnect.ingestion.attitude import attitudes
+from objconnect.ingestion.adjustment import NO_ALTITUDE, AdjustedModel, find_blind
+from objconnect.ingestion.attitude import read_attitudes
 from objconnect.ingestion.georegister import MIN_SIGMA_M, rms_of
 from objconnect.ingestion.photographs import SESSION, FlightImage
 from objconnect.ingestion.picture import PICTURE
@@ -32,12 +32,12 @@ FRAMES = "frames.h5"
 """The file of poses, cameras and priors in the folder of a session."""
 
 COVISIBILITY_POINTS: Final = 200
-"""Points of each photograph by which covisibility is measured: to a few percent."""
+"""Number of points of each photograph on which covisibility is measured, to a few percent."""
 
 
 def write_measurements(
     path: Path,
-    adjusted: Adjusted,
+    adjusted: AdjustedModel,
     images: Sequence[FlightImage],
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
@@ -65,13 +65,13 @@ def write_measurements(
     spread = rms_of(off) if mapped else np.zeros(3)
     sigma = np.clip(spread, MIN_SIGMA_M, NO_ALTITUDE)
     nothing = np.full(3, np.nan)
-    # An unknown altitude is that of the cameras, give or take kilometres.
-    blind = blind_of({name: fixes[name] for name in measured})
+    # An unknown altitude becomes that of the cameras, with a sigma of kilometres.
+    blind = find_blind({name: fixes[name] for name in measured})
     height = float(np.median([model.images[name].centre[2] for name in model.names]))
     level = np.array([*sigma[:2], NO_ALTITUDE])
     priors = {name: fixes[name] for name in measured}
     priors |= {name: np.array([*fixes[name][:2], height]) for name in blind}
-    attitude, attitude_sigma, wrong = attitudes(images, poses, queries)
+    attitude, attitude_sigma, wrong = read_attitudes(images, poses, queries)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
     frames = Frames(
         names=names,
@@ -90,7 +90,7 @@ def write_measurements(
 
 
 def list_own_files(images: Sequence[FlightImage], session: str) -> set[str]:
-    """Return the files that we write into the folder of a scene, for ``remove_owned``."""
+    """Return the files that ``ingest`` writes into the folder of a scene, for ``remove_owned``."""
     copies = [f"sessions/{image.name}" for image in images]
     lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, PICTURE.as_posix()]
     return {
@@ -113,9 +113,10 @@ def write_map(
     Args:
         out: folder of the scene.
         model: the poses and cameras of map photographs and queries.
-        queries: names of the queries, which take no part.
+        queries: names of the queries, which are left out of the map.
         database: features and verified matches of the photographs.
-        known: map of some of the photographs; what no other one observes stays as it is.
+        known: existing map of some of the photographs; points that no new photograph observes do
+            not change.
 
     Raises:
         InputError: no point could be triangulated.
@@ -128,7 +129,7 @@ def write_map(
     with atomic_folder(out / "map", MAP_FILES) as folder:
         root, before = out / "sessions", None if known is None else known.sparse_map
         sparse_map, features = triangulate_again(root, images, database, folder, before)
-        # What is not known of the features of some is not known of all.
+        # The features have a key only if those of the known map have one.
         sound = known is None or known.features.inputs_digest == _sift_key(
             root, known.sparse_map.names
         )
@@ -138,7 +139,7 @@ def write_map(
 
 
 def _sift_key(root: Path, names: Sequence[str]) -> str:
-    """Return what features of SIFT of photographs are made of, as a digest."""
+    """Return a digest of the inputs of SIFT features: photographs and options."""
     return features_key(digests_in(root, names), str(SiftOptions()))
 
 
@@ -164,7 +165,7 @@ def write_lists(
 
 
 def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
-    """Measure covisibility on points in view; without depth, hidden points count as seen."""
+    """Measure covisibility on observed points, without testing for occlusion."""
     points = np.stack([sample_points(model, name, COVISIBILITY_POINTS) for name in names])
     images = [model.images[name] for name in names]
     poses = np.stack([image.cam_from_world for image in images])

@@ -1,4 +1,4 @@
-"""The photographs of a flight, as they are found in a folder, with their cameras and positions."""
+"""Read the photographs of a flight from a folder, with their cameras and positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
-# First guess of a focal length that EXIF lacks, in longest sides of the image; COLMAP's own.
+# Initial focal length where EXIF has none, in longest sides of the image, as COLMAP assumes it.
 _GUESSED_FOCAL: Final = 1.2
 
 
@@ -34,10 +34,8 @@ class FlightImage:
 
     Attributes:
         file: Path of the file, relative to the folder.
-        name: Name of the image in the scene. It has no white space, which divides words in the
+        name: Name of the image in the scene. It has no white space, which separates columns in the
             text files of other programs.
-        sha256: Digest of the file.
-        exif: What the camera wrote into the file.
         size: Width and height as stored, pixels.
     """
 
@@ -49,11 +47,11 @@ class FlightImage:
 
     @property
     def lens(self) -> str:
-        """Return a text that all photographs of one lens have in common."""
+        """Return a description of the lens, equal for all photographs taken with it."""
         focal = f"{self.exif.focal_35mm:.2f} mm" if self.exif.focal_35mm else "focal length unknown"
         if self.exif.focals:
-            said = " or ".join(f"{FILM_LENGTH * each:.2f}" for each in self.exif.focals)
-            focal = f"focal length {said} mm"
+            lengths = " or ".join(f"{FILM_LENGTH * each:.2f}" for each in self.exif.focals)
+            focal = f"focal length {lengths} mm"
         maker = f"{self.exif.make} {self.exif.model}".strip() or "unknown camera"
         return f"{maker}, {self.size[0]} x {self.size[1]}, {focal}"
 
@@ -77,9 +75,9 @@ class Flight:
 
 
 def read_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, float]]:
-    """Return the standard deviations that receivers state of positions in EXIF, by name.
+    """Return the standard deviations of positions that receivers wrote into EXIF, by name.
 
-    They are to the east, north and up, metres. Photographs whose receiver states none are missing.
+    They are east, north and up in metres. Photographs without them are omitted.
     """
     return {i.name: i.exif.xmp.rtk_sigma for i in images if i.exif.xmp.rtk_sigma is not None}
 
@@ -87,19 +85,19 @@ def read_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, 
 def read_flight(folder: Path, session: str = SESSION) -> Flight:
     """Read the metadata of every JPEG of a folder and of the folders in it.
 
-    Of files with the same bytes, the first by name stays. Files that are not images, that cannot be
-    read or whose names are not UTF-8 are left out.
+    Of files with the same bytes, the first by name is kept. Files that are not images, cannot be
+    read or have names that are not UTF-8 are left out.
 
     Args:
         folder: The folder.
         session: Session of the photographs in the scene.
 
     Raises:
-        InputError: There is no such folder, it holds no photograph, or two files would have the
+        InputError: The folder does not exist or holds no photograph, or two files would have the
             same name in the scene.
     """
     if not folder.is_dir():
-        raise InputError(f"folder of photographs {folder} does not exist")
+        raise InputError(f"folder of photographs {folder} does not exist: check the path")
     paths = list_files(folder, _ENDINGS, depth=None)
     files = sorted(path.relative_to(folder).as_posix() for path in paths)
     if not files:
@@ -114,16 +112,16 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
                 if digest in images:
                     left_out[file] = f"the same file as {images[digest].file}"
                 else:
-                    images[digest] = _look_at(folder, file, digest, session)
+                    images[digest] = _read_image(folder, file, digest, session)
             except UnicodeEncodeError:
-                # Neither COLMAP nor JSON can hold it.
+                # Neither COLMAP nor JSON can store such a name.
                 left_out[for_terminal(file)] = "its name is not UTF-8: rename it"
             except InputError as error:
                 left_out[file] = str(error)
             except OSError as error:
                 left_out[file] = f"cannot be read: {error.strerror}"
             advance(done)
-    ordered = _in_order(images.values())
+    ordered = _sort(images.values())
     named: dict[str, str] = {}
     for image in ordered:
         if image.name in named:
@@ -136,29 +134,29 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
 
 
 def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
-    """Warn of what photographs say of themselves and cannot be believed, a line for each kind.
+    """Warn of metadata that cannot be trusted, one line for each kind.
 
     Args:
-        flight: The photographs, with the positions that count.
-        with_lenses: Whether the photographs tell their cameras, and nothing else does.
+        flight: The photographs, with the positions that are used.
+        with_lenses: Whether cameras are taken from EXIF, so that doubts about lenses matter.
     """
-    said = {
+    doubts = {
         image.file: image.exif.doubts
         if with_lenses
         else (*image.exif.place_doubts, *image.exif.other_doubts)
         for image in flight.images
     }
-    for line in said_of(said):
+    for line in said_of(doubts):
         log.warning("%s", line)
 
 
-def _look_at(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
+def _read_image(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
     exif, size = above_ellipsoid(read_exif(folder / file)), image_size(folder / file)
     name = f"{session}/images/{'_'.join(file.split())}"
     return FlightImage(file, name, digest, exif, size)
 
 
-def _in_order(images: Iterable[FlightImage]) -> list[FlightImage]:
+def _sort(images: Iterable[FlightImage]) -> list[FlightImage]:
     """Sort photographs by time where every one has it, else by name."""
     by_name = sorted(images, key=lambda image: image.file)
     times = {image.file: image.exif.time for image in by_name if image.exif.time is not None}
@@ -168,16 +166,16 @@ def _in_order(images: Iterable[FlightImage]) -> list[FlightImage]:
 
 
 def copy_photographs(
-    flight: Flight, folder: Path, root: Path, size: int, turned: Collection[str]
+    flight: Flight, folder: Path, root: Path, size: int, rotated: Collection[str]
 ) -> Flight:
-    """Copy photographs into a scene, reduced, some of them rotated by 180 degrees.
+    """Copy photographs into a scene at a reduced size, some of them rotated by 180 degrees.
 
     Args:
         flight: The photographs.
         folder: Their folder.
-        root: Folder of the sessions. A photograph that is there stays.
+        root: Folder of the sessions. Photographs that exist there are not copied again.
         size: Longest side, pixels.
-        turned: Names of the photographs to rotate.
+        rotated: Names of the photographs to rotate.
 
     Returns:
         The flight without damaged photographs.
@@ -192,12 +190,12 @@ def copy_photographs(
                 except InputError as error:
                     damaged[image.file] = str(error)
                 else:
-                    resize_file(folder / image.file, target, size, over=image.name in turned)
+                    resize_file(folder / image.file, target, size, over=image.name in rotated)
             advance(done)
     return flight.without(damaged)
 
 
-def photographs_of(
+def make_photographs(
     images: Sequence[FlightImage],
     longest: int,
     calibration: Camera | None,
@@ -210,7 +208,7 @@ def photographs_of(
         calibration: Camera of all photographs; None takes focal lengths from EXIF, or guesses.
 
     Raises:
-        InputError: ``calibration`` is for images of another shape.
+        InputError: ``calibration`` is for images of another aspect ratio.
     """
     photographs = []
     for image in images:
@@ -219,7 +217,7 @@ def photographs_of(
             width, height = reduce_size(image, longest)
             likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL
             pixels = (focal or likely) * max(width, height)
-            # One coefficient: more of them bend flat ground into a dome.
+            # One distortion coefficient, because more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:
             camera = scale_camera(calibration, longest, image)
@@ -237,25 +235,25 @@ def photographs_of(
 
 
 def reduce_size(image: FlightImage, longest: int) -> tuple[int, int]:
-    """Return width and height of a photograph in the scene, whose longest side is at most that."""
+    """Return width and height of a photograph in the scene, limited to a longest side."""
     scale = min(1.0, longest / max(image.size))
     width, height = (round(scale * side) for side in image.size)
     return width, height
 
 
 def scale_camera(calibration: Camera, longest: int, image: FlightImage) -> Camera:
-    """Return a calibration at the size that a photograph has in the scene.
+    """Scale a calibration to the size of a photograph in the scene.
 
     Raises:
-        InputError: the calibration is for images of another shape.
+        InputError: the calibration is for images of another aspect ratio.
     """
     width, height = reduce_size(image, longest)
-    # Sides are whole pixels, so that a smaller picture's shape may be off by one of them.
+    # Sides are rounded to whole pixels.
     if abs(calibration.width * height - calibration.height * width) > max(
         calibration.width, calibration.height
     ):
         raise InputError(
             f"the camera is {calibration.width} x {calibration.height} pixels but {image.file} is "
-            f"{image.size[0]} x {image.size[1]}: give a calibration of its shape"
+            f"{image.size[0]} x {image.size[1]}: give a calibration of the same aspect ratio"
         )
     return calibration.resize(width, height)

@@ -1,4 +1,4 @@
-"""One picture of an ingested flight: where cameras are, and where GPS believed they were."""
+"""Draw an ingested flight: camera positions, and their GPS positions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.report import residuals
 from objconnect.scene.storage.atomic import atomic_write
 
@@ -20,20 +20,19 @@ PICTURE = Path("pictures/ingest.png")
 def draw(
     path: Path,
     title: str,
-    adjusted: Adjusted,
+    adjusted: AdjustedModel,
     order: Sequence[str],
     queries: Collection[str],
     fixes: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    """Write a PNG: points and cameras from above with an arrow to each fix, and the residuals in
-    the order the photographs were taken.
+    """Draw points and cameras from above with an arrow to each fix, and the residuals over time.
 
     Args:
-        path: path of the picture.
-        title: above it.
-        adjusted: the model in the world; fixes that it did not use are not drawn.
-        order: names of its photographs as taken.
-        queries: those that are queries.
+        path: path of the PNG.
+        title: title of the picture.
+        adjusted: the model in the world; fixes that it rejected are not drawn.
+        order: names of its photographs in the order they were taken.
+        queries: names of the queries.
         fixes: measured positions by name, world metres.
 
     Raises:
@@ -57,9 +56,9 @@ def draw(
         angles="xy", scale_units="xy", scale=1, width=0.003,
         label="to GPS" if times == 1 else f"to GPS, {times} times as long",
     )  # fmt: skip
-    # A few points far away must not make the flight small; arrows are part of it.
+    # The axes fit cameras, arrows and most points, so that outliers do not shrink the flight.
     ends = np.concatenate(
-        [centres[:, :2], centres[drawn, :2] + times * off[:, :2], _middle(model.xyz)]
+        [centres[:, :2], centres[drawn, :2] + times * off[:, :2], _extent(model.xyz)]
     )
     low, high = ends.min(0), ends.max(0)
     margin = 0.05 * float((high - low).max())
@@ -76,11 +75,12 @@ def draw(
 
 
 def _magnification(centres: NDArray[np.float64], off: NDArray[np.float64]) -> int:
-    """Power of ten that makes the longest arrow visible, at most a quarter of the flight."""
+    """Return the power of ten that scales the longest arrow to at most a quarter of the flight."""
     extent = float(np.ptp(centres[:, :2], axis=0).max())
     longest = max(float(np.linalg.norm(off[:, :2], axis=1).max(initial=0)), 1e-3)
     return int(10 ** max(np.floor(np.log10(max(0.25 * extent / longest, 1))), 0))
 
 
-def _middle(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _extent(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the corners (2, 2) of the middle 96 % of points (N, 3) along east and north."""
     return np.asarray(np.percentile(xyz[:, :2], [2, 98], axis=0))

@@ -1,4 +1,4 @@
-"""What a run of ``ingest`` was asked for, by which an interrupted one continues."""
+"""The request of a run of ``ingest``, and the scene folder that resumes by it."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, remove_owned
 from objconnect.scene.storage.resumable import ResumableFolder
 
 WORK = f"{TEMPORARY_PREFIX}ingest"
-"""The folder of intermediate results in that of an unfinished scene."""
+"""Subfolder of an unfinished scene for intermediate results."""
 
 DATABASE = Path("database.db")
-"""The database of features and matches among them."""
+"""COLMAP's database of features and matches, in ``WORK``."""
 
 _PLAN = "plan.json"
 
 
 class Plan(BaseModel):
-    """The request of a run. A folder that was begun with another request is refused.
+    """The request of a run. A folder with another request is refused.
 
-    ``base`` is the digest of the scene that photographs are added to, and ``known`` are the
-    photographs that went into that scene: file by digest.
+    ``base`` is the digest of the scene that photographs are added to, and ``known`` holds the
+    photographs of that scene: file by digest.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -59,7 +59,7 @@ class Plan(BaseModel):
 
 
 def resumable(out: Path, plan: Plan) -> ResumableFolder:
-    """Return the folder of a scene, whose record is the plan while the scene is unfinished."""
+    """Return the folder of a scene, which stores the plan while it is unfinished."""
 
     def difference(record: Path) -> str | None:
         recorded = read_json(record, Plan, "plan of the unfinished scene")
@@ -70,7 +70,7 @@ def resumable(out: Path, plan: Plan) -> ResumableFolder:
 
 
 def is_finished(out: Path, plan: Plan) -> bool:
-    """Return whether the folder holds this very flight already; refuse any other content."""
+    """Return whether the folder holds the finished scene of a plan; refuse any other content."""
     unfinished = resumable(out, plan)
     if (out / MANIFEST).is_file():
         if read_plan(Scene.open(out).manifest) != plan:
@@ -78,7 +78,7 @@ def is_finished(out: Path, plan: Plan) -> bool:
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
             )
-        unfinished.end()  # a run killed at its very end left its folder of intermediate results
+        unfinished.end()  # a run killed just before its end leaves intermediate results
         return True
     if not unfinished.resume(
         lambda difference: (
@@ -111,14 +111,14 @@ def make_scene(
     owned: Collection[str],
     manifest: Manifest,
 ) -> IngestReport:
-    """Make the scene of a plan, or continue it, or return the report of the finished one.
+    """Make or continue the scene of a plan; return the report of a finished one.
 
     Args:
         out: Folder of the scene.
         plan: The request.
         build: Writes everything of the scene but its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
-        manifest: The manifest, without digests and georeference, which the report knows.
+        manifest: The manifest without digests and georeference, which the report adds.
 
     Raises:
         InputError: The folder holds something else, or as ``build``.
@@ -130,9 +130,9 @@ def make_scene(
     try:
         report = build()
     except WriteError:
-        raise  # the same command continues when there is room
+        raise  # a later run continues when the disk has room
     except InputError:
-        # These photographs make no scene, so nothing is kept for a later run.
+        # These photographs make no scene, so a later run has nothing to continue.
         remove_owned(out, owned)
         raise
     finish_scene(out, manifest.model_copy(update={"georeference": report.georeference}))
@@ -141,9 +141,9 @@ def make_scene(
 
 
 def read_plan(manifest: Manifest) -> Plan | None:
-    """Return the plan that a scene was made by; None if it was not made of photographs.
+    """Return the plan of a scene; None if it was not made from photographs.
 
-    Options that came later than the scene had the effect of their defaults.
+    Options that did not exist when the scene was made have their defaults.
     """
     try:
         return Plan.model_validate(manifest.config)

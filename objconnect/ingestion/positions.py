@@ -1,4 +1,4 @@
-"""The positions at which photographs were taken, from their EXIF or from a table."""
+"""Positions of photographs, from EXIF or from a table."""
 
 from __future__ import annotations
 
@@ -23,25 +23,24 @@ from objconnect.scene.storage.tables import require_commas
 log = logging.getLogger(__name__)
 
 FEWEST = 3
-# Positions nearer to one another than this, metres, are those of a receiver that is stuck.
-_ONE_PLACE_M = 0.01
+# Positions of a receiver that is stuck differ by less than this, metres.
+_EQUAL_M = 0.01
 _COLUMNS = ("name", "lat", "lon", "alt")
 
 
-def with_positions(flight: Flight, table: Path) -> Flight:
+def replace_positions(flight: Flight, table: Path) -> Flight:
     """Return the flight with the positions of a table instead of those in EXIF.
 
     Args:
         flight: The photographs.
         table: CSV file with a header. The column ``name`` is the name of a file, or its path in
-            the folder; ``lat`` and ``lon`` are degrees, ``alt`` is metres. Other columns do not
-            count, nor do rows of photographs that are not in the flight. Names are compared
-            as ``match_files`` does.
+            the folder; ``lat`` and ``lon`` are degrees, ``alt`` is metres. Other columns, and rows
+            of photographs that are not in the flight, are ignored. ``match_files`` compares names.
 
     Raises:
-        InputError: The table cannot be read, lacks a column or has one twice, holds a bad number
-            or a name twice, has a name without a folder that several photographs share, or has
-            none of the photographs.
+        InputError: The table cannot be read, lacks or repeats a column, has a bad number or repeats
+            a name, has a name without a folder that several photographs share, or names none of the
+            photographs.
     """
     places = _read(table)
     rows = match_files([image.file for image in flight.images], list(places), table)
@@ -58,8 +57,8 @@ def with_positions(flight: Flight, table: Path) -> Flight:
     ]
     if places and not any(image.exif.position for image in images):
         raise InputError(
-            f"{table} has none of the photographs: its first name is {next(iter(places))!r}, that "
-            f"of the first photograph {flight.images[0].file!r}"
+            f"{table} names none of the photographs: its first name is {next(iter(places))!r}, the "
+            f"first photograph is {flight.images[0].file!r}"
         )
     return replace(flight, images=tuple(images))
 
@@ -97,25 +96,27 @@ def _parse_table(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic
                 f"{table}, line {reader.line_num}: lat, lon and alt must be degrees and metres"
             )
         if row["name"] in places:
-            raise InputError(f"{table}, line {reader.line_num}: {row['name']} is there twice")
+            raise InputError(
+                f"{table}, line {reader.line_num}: {row['name']} is listed twice: remove one"
+            )
         places[row["name"]] = place
     return places
 
 
-def local(
+def local_positions(
     images: Sequence[FlightImage], origin: Geodetic | None = None
 ) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
-    """Return an origin amid the photographs, and their positions (3,) from it.
+    """Return the origin of a local frame, and the photographs' positions (3,) in it.
 
     Positions are by name, metres east, north and up; up is NaN where the altitude is unknown.
 
     Args:
         images: The photographs.
-        origin: An origin that is known; then no photograph needs a position.
+        origin: Known origin; then no photograph needs a position. None takes the median position.
 
     Raises:
-        InputError: Fewer than three photographs have a position, none has an altitude, or most
-            positions are one, and the origin is not known.
+        InputError: The origin is not given, and fewer than three photographs have a position, none
+            has an altitude, or most positions are equal.
     """
     known: Mapping[str, Geodetic] = {
         image.name: image.exif.position for image in images if image.exif.position is not None
@@ -124,20 +125,20 @@ def local(
         if len(known) < FEWEST:
             raise InputError(
                 f"{len(known)} of {len(images)} photographs have a GPS position, {FEWEST} are "
-                "needed, for a scene has metres and a place on earth: give --gps CSV with columns "
+                "needed to georegister the scene: give --gps CSV with columns "
                 f"{','.join(_COLUMNS)}"
             )
         _require_altitudes(known)
         origin = median_place(list(known.values()))
-        east_north = np.array([_from(place, origin)[:2] for place in known.values()])
-        at_one = np.linalg.norm(east_north - np.median(east_north, 0), axis=1) < _ONE_PLACE_M
-        if 2 * at_one.sum() > len(known):
+        east_north = np.array([_enu(place, origin)[:2] for place in known.values()])
+        equal = np.linalg.norm(east_north - np.median(east_north, 0), axis=1) < _EQUAL_M
+        if 2 * equal.sum() > len(known):
             raise InputError(
-                f"{at_one.sum()} of {len(known)} GPS positions are one: they do not tell scale and "
-                "direction: leave these photographs out, or give --gps CSV with columns "
+                f"{equal.sum()} of {len(known)} GPS positions are equal, so scale and direction "
+                "are unknown: leave these photographs out, or give --gps CSV with columns "
                 f"{','.join(_COLUMNS)}"
             )
-    return origin, {name: _from(place, origin) for name, place in known.items()}
+    return origin, {name: _enu(place, origin) for name, place in known.items()}
 
 
 def _require_altitudes(known: Mapping[str, Geodetic]) -> None:
@@ -146,20 +147,20 @@ def _require_altitudes(known: Mapping[str, Geodetic]) -> None:
     if high == 0:
         raise InputError(
             f"none of {len(known)} photographs with a GPS position has an altitude (GPSAltitude), "
-            "so that the height of the scene is unknown: give --gps CSV with columns "
+            "so the height of the scene is unknown: give --gps CSV with columns "
             f"{','.join(_COLUMNS)}"
         )
     if high < len(known):
         log.warning(
-            "%d of %d photographs with a GPS position have an altitude (GPSAltitude): the height "
-            "of the scene is that of these",
+            "%d of %d photographs with a GPS position have an altitude (GPSAltitude): they alone "
+            "determine the height of the scene",
             high,
             len(known),
         )
 
 
-def _from(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
-    """Return east, north and up of a place, (3,) metres; up is NaN where the altitude is."""
+def _enu(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
+    """Return east, north and up of a position, (3,) metres; up is NaN where the altitude is."""
     if not math.isnan(place.altitude):
         return enu_from_geodetic(place, origin)
     enu = enu_from_geodetic(place._replace(altitude=origin.altitude), origin)

@@ -1,4 +1,4 @@
-"""The report of ``ingest``: figures of a scene made of photographs."""
+"""The report of ``ingest``: figures of a scene made from photographs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.control import ControlResidual, control_text
 from objconnect.ingestion.photographs import Flight
 from objconnect.scene.bundle.georeference import Georeference
@@ -18,15 +18,15 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.maps.sparse_map import SparseMap
 
-_SHOWN = 6
-# GPS of a camera that is further off than this in the median gets a remark, metres.
+_SHOWN = 6  # lines per kind of reason in the text
+# A median distance of GPS from the cameras above this (m) gets a remark.
 _FAR_FROM_GPS_M = 30.0
 
 
 class Residuals(BaseModel):
-    """Statistics of the distances between cameras and their fixes, metres, without sign.
+    """Statistics of the absolute distances between cameras and their fixes, metres.
 
-    The vertical ones are those of fixes with an altitude, None where none has one.
+    The vertical ones count fixes with an altitude; they are None without any.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -46,7 +46,7 @@ class Residuals(BaseModel):
 
 
 class Lens(BaseModel):
-    """A lens: the number of its photographs, its camera, and the origin of the camera's values."""
+    """A lens: number of photographs, camera, and the source of the camera's parameters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -66,25 +66,22 @@ class IngestReport(BaseModel):
         points: number of points in the model of all photographs of the scene.
         track_length: mean number of photographs that observe a point.
         reprojection_error_px: mean reprojection error over all observations, pixels.
-        lenses: the cameras.
         level: what defines the vertical: "gps", the "ground", poses that were "given", points of
             "control", or the "map" that photographs were added to.
         fixes: number of photographs whose GPS position was used.
-        blunders: distance from the camera of each fix that was not used, metres, by file.
-        wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
-            degrees, by file.
-        turned: files whose pictures were turned by 180 degrees and are turned back in the scene.
-        gps: residuals of the fixes that were used, as the camera wrote them; None without any.
+        blunders: distance of each rejected fix from its camera, metres, by file.
+        wrong_attitudes: angle between each rejected gimbal attitude and its camera, degrees, by
+            file.
+        turned: files that had been rotated by 180 degrees; the scene rotates them back.
+        gps: residuals of the fixes that were used, with their delay; None without any.
         lag_s: delay of the fixes behind their photographs, seconds; 0 where none was estimated.
         gps_without_lag: residuals of the fixes after this delay is removed; None without a delay.
-        map_images: number of photographs of the map.
-        map_points: number of points of the map, triangulated from its photographs alone.
-        queries: number of photographs that are queries.
+        map_images: number of map photographs.
+        map_points: number of points of the map, triangulated from the map photographs alone.
         control: ground control points, in the order of their list.
-        kept: number of frames of the scene that the photographs were added to; 0 without one. Map
-            and queries are then those of the whole scene, and the other figures those of the new
-            photographs.
-        georeference: how exactly the scene is placed on earth; None if unknown.
+        kept: number of frames of the scene that photographs were added to; 0 without one. Figures
+            of map and queries then count the whole scene, the others the new photographs.
+        georeference: accuracy of the scene's position on earth; None if unknown.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -114,11 +111,11 @@ class IngestReport(BaseModel):
     def text(self) -> str:
         """Return the report as text."""
         up = {
-            "gps": "up is where GPS says",
-            "ground": "up is across the ground: GPS altitudes cannot tell",
-            "given": "poses are as given",
-            "control": "up is where ground control points say",
-            "map": "the world is that of the scene",
+            "gps": "vertical from GPS",
+            "ground": "vertical from the ground, because GPS altitudes are not usable",
+            "given": "poses as imported",
+            "control": "vertical from ground control points",
+            "map": "world of the existing scene",
         }
         gps = "none" if self.gps is None else self.gps.text()
         new = f"new photographs registered in a scene of {self.kept}" if self.kept else ""
@@ -129,7 +126,7 @@ class IngestReport(BaseModel):
             f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
             *gps_remark(self.level, self.gps),
             *(
-                [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
+                [f"GPS delay {self.lag_s:.1f} s; without it: {self.gps_without_lag.text()}"]
                 if self.gps_without_lag is not None
                 else []
             ),
@@ -144,7 +141,7 @@ class IngestReport(BaseModel):
                 "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
             ),
             *_list_reasons(
-                "turned back", dict.fromkeys(self.turned, "by 180°, as its gimbal says")
+                "rotated back", dict.fromkeys(self.turned, "by 180°, according to its gimbal")
             ),
             *_list_reasons("left out", self.left_out),
         ]
@@ -152,21 +149,21 @@ class IngestReport(BaseModel):
 
 
 def gps_remark(level: str, gps: Residuals | None) -> list[str]:
-    """Return a remark where GPS contradicts what places the scene on earth."""
+    """Return a remark where GPS contradicts the ground control points or the imported poses."""
     if gps is None or level not in ("control", "given"):
         return []
-    off = {"across": gps.horizontal_median, "in height": gps.vertical_median}
+    off = {"horizontally": gps.horizontal_median, "in height": gps.vertical_median}
     far = [
-        f"{metres:.0f} m {way}"
-        for way, metres in off.items()
+        f"{metres:.0f} m {axis}"
+        for axis, metres in off.items()
         if metres is not None and metres > _FAR_FROM_GPS_M
     ]
     if not far:
         return []
-    placed = "ground control points" if level == "control" else "the given poses"
+    source = "ground control points" if level == "control" else "the imported poses"
     return [
-        f"GPS contradicts {placed} by {' and '.join(far)}: check the system, the unit of heights "
-        "(feet?) and what they are above (ellipsoid or sea level)"
+        f"GPS contradicts {source} by {' and '.join(far)}: check the coordinate system, the unit "
+        "of heights (feet?) and their datum (ellipsoid or sea level)"
     ]
 
 
@@ -179,12 +176,12 @@ def _list_reasons(what: str, reasons: Mapping[str, str]) -> list[str]:
 def residuals(
     model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
 ) -> NDArray[np.float64]:
-    """Return fix minus camera centre of some photographs, (N, 3) metres; up may be NaN."""
+    """Return fixes minus camera centres of photographs, (N, 3) metres; up may be NaN."""
     off = [fixes[name] - model.images[name].centre for name in names]
     return np.array(off).reshape(-1, 3)
 
 
-def summary(off: NDArray[np.float64]) -> Residuals:
+def summarise(off: NDArray[np.float64]) -> Residuals:
     """Return statistics of residuals (N, 3)."""
     horizontal = np.linalg.norm(off[:, :2], axis=1)
     vertical = np.abs(off[np.isfinite(off[:, 2]), 2])
@@ -196,7 +193,7 @@ def summary(off: NDArray[np.float64]) -> Residuals:
     )
 
 
-def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Lens, ...]:
+def lenses_of(photographs: Sequence[Photograph], adjusted: AdjustedModel) -> tuple[Lens, ...]:
     """Return the cameras of a model by lens, in the order of the photographs."""
     images = adjusted.model.images
     by_lens: dict[str, list[Photograph]] = {}
@@ -219,7 +216,7 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
     if first.calibrated:
         return f"focal length {focal:.1f} px as given"
     x, y = np.subtract(camera.principal, (camera.width / 2, camera.height / 2))
-    middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px from the middle" if x or y else ""
+    middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px off the middle" if x or y else ""
     if not first.focal_known:
         return (
             f"{first.focal_doubt or 'no focal length in EXIF'}: "
@@ -234,17 +231,17 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the gimbals of a flight, ground control points and fixes show.
+    """Results of checking gimbals, ground control points and fixes.
 
     Attributes:
-        wrong: degrees by which attitudes that were not used are off, by file.
-        turned: files that someone had turned by 180 degrees.
+        wrong_attitudes: errors of rejected attitudes, degrees, by file.
+        rotated: files that had been rotated by 180 degrees.
         control: residuals of ground control points.
-        georeference: how exactly the scene is placed on earth; None if unknown.
+        georeference: accuracy of the scene's position on earth; None if unknown.
     """
 
-    wrong: Mapping[str, float]
-    turned: Sequence[str]
+    wrong_attitudes: Mapping[str, float]
+    rotated: Sequence[str]
     control: tuple[ControlResidual, ...] = ()
     georeference: Georeference | None = None
 
@@ -252,20 +249,20 @@ class Findings:
 def make_report(
     photographs: Sequence[Photograph],
     flight: Flight,
-    adjusted: Adjusted,
+    adjusted: AdjustedModel,
     fixes: Mapping[str, NDArray[np.float64]],
     sparse_map: SparseMap,
     findings: Findings,
 ) -> IngestReport:
-    """Make the report of a finished flight.
+    """Make the report of an ingested flight.
 
     Args:
         photographs: photographs that structure from motion received.
         flight: photographs of the model, and the files that were left out with reasons.
         adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
-        sparse_map: the map of the map's photographs.
-        findings: what gimbals, ground control points and fixes show.
+        sparse_map: the map, triangulated from the map photographs.
+        findings: results of checking gimbals, ground control points and fixes.
     """
     model, placed = adjusted.model, adjusted.placed
     files = {image.name: image.file for image in flight.images}
@@ -285,12 +282,12 @@ def make_report(
             files[name]: float(np.linalg.norm(np.nan_to_num(off)))
             for name, off in zip(placed.blunders, wrong, strict=True)
         },
-        wrong_attitudes=dict(findings.wrong),
-        turned=tuple(findings.turned),
-        gps=summary(residuals(model, fixes, used)) if used else None,
+        wrong_attitudes=dict(findings.wrong_attitudes),
+        turned=tuple(findings.rotated),
+        gps=summarise(residuals(model, fixes, used)) if used else None,
         lag_s=adjusted.delay,
         gps_without_lag=(
-            summary(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
+            summarise(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
             if adjusted.undone
             else None
         ),

@@ -1,4 +1,4 @@
-"""The record of photographs that are rotated by 180 degrees in an unfinished scene."""
+"""Record which photographs of an unfinished scene are rotated by 180 degrees."""
 
 from __future__ import annotations
 
@@ -15,31 +15,33 @@ from objconnect.scene.bundle.manifest import read_json, write_json
 _RECORD: Final = "turned.json"
 
 
-class _Turned(BaseModel):
-    """Names of the photographs that are rotated by 180 degrees in the scene."""
+class _Rotated(BaseModel):
+    """Names of the photographs that the scene rotates by 180 degrees."""
 
     names: tuple[str, ...]
 
 
-def read_turned(out: Path) -> set[str]:
+def read_rotated(out: Path) -> set[str]:
     """Return the names of the photographs of an unfinished scene that are rotated."""
     record = out / WORK / _RECORD
-    return set(read_json(record, _Turned, "turned photographs").names) if record.exists() else set()
+    if not record.exists():
+        return set()
+    return set(read_json(record, _Rotated, "rotated photographs").names)
 
 
-def begin_again(out: Path, turned: Collection[str], models: Path) -> None:
-    """Remove what was computed from photographs that are to be rotated, and record their names.
+def restart_rotated(out: Path, names: Collection[str], models: Path) -> None:
+    """Remove results of photographs that must be rotated, and record their names.
 
-    Their features belong to the unturned pictures, so the reconstruction starts again.
+    Features belong to the pictures before the rotation, so the reconstruction starts again.
 
     Args:
         out: folder of the unfinished scene.
-        turned: names of the photographs.
+        names: names of the photographs.
         models: folder of the reconstruction.
     """
-    for name in turned:
+    for name in names:
         (out / "sessions" / name).unlink()
     for path in (out / WORK).glob(f"{DATABASE.stem}*"):
         path.unlink()
     shutil.rmtree(models)
-    write_json(out / WORK / _RECORD, _Turned(names=tuple(sorted(turned))))
+    write_json(out / WORK / _RECORD, _Rotated(names=tuple(sorted(names))))

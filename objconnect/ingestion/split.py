@@ -1,4 +1,4 @@
-"""The split of a flight into photographs that build the map and photographs that are queries."""
+"""Split the photographs of a flight into map photographs and queries."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 
 Split = Literal["photo", "line", "none"]
-# A flight line ends where the course turns by more: wind turns it by less, the next line by more.
+# A flight line ends where the course turns by more than this. Wind turns it by less.
 _LINE_TURN_DEG: Final = 40.0
 
 
-def queries_of(
+def choose_queries(
     names: Sequence[str],
     fixes: Mapping[str, NDArray[np.float64]],
     split: Split,
     every: int,
 ) -> set[str]:
-    """Return the photographs that are queries.
+    """Choose the photographs that are queries, by name.
 
     Args:
         names: Photographs in the order they were taken.

@@ -1,1 +1,1 @@
-"""Sparse maps: building, measuring, diagnosing and supplementing them."""
+"""Build, measure, diagnose and supplement sparse maps; reconstruct dense depth."""

@@ -1,4 +1,4 @@
-"""The sparse map of a scene, with its known poses or by structure from motion."""
+"""Build the sparse map of a scene from known poses or by structure from motion."""
 
 from __future__ import annotations
 
@@ -45,26 +45,26 @@ def build_map(
     cluster: str | None = None,
     options: MapOptions = _DEFAULTS,
 ) -> MapReport:
-    """Build the map of a finished scene from its map frames and record it in the manifest.
+    """Build the map of a finished scene from its map frames, and record it in the manifest.
 
-    The model is in world metres, and its features are stored beside it. An older map is replaced
-    when the new one is complete. After an interruption, a second call continues with the finished
-    features and matches and builds the same map.
+    The model is in world metres, and its features are stored beside it. An existing map is replaced
+    when the new one is complete. After an interruption, a second call reuses the finished features
+    and matches and builds the same map.
 
     Args:
         path: folder of the scene.
-        method: triangulation with the exact poses, or structure from motion, whose own poses are
-            then aligned to them.
+        method: "triangulate" with the exact poses, or "sfm", structure from motion whose poses are
+            then aligned to the exact ones.
         cluster: cluster that extracts the features, see ``worker_pool``. Its nodes must see the
             scene at the same path.
-        options: which photographs are matched.
+        options: choice of the pairs to match.
 
     Returns:
-        The map's figures against the truth.
+        The map's errors against the truth.
 
     Raises:
         InputError: the scene is not finished, is being written by another run, has a damaged
-            photograph, or gives no map.
+            photograph, or its photographs cannot be mapped.
     """
     scene = Scene.open(path)
     with write_lock(path):
@@ -124,7 +124,7 @@ def _digest(
     images: Sequence[PosedImage],
     pairs: Sequence[tuple[str, str]],
 ) -> str:
-    """Return a digest of all that features and matches depend on."""
+    """Return a digest of the inputs of features and matches."""
     photographs = digests_in(root, (image.name for image in images), "missing")
     cameras = [image.camera for image in images]
     return digest_of(VERSION, _SIFT, pairs, cameras, photographs)[:16]
@@ -136,9 +136,9 @@ def choose_pairs(
     """Choose the pairs of frames to match, each once: neighbours in space and in time.
 
     Args:
-        overlap: symmetric (N, N) share of each other's surface that frames see.
-        flights: flight of each frame; frames of one flight are in the order of time.
-        options: least overlap, and number of frames with which each one is matched.
+        overlap: symmetric (N, N) shares of the surface of one frame that another sees.
+        flights: flight of each frame; frames of one flight are sorted by time.
+        options: minimum overlap, and number of neighbours of each frame.
     """
     pairs = set()
     for i, shares in enumerate(overlap):
@@ -150,7 +150,7 @@ def choose_pairs(
 
 
 def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
-    """Return the map's photographs and the identifiers of the objects they show."""
+    """Return the map photographs and the identifiers of the objects they show."""
     wanted = set(scene.splits.map)
     images = []
     seen: set[int] = set()

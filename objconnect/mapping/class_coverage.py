@@ -1,8 +1,7 @@
-"""The shares of kinds of surfaces in pixels, keypoints and map points.
+"""Measure the shares of kinds of surfaces in pixels, keypoints and map points.
 
-In real photographs, each kind of surface has about as large a share of the keypoints as of the
-pixels. Rendered surfaces must have enough texture for this, or else most map points would be on the
-ground.
+In real photographs, a kind of surface has about the same share of keypoints as of pixels. Rendered
+surfaces need enough texture for this; otherwise most map points would be on the ground.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ KINDS = ("ground", "buildings", "vegetation", "other things")
 
 @dataclass(frozen=True)
 class KindShare:
-    """Shares 0..1 of a kind of surface in the map frames' pixels and keypoints, and map points."""
+    """Shares (0 to 1) of a kind of surface in map frames' pixels and keypoints, and map points."""
 
     pixels: float
     keypoints: float
@@ -37,8 +36,7 @@ def class_coverage(
 ) -> dict[str, KindShare]:
     """Measure the share of each of ``KINDS``.
 
-    The kind of a keypoint is that of its pixel, and the kind of a point that of most of its
-    observations.
+    A keypoint has the kind of its pixel, and a point the most frequent kind of its observations.
 
     Args:
         scene: scene with a semantic layer.

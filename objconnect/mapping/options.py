@@ -1,4 +1,4 @@
-"""Options of building a map. The report of the map records them."""
+"""Options of ``map``, which the map's report records."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from objconnect.scene.config import Config
 
 
 class MapOptions(Config):
-    """The choice of photographs of a map that are matched with each other."""
+    """Options of the choice of map photographs to match with each other."""
 
     min_overlap: float = Field(
         0.2,
         ge=0,
         lt=1,
-        description="A pair is matched when each picture shows at least this share of the other.",
+        description="Minimum overlap of a pair: the share (0 to 1) of each picture that the other "
+        "shows.",
     )
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Each picture is matched with at most this many others, those of largest "
+        description="Maximum number of pictures with which each one is matched, those of largest "
         "overlap.",
     )
     following: int = Field(
         4,
         ge=0,
         description="Number of following photographs with which each one is matched if they "
-        "overlap at all. This connects flights whose photographs hardly overlap.",
+        "overlap at all. This connects the photographs of flights with little overlap.",
     )

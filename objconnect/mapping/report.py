@@ -1,4 +1,4 @@
-"""The report on a map: its errors against the truth of its scene."""
+"""The report of ``map``: errors of a map against the truth of its scene."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ class MapReport:
     """Figures of a map.
 
     Attributes:
-        images: number of photographs that were given.
-        registered: number of photographs in the map.
+        images: number of map frames.
+        registered: number of frames in the map.
         pairs: number of pairs of photographs that were matched.
         points: number of triangulated points.
         reprojection_error_px: mean reprojection error over all observations, pixels.
         track_length: mean number of photographs that observe a point.
-        position_m: distances of the camera centres from the truth, metres.
-        rotation_deg: angles between the rotations and the truth, degrees.
+        position_m: errors of the camera centres, metres.
+        rotation_deg: errors of the rotations, degrees.
         objects: coverage of the objects in the map's photographs, by size class.
         small_objects: coverage of the small objects, by class.
         kinds: shares of each kind of surface.
-        options: options with which the map was built, see ``objconnect.mapping.options``.
+        options: values of ``objconnect.mapping.options.MapOptions``.
     """
 
     images: int
@@ -81,8 +81,8 @@ class MapReport:
             "pairs matched",
             f"{self.points} points, {self.reprojection_error_px:.2f} px mean reprojection error, "
             f"tracks of {self.track_length:.1f} images",
-            "positions from the truth: " + self.position_m.text(" m"),
-            "rotations from the truth: " + self.rotation_deg.text("°"),
+            "position errors: " + self.position_m.text(" m"),
+            "rotation errors: " + self.rotation_deg.text("°"),
         ]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
@@ -96,11 +96,10 @@ class MapReport:
 
 @dataclass(frozen=True)
 class ObjectTruth:
-    """The objects that the photographs of a map show, and those on which its points lie.
+    """The objects in the photographs of a map, and the objects on which its points lie.
 
     Attributes:
-        objects: the objects that the photographs show.
-        owners: id (M,) of the object on which each point of the map lies.
+        owners: id (M,) of the object on which each point of the map lies, 0 for the ground.
     """
 
     objects: Sequence[SceneObject]
@@ -119,7 +118,7 @@ def report(
 
     Args:
         sparse_map: map of all or some of the images of ``truth``.
-        truth: all photographs that were given, with their exact poses.
+        truth: all map frames, with their exact poses.
         objects: the objects in view, and those on which the points lie.
         pairs: number of pairs of photographs that were matched.
         kinds: result of ``objconnect.mapping.class_coverage``.

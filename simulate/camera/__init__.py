@@ -1,1 +1,1 @@
-"""Cameras with distortion, and the effects of lenses and sensors."""
+"""Simulate cameras with distortion, and the effects of lenses and sensors."""

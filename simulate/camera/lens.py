@@ -1,7 +1,7 @@
-"""Cameras of photographs, given by COLMAP's parameters or by name, and how they are rendered.
+"""Cameras of photographs, by COLMAP's parameters or by name, and their pinholes for rendering.
 
-Blender renders pinhole pictures. For every other camera, it renders a pinhole picture that covers
-the camera's view, and ``simulate.camera.resample`` computes the photograph from it.
+Blender renders pinhole pictures. For a camera with distortion, it renders a pinhole picture that
+covers the camera's view, from which ``simulate.camera.resample`` computes the photograph.
 
 Torch is imported only where a lens is used, so that the configuration of a scene and the help of
 the command line load without it.
@@ -18,8 +18,8 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from simulate.camera.pinhole import PinholeCamera
 
-# A pinhole picture grows with the tangent of the angle. Beyond this angle (deg), nearly all of it
-# would be thrown away.
+# A pinhole picture grows with the tangent of the angle. Beyond this angle (deg), nearly all of its
+# pixels would be unused.
 _MAX_FOV_DEG = 140.0
 _MARGIN_PX = 4.0  # margin around the view for the resampling kernels
 _COARSE = 16  # distance in pixels between positions at which the picture's scale is sampled
@@ -36,57 +36,59 @@ PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
 }
 """Known cameras: full width and height (px), diagonal field of view (deg), and k1, k2, p1, p2.
 
-The principal point is in the middle, except where ``_PRINCIPAL`` states another. The values are
-nominal. For a real drone, calibrate its camera.
+The principal point is the centre, except where ``_PRINCIPAL`` has another. The values are nominal.
+For a real drone, calibrate its camera.
 
-Sources: All sizes agree with published ones (the DroneModels table of calibrated drone cameras has
-FC7303, L2D-20C, FC300 and FC6310 with these). The field of view of the Phantom 4 Pro and RTK
+Sources: All sizes agree with published ones (the DroneModels table of calibrated drone cameras
+lists FC7303, L2D-20C, FC300 and FC6310 with these). The field of view of the Phantom 4 Pro and RTK
 follows from 8.8 mm and a sensor of 13.2 x 8.8 mm, that of the Mavic 3 from its equivalent focal
 length of 24 mm, and that of the Phantom 3 is quoted by its owners. No source confirms the 83
 degrees of the Mini 2.
 
-Assumptions: "mini-2-wide" is the middle of the picture of "mini-2". The coefficients of
-"phantom-4-rtk-raw", which is the survey drone without the correction of its JPEGs, have a typical
-size but belong to no real camera. All other drones are assumed to correct distortion completely.
-"cmu-c0" and "cmu-c1" are like the two cameras on the car of CMU Seasons: wide lenses with barrel
-distortion, which differ and have principal points off the middle.
+Assumptions: "mini-2-wide" is a crop of "mini-2". The coefficients of "phantom-4-rtk-raw", the
+survey drone without the correction of its JPEGs, have a typical size but belong to no real camera.
+All other drones are assumed to correct distortion completely. "cmu-c0" and "cmu-c1" resemble the
+two cameras on the car of CMU Seasons: wide lenses with barrel distortion and principal points off
+the centre.
 """
-# Principal points that are not in the middle, as shares of width and height.
+# Principal points that are not the centre, as shares of width and height.
 _PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
 
 
 class CameraConfig(Config):
-    """The camera of the photographs: COLMAP's parameters, or the name of a known one."""
+    """A camera: COLMAP's parameters, or the name of a known camera."""
 
     model: str | None = Field(None, description="COLMAP camera model.")
-    width: int | None = Field(None, ge=16, le=8192, description="Pixels.")
-    height: int | None = Field(None, ge=16, le=8192, description="Pixels.")
+    width: int | None = Field(None, ge=16, le=8192, description="Width of photographs, px.")
+    height: int | None = Field(None, ge=16, le=8192, description="Height of photographs, px.")
     params: tuple[float, ...] | None = Field(
         None, description="Parameters of the model in COLMAP's order."
     )
-    preset: str | None = Field(None, description="A key of ``PRESETS``, in place of all of these.")
+    preset: str | None = Field(
+        None, description="Name of a known camera in ``PRESETS``, instead of all fields above."
+    )
     size: int | None = Field(
         None,
         ge=64,
         le=8192,
-        description="Longer side of the preset's photographs, pixels; None takes the scene's.",
+        description="Longer side of the preset's photographs, px. None takes the scene's.",
     )
 
     @model_validator(mode="after")
-    def _one_way(self) -> CameraConfig:
+    def _check_source(self) -> CameraConfig:
         given = [self.model, self.width, self.height, self.params]
         if self.preset is not None:
             if any(value is not None for value in given):
-                raise ValueError("a preset takes no model, width, height or params")
+                raise ValueError("give a preset, or model, width, height and params, not both")
             if self.preset not in PRESETS:
                 raise ValueError(f"unknown camera {self.preset!r}; known: {', '.join(PRESETS)}")
         elif any(value is None for value in given) or self.size is not None:
-            raise ValueError("a camera is a preset (and size), or model, width, height and params")
+            raise ValueError("give a preset (and size), or model, width, height and params")
         split_lens(self.build(64))
         return self
 
     def build(self, size: int) -> Camera:
-        """Return the camera. A preset without a size of its own has the longer side ``size``."""
+        """Return the camera; a preset without its own size gets the longer side ``size``."""
         if self.preset is None:
             assert self.model is not None
             assert self.width is not None
@@ -103,14 +105,14 @@ class CameraConfig(Config):
 
 
 def split_lens(camera: Camera) -> tuple[PinholeCamera, str | None]:
-    """Return the pinhole camera that is rendered for a camera, and the lens of the render job.
+    """Return the pinhole camera to render for a camera, and the lens of the render job.
 
-    The pinhole covers the view of every pixel of the camera with at least the camera's resolution.
-    The lens is the camera as text, or None where the camera is a pinhole itself.
+    The pinhole covers the camera's view with at least the camera's resolution. The lens is the
+    camera as text, or None where the camera is a pinhole itself.
 
     Raises:
-        InputError: the view is wider than a pinhole can cover, or the picture is larger than the
-            range of the distortion.
+        InputError: the view is too wide for a pinhole, or the picture exceeds the valid range of
+            the distortion.
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     if fx == fy and not camera.is_fisheye and not any(camera.distortion):
@@ -123,13 +125,14 @@ def split_lens(camera: Camera) -> tuple[PinholeCamera, str | None]:
     rays, valid = camera.unproject(torch.cat([edge, inside]))
     if not bool(valid.all()):
         raise InputError(
-            f"camera {camera}: its picture reaches beyond where the distortion folds back; "
-            "use a smaller picture or other coefficients"
+            f"camera {camera}: its distortion is not invertible over the whole picture; use a "
+            "smaller picture or other coefficients"
         )
     angle = 2 * float(torch.rad2deg(torch.atan(rays[:, :2].norm(dim=-1).max())))
     if angle > _MAX_FOV_DEG:
         raise InputError(
-            f"camera {camera} sees {angle:.0f} degrees; at most {_MAX_FOV_DEG:.0f} can be rendered"
+            f"camera {camera} has a field of view of {angle:.0f} degrees, at most "
+            f"{_MAX_FOV_DEG:.0f} can be rendered: use a longer focal length"
         )
     jacobian = camera.project(rays, jacobian=True).jacobian
     assert jacobian is not None

@@ -1,7 +1,7 @@
-"""Resampling of the pinhole picture that Blender renders to the photograph of a distorted camera.
+"""Resample Blender's pinhole picture to the photograph of a camera with distortion.
 
-All layers are resampled at the same positions, so that they fit together. The module runs in
-Blender's process and needs numpy alone.
+All layers are resampled at the same positions, so that they stay aligned. The module runs in
+Blender's process and needs only numpy.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Cast = Callable[[int, Array], Array]
-"""A function that casts rays (M, 2), x/z and y/z in the camera frame, at the object of an id.
+"""A function that casts rays (M, 2), x/z and y/z in the camera frame, at the object with an id.
 
 Id 0 is the ground. It returns the planar depths (M,) of the first hits, infinite where rays miss.
 """
 
-# Interpolated inverse depth is exact on a plane. Where it bends by more than this (metres of depth
-# over one pixel), the surface is not a plane and the ray is cast.
+# Interpolated inverse depth is exact on a plane. Where it deviates by more than this (metres of
+# depth over one pixel), the surface is not a plane and the ray is cast.
 _FLAT_M = 2e-4
-_AS_FINE = 0.2  # up to this share of finer pixels, a source is sampled once per pixel
+_AS_FINE = 0.2  # up to this relative increase of scale, one sample per pixel is enough
 
 
 def resample(
@@ -31,10 +31,10 @@ def resample(
 ) -> dict[str, NDArray[Any]]:
     """Resample the layers of a pinhole picture at other pixel centres.
 
-    The depth is exact. On planes it is interpolated. Elsewhere (at edges and in foliage, a tenth to
-    a half of a picture) rays are cast at the objects that neighbouring pixels see. Casting all rays
-    at all objects would take 83 microseconds per ray and 22 s for a picture of 512 x 512; casting
-    some rays at one or two objects takes about a second.
+    The depth is exact. On planes it is interpolated. Elsewhere (at edges and in foliage, 10 to 50 %
+    of a picture) rays are cast at the objects that neighbouring pixels see. Casting all rays at all
+    objects would take 83 microseconds per ray and 22 s for a picture of 512 x 512; casting these
+    rays takes about a second.
 
     Args:
         layers: rgb, depth, instance and normal as rendered, (h, w, ...).
@@ -42,8 +42,8 @@ def resample(
             at least 3 pixels from their edges.
         rays: (H, W, 2) x/z and y/z of the same pixel centres.
         cast: casts rays at the objects of the world.
-        boxes: boxes (left, top, right, bottom) by id, in the coordinates of rays, around objects so
-            small in the picture that parts of them may lie between its pixel centres.
+        boxes: boxes (left, top, right, bottom) by id, in the coordinates of rays, around objects
+            that may lie partly between pixel centres because they are small in the picture.
 
     Returns:
         The same layers, (H, W, ...).
@@ -67,26 +67,26 @@ def resample(
 
 
 def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
-    """Interpolate the colours of an image (h, w, 3) at positions (H, W, 2) by Catmull-Rom's cubic.
+    """Interpolate the colours of an image (h, w, 3) at positions (H, W, 2) by Catmull-Rom cubics.
 
-    Where neighbouring positions are farther apart than the pixels of the image, as at the edge of a
-    wide lens, several colours are averaged, because single colours would leave jagged edges.
-    OpenCV's ``remap`` rounds positions to 1/32 pixel, and this function does not.
+    Where neighbouring positions are more than a pixel apart, as at the edge of a wide lens, several
+    samples are averaged against aliasing. Positions are not rounded, in contrast to OpenCV's
+    ``remap``, which rounds them to 1/32 pixel.
     """
     across, down = np.gradient(xy, axis=1), np.gradient(xy, axis=0)
     colours = np.zeros((*xy.shape[:2], 3), np.float32)
-    offsets = [(a, b) for b in _spread(down) for a in _spread(across)]
+    offsets = [(a, b) for b in _list_offsets(down) for a in _list_offsets(across)]
     limit = np.array(rgb.shape[1::-1]) - 1.5
     for a, b in offsets:
-        colours += _between(rgb, np.clip(xy + a + b, 1.5, limit - 1e-6))
+        colours += _interpolate(rgb, np.clip(xy + a + b, 1.5, limit - 1e-6))
     return np.rint(np.clip(colours / len(offsets), 0, 255)).astype(np.uint8)
 
 
-def _spread(step: Array) -> list[Array]:
-    """Return the offsets at which colours are averaged along a pixel's side (H, W, 2).
+def _list_offsets(step: Array) -> list[Array]:
+    """Return the offsets (H, W, 2) of the samples that are averaged along a pixel's side.
 
-    Pixels of the source are as wide as the filter that they were rendered with. The averaged pixels
-    together are then as wide as the side.
+    A source pixel already has the width of its rendering filter. The averaged samples together
+    cover the side.
     """
     length = np.linalg.norm(step, axis=-1, keepdims=True)
     count = math.ceil(length.max() - _AS_FINE)
@@ -96,8 +96,8 @@ def _spread(step: Array) -> list[Array]:
     return [missing * ((k + 0.5) / count - 0.5) for k in range(count)]
 
 
-def _between(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.float32]:
-    """Return the colours (H, W, 3) at positions. At edges they overshoot 0..255."""
+def _interpolate(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.float32]:
+    """Interpolate colours (H, W, 3) at positions; at edges they overshoot 0..255."""
     x, y = np.moveaxis(xy - 0.5, -1, 0)
     column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     across, down = _cubic(x - column), _cubic(y - row)
@@ -152,9 +152,9 @@ def _surface(
         for j in (0, 1, -1, 2)
         for i in (0, 1, -1, 2)
     ]
-    # The ground can hide objects also where no neighbouring pixel shows it.
-    ways = rays[rough]
-    best = cast(0, ways)
+    # The ground can occlude objects also where no neighbouring pixel shows it.
+    cast_rays = rays[rough]
+    best = cast(0, cast_rays)
     who = np.zeros(len(best), np.uint16)
     for k, corner in enumerate(near):
         candidate = instance[corner]
@@ -165,11 +165,11 @@ def _surface(
         at = at[np.argsort(candidate[at], kind="stable")]
         numbers, starts = np.unique(candidate[at], return_index=True)
         for number, mine in zip(numbers.tolist(), np.split(at, starts[1:]), strict=False):
-            hit = cast(number, ways[mine])
+            hit = cast(number, cast_rays[mine])
             closer = hit < best[mine]
             best[mine[closer]] = hit[closer]
             who[mine[closer]] = number
-    # Between leaves a ray may meet an object that no neighbour shows; it takes the nearest pixel.
+    # A ray between leaves may miss all candidates; it takes the nearest pixel.
     nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
     missed = ~np.isfinite(best)
     z[rough] = np.where(missed, depth[nearest], best)
@@ -195,7 +195,7 @@ def _normals(
 ) -> NDArray[np.int8]:
     """Return the normal of the neighbouring pixel on the same object that is closest in depth.
 
-    Where there is none, as on a post thinner than a pixel, it is that of another object.
+    Without such a pixel, as on a post thinner than a pixel, the normal is that of another object.
     """
     corners, _ = _corners(xy)
     far = np.inf

@@ -1,8 +1,8 @@
-"""Effects of lens and sensor on the light of a photograph. They never change its geometry.
+"""Photometric effects of lens and sensor, which do not change the geometry of a photograph.
 
-The rendered sRGB picture is converted to linear light, in which exposure, vignetting, blur and
-noise are applied. A rolling shutter is not applied here: each row has its own pose and is rendered
-with it, in all layers.
+The rendered sRGB picture is converted to linear light, to which exposure, vignetting, blur and
+noise are applied. A rolling shutter is not applied here: every row is rendered with its own pose,
+in all layers.
 """
 
 from __future__ import annotations
@@ -18,28 +18,31 @@ _BLUR_SAMPLES_PER_PX = 4
 
 
 class SensorConfig(Config):
-    """Photographic effects, all off by default."""
+    """Photometric effects and rolling shutter, all off by default."""
 
     exposure_ev: float = Field(
         0.0, ge=0, le=3, description="Standard deviation of the exposure, stops."
     )
     white_balance: float = Field(
-        0.0, ge=0, le=0.5, description="Relative standard deviation of the gains of red and blue."
+        0.0,
+        ge=0,
+        le=0.5,
+        description="Relative standard deviation of the gains of red and blue, 0 to 0.5.",
     )
     vignetting: float = Field(
-        0.0, ge=0, lt=1, description="Share of the light that is missing in the corners."
+        0.0, ge=0, lt=1, description="Share of the light that is lost in the corners, 0 to 1."
     )
     motion_blur_px: float = Field(
         0.0,
         ge=0,
         le=50,
-        description="Typical length of the streaks, pixels; their direction is random.",
+        description="Typical length of motion blur, px; its direction is random.",
     )
     full_well_e: float | None = Field(
         None,
         ge=100,
-        description="Electrons of a white pixel, whose square root is the shot noise; None is "
-        "without noise.",
+        description="Electrons of a white pixel, which determine the shot noise. None disables "
+        "noise.",
     )
     read_noise_e: float = Field(
         0.0,
@@ -50,24 +53,24 @@ class SensorConfig(Config):
         0.0,
         ge=0,
         le=0.5,
-        description="Seconds between the readouts of the top and the bottom of the picture; 0 is "
-        "a global shutter.",
+        description="Readout time of the rolling shutter from top to bottom, s; 0 is a global "
+        "shutter.",
     )
 
     @model_validator(mode="after")
-    def _noise_has_a_scale(self) -> SensorConfig:
+    def _check_noise(self) -> SensorConfig:
         if self.read_noise_e and self.full_well_e is None:
-            raise ValueError("read_noise_e is in electrons: give full_well_e too")
+            raise ValueError("read_noise_e needs full_well_e: give both")
         return self
 
 
 def expose(
     rgb: NDArray[np.uint8], sensor: SensorConfig, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Return the photograph (H, W, 3) uint8 sRGB that a sensor makes of a rendered picture.
+    """Apply the effects of a sensor to a rendered picture (H, W, 3) uint8 sRGB.
 
-    Equal generators make equal photographs. All effects are drawn even when they are off, so that
-    switching one on does not change the others.
+    Equal generators give equal photographs. All effects are drawn even when they are off, so that
+    enabling one does not change the others.
     """
     # The order of the draws is fixed, and the noise comes last.
     stops, red, blue = rng.standard_normal(3)
@@ -83,7 +86,7 @@ def expose(
     gains = np.exp(sensor.white_balance * np.array([red, 0.0, blue]))
     light *= gains * 2.0 ** (sensor.exposure_ev * stops)
     if sensor.full_well_e is not None:
-        # For many electrons, Poisson's distribution is close to a normal one.
+        # For many electrons, the Poisson distribution is close to a normal one.
         electrons = sensor.full_well_e * np.minimum(light, 1.0)
         sigma = np.sqrt(electrons + sensor.read_noise_e**2)
         light = (electrons + sigma * rng.standard_normal(light.shape)) / sensor.full_well_e

@@ -1,4 +1,4 @@
-"""Checks that refuse flights through obstacles, and photographs that do not show the place."""
+"""Refuse flights through obstacles, and photographs that do not show the place."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
     if (depth > 0).any():
         k = int(depth.argmax())
         raise InputError(
-            f"session {name}: photograph {k} is taken {depth[k]:.1f} m below where a camera clears "
+            f"session {name}: photograph {k} is {depth[k]:.1f} m below the minimum clearance above "
             "the ground: fly higher"
         )
     blocking = find_blocking(centres, world)
@@ -46,7 +46,7 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
         x, y, _ = centres[k]
         top = item.centre[2] + 0.5 * item.size[2] - float(world.terrain.height(x, y))
         raise InputError(
-            f"session {name}: photograph {k} is taken in or under {item.class_name} {item.id} at "
+            f"session {name}: photograph {k} is in or under {item.class_name} {item.id} at "
             f"({x:.0f}, {y:.0f}) m: fly higher than {top:.1f} m there, or elsewhere"
         )
     seen = _sees_place(cam_from_world, centres, camera, world)
@@ -54,8 +54,8 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
         k = int(np.flatnonzero(~seen)[0])
         x, y, _ = centres[k]
         raise InputError(
-            f"session {name}: photograph {k} at ({x:.0f}, {y:.0f}) m sees nothing of the place, "
-            f"which is {world.area_m:g} m a side around the origin: fly nearer or look down"
+            f"session {name}: photograph {k} at ({x:.0f}, {y:.0f}) m does not show the place, "
+            f"a square of {world.area_m:g} m around the origin: fly nearer or look down"
         )
 
 

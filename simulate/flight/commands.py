@@ -1,4 +1,4 @@
-"""Commands of missions: MAVLink's numbers and names, and which of them move a camera.
+"""MAVLink commands of missions, grouped by their effect on the camera.
 
 The meanings are those of https://mavlink.io/en/messages/common.html.
 """
@@ -14,12 +14,12 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.quantities.mission_heights import Above, above_of_frame, check_mode
 from simulate.flight.command_names import NAMES
 
-# Heights that a plan says twice are one when they differ by no more, metres.
+# Redundant heights of a plan agree if they differ by at most this, metres.
 _SAME_HEIGHT_M = 0.05
 
 
 class Mav(IntEnum):
-    """The commands that are followed."""
+    """The commands that the simulated aircraft executes."""
 
     WAYPOINT = 16
     LOITER_UNLIMITED = 17
@@ -68,14 +68,14 @@ PLACES: Final = (
     Mav.LOITER_TIME,
     Mav.LOITER_TO_ALT,
 )
-"""Commands that fly to a position and go on from there."""
+"""Commands that fly to a position and continue from there."""
 
 LANDINGS: Final = (Mav.RETURN_TO_LAUNCH, Mav.LAND, Mav.VTOL_LAND)
 NAVIGATION: Final = (*PLACES, *LANDINGS, Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.DELAY)
-"""Commands that end before the next begins; the others are done on the way."""
+"""Commands that complete before the next one; all others are executed on the way."""
 
 CONDITIONS: Final = (Mav.CONDITION_DELAY, Mav.CONDITION_DISTANCE, Mav.CONDITION_GATE)
-"""Commands that delay those after them, up to the next navigation command."""
+"""Commands that delay the following ones, up to the next navigation command."""
 
 CAPTURES: Final = (
     Mav.DIGICAM_CONTROL,
@@ -85,7 +85,7 @@ CAPTURES: Final = (
     Mav.START_CAPTURE,
     Mav.TRIGGER_CONTROL,
 )
-"""Commands that release a camera; a plan without any takes a photograph at every waypoint."""
+"""Commands that trigger a camera; a plan without any takes a photograph at every waypoint."""
 
 HARMLESS: Final = frozenset(
     {95, 159, 188, 189, 200, 202, 207, 208, 211, 212, 222, 223, 240, 241, 242, 243, 245}
@@ -96,8 +96,8 @@ HARMLESS: Final = frozenset(
 """Commands that change neither where nor when photographs are taken: fences, video, storage."""
 
 DOUBTFUL: Final = frozenset({181, 182, 183, 184, 187, 531, 534})
-"""Commands that are left out with a word: relays and servos may move or release a camera, and a
-zoom changes what photographs show."""
+"""Commands that are ignored with a warning: relays and servos may move or trigger a camera, and a
+zoom changes photographs."""
 
 
 class Command(BaseModel):
@@ -110,7 +110,7 @@ class Command(BaseModel):
         jump_id: The number by which jumps name the command.
         mode: QGroundControl's AltitudeMode.
         height: QGroundControl's Altitude, metres in that mode.
-        where: The place in the file, for messages.
+        where: Position in the file, for messages.
     """
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
@@ -137,27 +137,27 @@ class Command(BaseModel):
 
     @property
     def title(self) -> str:
-        """Return place, number and name of the command, for messages."""
-        name = NAMES.get(self.command, "no command that is known")
+        """Return position in the file, number and name of the command, for messages."""
+        name = NAMES.get(self.command, "unknown command")
         return f"{self.where or 'a command'} ({self.command}, {name})"
 
-    def fault(self, what: str, remedy: str) -> InputError:
-        """Return the error of a command that cannot be followed."""
+    def error(self, what: str, remedy: str) -> InputError:
+        """Return the error for a command that cannot be executed."""
         return InputError(f"{self.title} {what}: {remedy}")
 
     def number(self, index: int, meaning: str) -> float:
         """Return a parameter, counted from 0.
 
         Raises:
-            InputError: It is null, so that the meaning is unknown.
+            InputError: It is null.
         """
         value = self.params[index]
         if value is None:
-            raise self.fault(f"has no {meaning} (params[{index}] is null)", "set it in the plan")
+            raise self.error(f"has no {meaning} (params[{index}] is null)", "set it in the plan")
         return value
 
     def above(self) -> Above:
-        """Return what the height of the command, its last parameter, is above.
+        """Return the reference of the command's height, its last parameter.
 
         Raises:
             InputError: The frame has no heights, or the plan contradicts itself.
@@ -165,14 +165,16 @@ class Command(BaseModel):
         above = above_of_frame(self.frame).require(
             self.title, "make its height relative, absolute or above terrain"
         )
-        if told := check_mode(self.mode, above):
-            raise self.fault(f"contradicts itself: {told}", "save the plan in QGroundControl again")
-        height, said = self.params[6], self.height
-        if self.mode in (None, 3) or said is None or height is None:
+        if contradiction := check_mode(self.mode, above):
+            raise self.error(
+                f"contradicts itself: {contradiction}", "save the plan in QGroundControl again"
+            )
+        height, altitude = self.params[6], self.height
+        if self.mode in (None, 3) or altitude is None or height is None:
             return above
-        if abs(said - height) > _SAME_HEIGHT_M:
-            raise self.fault(
-                f"contradicts itself: Altitude is {said:g} m, params[6] is {height:g} m",
+        if abs(altitude - height) > _SAME_HEIGHT_M:
+            raise self.error(
+                f"contradicts itself: Altitude is {altitude:g} m, params[6] is {height:g} m",
                 "save the plan in QGroundControl again",
             )
         return above

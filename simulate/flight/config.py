@@ -1,7 +1,7 @@
-"""The configurations of flights, as a person writes them: one word, or a kind with its numbers.
+"""Configurations of flights: one word, or a kind with its options.
 
-A number that is left out is taken from the ``FlightPlan`` of the flight's role, so that map and
-query flights differ when neither says anything.
+Options that are left out are taken from the ``FlightPlan`` of the flight's role, so that map and
+query flights differ by default.
 """
 
 from __future__ import annotations
@@ -26,22 +26,19 @@ _SIDE_OVERLAP = 0.6
 
 
 class FlightPlan(Config):
-    """The numbers that flights of one role take when their own configuration leaves them out.
+    """Defaults of the flights of one role. Map and query flights differ in every value."""
 
-    Map flights and query flights differ in every number.
-    """
-
-    nadir_altitude_m: float = Field(gt=0, description="Altitude of surveys above the ground.")
+    nadir_altitude_m: float = Field(gt=0, description="Altitude of surveys above the ground, m.")
     nadir_heading_deg: float = Field(
-        description="Heading of the first line of a survey, clockwise from north."
+        description="Heading of the first line of a survey, deg clockwise from north."
     )
     orbit_altitude_m: float = Field(
-        gt=0, description="Altitude of orbits above the ground at the centre."
+        gt=0, description="Altitude of orbits above the ground at the centre, m."
     )
     orbit_radius_share: float = Field(
         gt=0, description="Radius of orbits as a share of the side of the area."
     )
-    orbit_start_deg: float = Field(description="Bearing of the first exposure of an orbit.")
+    orbit_start_deg: float = Field(description="Bearing of the first exposure of an orbit, deg.")
     backwards: bool = Field(
         False, description="Whether corridors and streets are followed from their end."
     )
@@ -69,39 +66,41 @@ class _Flight(Config):
 
     @property
     def counts_photographs(self) -> bool:
-        """Return whether the flight itself decides how many photographs it takes."""
+        """Return whether the flight itself determines its number of photographs."""
         return False
 
 
 class _Survey(_Flight):
-    """The numbers that all surveys by parallel lines have in common."""
+    """Options common to all surveys by parallel lines."""
 
-    altitude_m: Positive | None = Field(None, description="Altitude above the ground.")
+    altitude_m: Positive | None = Field(
+        None, description="Altitude above the ground, m. None takes the default of the role."
+    )
     gsd_cm: Positive | None = Field(
         None,
-        description="The altitude by its ground sampling distance: centimetres per pixel straight "
-        "below.",
+        description="Ground sampling distance straight below, cm per pixel, instead of the "
+        "altitude.",
     )
     forward_overlap: Overlap | None = Field(
         None,
-        description="Overlap of neighbours on a line, as a fraction of the footprint on flat "
-        "ground. With either overlap, the flight takes as many photographs as it needs; without, "
-        "as many as its session asks for, evenly spaced.",
+        description="Overlap of neighbours on a line, 0 to 0.95 of the footprint on flat ground. "
+        "With either overlap, it determines the number of photographs. Without, the session's "
+        "number of photographs is spread evenly.",
     )
     side_overlap: Overlap | None = Field(
-        None, description="Overlap of neighbouring lines, as a fraction of the footprint."
+        None, description="Overlap of neighbouring lines, 0 to 0.95 of the footprint."
     )
     terrain_following: bool = Field(
         True,
-        description="Whether the altitude is held above the ground below. A flight that does not "
-        "follow the terrain is level, and its altitude is above the ground at the centre of the "
-        "area, or at the start of a corridor.",
+        description="Whether the altitude is kept above the ground below. Otherwise the flight is "
+        "level, and its altitude is above the ground at the centre of the area, or at the start of "
+        "a corridor.",
     )
 
     @model_validator(mode="after")
-    def _one_altitude(self) -> _Survey:
+    def _check_altitude(self) -> _Survey:
         if self.altitude_m is not None and self.gsd_cm is not None:
-            raise ValueError("say altitude_m or gsd_cm, not both")
+            raise ValueError("give altitude_m or gsd_cm, not both")
         return self
 
     @property
@@ -110,7 +109,7 @@ class _Survey(_Flight):
 
     @property
     def overlaps(self) -> tuple[float, float]:
-        """Forward and side overlap, with the usual ones where none is given."""
+        """Return forward and side overlap; the defaults are 0.7 and 0.6."""
         forward, side = self.forward_overlap, self.side_overlap
         return (
             _FORWARD_OVERLAP if forward is None else forward,
@@ -129,9 +128,9 @@ class NadirFlight(_Survey):
 
     kind: Literal["nadir"] = Field("nadir", description="Kind of the flight.")
     heading_deg: float | None = Field(
-        None, description="Heading of the first line, clockwise from north."
+        None, description="Heading of the first line, deg clockwise from north."
     )
-    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal; -90 is straight down.")
+    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal, deg; -90 is straight down.")
 
 
 class GridFlight(_Survey):
@@ -139,11 +138,11 @@ class GridFlight(_Survey):
 
     kind: Literal["grid"] = Field("grid", description="Kind of the flight.")
     heading_deg: float | None = Field(
-        None, description="Heading of the first line of the first pattern."
+        None, description="Heading of the first line of the first pattern, deg."
     )
     pitch_deg: Pitch = Field(
         -70,
-        description="Pitch of the gimbal. It is tilted, so that facades are seen from four sides.",
+        description="Pitch of the gimbal, deg. A tilt shows facades from four sides.",
     )
 
 
@@ -151,33 +150,31 @@ class ObliqueFlight(_Flight):
     """A level orbit whose cameras look inwards."""
 
     kind: Literal["oblique"] = Field("oblique", description="Kind of the flight.")
-    radius_m: Positive | None = Field(None, description="Radius of the orbit.")
+    radius_m: Positive | None = Field(None, description="Radius of the orbit, m.")
     altitude_m: Positive | None = Field(
-        None, description="Altitude above the ground at the centre."
+        None, description="Altitude above the ground at the centre, m."
     )
-    pitch_deg: Pitch = Field(-45, description="Pitch of the gimbal.")
-    centre: Point = Field((0.0, 0.0), description="Centre of the orbit, east and north, metres.")
+    pitch_deg: Pitch = Field(-45, description="Pitch of the gimbal, deg.")
+    centre: Point = Field((0.0, 0.0), description="Centre of the orbit, east and north, m.")
     start_deg: float | None = Field(
-        None, description="Bearing of the first exposure from the centre, clockwise from north."
+        None, description="Bearing of the first exposure from the centre, deg from north."
     )
 
 
 class CorridorFlight(_Survey):
-    """Parallel lines along a line."""
+    """Parallel flight lines along a polyline, such as a road."""
 
     kind: Literal["corridor"] = Field("corridor", description="Kind of the flight.")
     line: Annotated[tuple[Point, ...], Field(min_length=2)] | None = Field(
         None,
-        description="Points of the line, east and north, metres; None follows the longest road.",
+        description="Points of the polyline, east and north, m. None follows the longest road.",
     )
-    width_m: Positive = Field(
-        60, description="Width of the strip to photograph; no camera leaves it."
-    )
+    width_m: Positive = Field(60, description="Width of the strip, m, which cameras do not leave.")
     lines: Annotated[int, Field(ge=1, le=100)] | None = Field(
         None,
-        description="Number of lines side by side; None flies as many as the side overlap needs.",
+        description="Number of parallel lines. None takes the number that the side overlap needs.",
     )
-    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal.")
+    pitch_deg: Pitch = Field(-90, description="Pitch of the gimbal, deg.")
 
 
 class FreeFlight(_Flight):
@@ -186,18 +183,18 @@ class FreeFlight(_Flight):
     kind: Literal["free"] = Field("free", description="Kind of the flight.")
     altitude_m: tuple[Positive, Positive] | None = Field(
         None,
-        description="Lowest and highest altitude above the ground; None takes 0.7 and 1.1 times "
-        "the altitude of a survey.",
+        description="Minimum and maximum altitude above the ground, m. None takes 0.7 and 1.1 "
+        "times the altitude of a survey.",
     )
     pitch_deg: tuple[Pitch, Pitch] = Field(
-        (-90, -45), description="Lowest and highest pitch of the gimbal."
+        (-90, -45), description="Minimum and maximum pitch of the gimbal, deg."
     )
 
     @model_validator(mode="after")
-    def _ranges(self) -> FreeFlight:
+    def _check_ranges(self) -> FreeFlight:
         for name, bounds in (("altitude_m", self.altitude_m), ("pitch_deg", self.pitch_deg)):
             if bounds is not None and bounds[0] > bounds[1]:
-                raise ValueError(f"{name} is lowest, then highest")
+                raise ValueError(f"{name} must be minimum, then maximum")
         return self
 
 
@@ -207,25 +204,25 @@ class StreetFlight(_Flight):
     kind: Literal["street"] = Field("street", description="Kind of the flight.")
     roads: Annotated[int, Field(ge=1)] | None = Field(
         None,
-        description="Number of roads that are driven, the longest first; None drives all of them.",
+        description="Number of roads to drive, the longest first. None drives all of them.",
     )
     way: Literal["there", "back", "both"] | None = Field(
         None,
-        description='"there" drives the roads from their start, "back" from their end, "both" '
-        'both ways. None drives "there" in map sessions and "back" in query sessions '
+        description='Direction: "there" drives roads from their start, "back" from their end, '
+        '"both" both ways. None drives "there" in map sessions and "back" in query sessions '
         "(``backwards`` of ``FlightPlan``).",
     )
     offset_m: Annotated[float, Field(ge=-1, le=1)] = Field(
-        0.0, description="Distance of the cameras to the right of the middle of the lane."
+        0.0, description="Offset of the cameras to the right of the lane's centre, m."
     )
     edge_m: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="Distance kept to the edge of the place, beyond which lies open country."
+        0.0, description="Minimum distance from the edge of the place, m."
     )
-    height_m: Positive = Field(1.7, description="Height of the cameras above the road.")
+    height_m: Positive = Field(1.7, description="Height of the cameras above the road, m.")
     yaws_deg: Annotated[tuple[float, ...], Field(min_length=1)] = Field(
-        (-45, 45), description="Yaw of each camera, clockwise from the direction of travel."
+        (-45, 45), description="Yaw of each camera, deg clockwise from the driving direction."
     )
-    pitch_deg: Pitch = Field(0, description="Pitch of the cameras.")
+    pitch_deg: Pitch = Field(0, description="Pitch of the cameras, deg.")
 
 
 class PlanFlight(_Flight):
@@ -234,21 +231,20 @@ class PlanFlight(_Flight):
     kind: Literal["plan"] = Field("plan", description="Kind of the flight.")
     file: Path = Field(description="The ``.plan`` file, relative to the working directory.")
     sha256: str = Field(
-        description="Digest of the file. It is computed when left out, so that a scene records "
-        "the very flight it was made with."
+        description="SHA-256 of the file, computed when left out. A changed file is refused."
     )
     pitch_deg: Pitch = Field(
         -90,
         description="Pitch of the gimbal until the plan changes it, and after a region of "
-        "interest.",
+        "interest, deg.",
     )
     undulation_m: float | None = Field(
         None,
         ge=-150,
         le=150,
-        description="Height of the geoid above the ellipsoid at the place, for heights above the "
-        "sea. None takes it from the grid of PROJ; without the grid, such heights are taken for "
-        "heights above the ellipsoid, with a warning.",
+        description="Height of the geoid above the ellipsoid, m, for heights above sea level. None "
+        "takes it from the grid of PROJ. Without the grid, such heights are treated as "
+        "ellipsoidal, with a warning.",
     )
 
     @model_validator(mode="before")
@@ -262,14 +258,14 @@ class PlanFlight(_Flight):
 
 
 class FlownFlight(_Flight):
-    """The photographs of a finished scene in the same world, from where they were taken."""
+    """The poses of a finished scene's photographs in the same world."""
 
     kind: Literal["flown"] = Field("flown", description="Kind of the flight.")
     scene: Path = Field(description="The folder of the scene, relative to the working directory.")
     photographs: Literal["map", "queries", "all"] = Field(
-        "all", description="Those of its map, its queries, or both."
+        "all", description="Photographs to repeat: map, queries or all."
     )
-    sha256: str = Field(description="Digest of the scene's manifest. It is computed when left out.")
+    sha256: str = Field(description="SHA-256 of the scene's manifest, computed when left out.")
 
     @model_validator(mode="before")
     @classmethod
@@ -282,7 +278,7 @@ class FlownFlight(_Flight):
 
 
 def _with_digest(values: object, field: str, digest: Callable[[Path], str]) -> object:
-    """Add the digest of the path in a field, unless it is given or there is no path."""
+    """Add the digest of the path in a field, unless it exists or there is no path."""
     if not isinstance(values, dict) or values.get("sha256"):
         return values
     path = values.get(field)
@@ -308,11 +304,11 @@ def plan_digest(file: Path) -> str:
 
 
 WRITTEN_WITH_PATH: Final = {"plan": "file", "flown": "scene"}
-"""The field of each kind of flight that is written with a path."""
+"""The path field of each kind of flight that is written with a path."""
 
 
-def _from_word(flight: object) -> object:
-    """Read a flight that is written as one word: its kind, "plan=FILE" or "flown=SCENE"."""
+def _parse_word(flight: object) -> object:
+    """Parse a flight written as one word: its kind, "plan=FILE" or "flown=SCENE"."""
     if not isinstance(flight, str):
         return flight
     kind, equals, path = flight.partition("=")
@@ -332,6 +328,6 @@ Flight = Annotated[
         | FlownFlight,
         Field(discriminator="kind"),
     ],
-    BeforeValidator(_from_word),
+    BeforeValidator(_parse_word),
 ]
-"""A flight, told apart by its ``kind``; a word alone stands for the kind with its usual numbers."""
+"""A flight, discriminated by ``kind``; one word is the kind with its defaults."""

@@ -1,10 +1,10 @@
-"""Surveys of an area: a lawn-mower pattern, a double grid and an orbit.
+"""Plan surveys of an area: a lawn-mower pattern, a double grid and an orbit.
 
 Every planner takes the flight's configuration, the site, the number of photographs and a generator
 of random numbers, and returns ``cam_from_world`` (N, 4, 4) float64 in flying order: OpenCV axes
-(x right, y down, z forward), world east-north-up in metres with Z up. Headings are degrees
-clockwise from north; they are where the top of the image (nadir) or the camera (oblique) points.
-Pitches are degrees above the horizon, -90 is straight down.
+(x right, y down, z forward), world east-north-up in metres with Z up. Headings are the direction of
+the image's top (nadir) or of the optical axis (oblique), degrees clockwise from north. Pitches are
+degrees above the horizon; -90 is straight down.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
 Array = NDArray[np.float64]
 
 INSET_SHARE: Final = 0.3
-"""Exposures stay inside the area by this share of the shorter side of a footprint. It is less than
-half, so that corners are seen at any heading and little is seen of what lies outside."""
+"""Distance of exposures from the edge of the area, as a share of the shorter side of a footprint.
+It is less than half, so that corners are seen at any heading and little is seen beyond the edge."""
 
-# In small areas, lines reach at least this share of the side to either side of the middle.
+# In small areas, lines extend at least this share of the side from the centre.
 _LEAST_REACH_SHARE = 0.1
 
 
@@ -43,10 +43,10 @@ def plan_nadir(
         flight: The survey. Its altitude is above the ground below each exposure, or above the
             ground at the origin without ``terrain_following``.
         site: The place and the camera.
-        frames: The exact number of exposures, evenly spaced along all lines. With None, there are
-            as many as the overlaps need.
+        frames: The exact number of exposures, evenly spaced along all lines. None takes the number
+            that the overlaps need.
         rng: The generator of the wind.
-        alternate: Whether the aircraft, and so the image, turns round on every second line.
+        alternate: Whether the aircraft, and with it the image, turns on every second line.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
@@ -70,7 +70,7 @@ def plan_nadir(
 
     count = len(xy)
     jitter_m = site.wind.position_jitter_m
-    # The altitude is above the ground below the position that the wind has changed.
+    # The altitude is above the ground below the position with wind.
     xy = xy + jitter_m * rng.standard_normal((count, 2))
     below = xy if flight.terrain_following else np.zeros((count, 2))
     z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
@@ -89,15 +89,15 @@ def plan_grid(
     Args:
         flight: The survey; its heading is that of the first pattern.
         site: The place and the camera.
-        frames: The number of exposures of both patterns together. With None, there are as many as
-            the overlaps need.
+        frames: The number of exposures of both patterns together. None takes the number that the
+            overlaps need.
         rng: The generator of the wind.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: As ``plan_nadir``, or there are fewer frames than two.
+        InputError: As ``plan_nadir``, or there is less than two frames.
     """
     if frames is not None and frames < 2:
         raise InputError(f"a grid needs at least 2 frames, got {frames}")
@@ -189,9 +189,9 @@ def _lay_lines(
 
 
 def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Array]:
-    """Return the number of the line of each exposure (N,) and the share (N,) of it flown by then.
+    """Return the line of each exposure (N,), and its position along it as a share (N,).
 
-    Shares are counted from the line's start, also where the line is flown back.
+    Shares are counted from the line's start, also where the line is flown backwards.
     """
     if frames is not None:
         # Exposures are at equal steps along all lines joined end to end.
@@ -207,7 +207,7 @@ def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Ar
 
 
 def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tuple[Array, Array]:
-    """Return where flight lines enter and leave the square of ``half`` metres around the origin.
+    """Clip flight lines to the square with half side ``half`` metres around the origin.
 
     The lines run along ``forward`` (2,), at ``offsets`` (K,) metres to the right of the origin.
     """
@@ -224,10 +224,10 @@ def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tu
 
 
 def _count_stops(steps: float) -> int:
-    """Return how many exposures, or lines, a way takes that is ``steps`` longest steps long."""
+    """Return the number of exposures, or lines, over a length of ``steps`` maximum steps."""
     if steps > MAX_PHOTOGRAPHS:
         raise InputError(
-            f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
+            f"the flight needs more than {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
         )
     return int(np.ceil(steps)) + 1
 

@@ -1,4 +1,4 @@
-"""Poses of gimballed cameras from their positions and viewing directions.
+"""Compute poses of gimballed cameras from positions and viewing directions.
 
 Poses are ``cam_from_world`` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
 east-north-up in metres with Z up. Headings are clockwise from north, pitches are above the horizon.
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Aims(NamedTuple):
-    """Exposures as they are planned, in flying order.
+    """Planned exposures in flying order.
 
     Attributes:
         centres: Camera centres (N, 3), world metres.
@@ -31,7 +31,7 @@ class Aims(NamedTuple):
 
 
 def perturb_poses(aims: Aims, wind: Wind, rng: np.random.Generator) -> Array:
-    """Return the poses ``cam_from_world`` (N, 4, 4) of planned exposures in the wind."""
+    """Return the poses ``cam_from_world`` (N, 4, 4) of planned exposures, perturbed by wind."""
     centres = aims.centres + wind.position_jitter_m * rng.standard_normal(aims.centres.shape)
     return gimbal_poses(centres, aims.heading, aims.pitch, wind.attitude_jitter_deg, rng)
 

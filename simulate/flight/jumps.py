@@ -1,4 +1,4 @@
-"""Jumps of missions, which repeat a part of it."""
+"""Unroll the jumps of a mission, which repeat a part of it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _LONGEST = 100_000
 
 
 def unroll(commands: Sequence[Command]) -> list[Command]:
-    """Return the commands in the order in which they are done, without jumps.
+    """Return the commands in order of execution, without jumps.
 
-    A jump is done as often as it says, over the whole mission; then it is passed.
+    A jump is executed as often as its repeat count over the whole mission, and then skipped.
 
     Raises:
-        InputError: A jump has no target or several, does not end, or makes the mission too long.
+        InputError: A jump has no unique target, does not end, or makes the mission too long.
     """
     if not any(c.command in (Mav.JUMP, Mav.JUMP_TO_TAG) for c in commands):
         return [c for c in commands if c.command != Mav.JUMP_TAG]
@@ -36,7 +36,7 @@ def unroll(commands: Sequence[Command]) -> list[Command]:
             continue
         jumped[row] += 1
         if len(done) + sum(jumped.values()) > _LONGEST:
-            raise command.fault(
+            raise command.error(
                 f"makes the mission longer than {_LONGEST} commands", "repeat less often"
             )
         row = target
@@ -46,14 +46,14 @@ def unroll(commands: Sequence[Command]) -> list[Command]:
 def _repeats(command: Command) -> int:
     repeats = command.number(1, "repeat count")
     if repeats < 0:
-        raise command.fault("repeats without an end", "set how often it repeats")
+        raise command.error("repeats without an end", "set its repeat count")
     if repeats != int(repeats):
-        raise command.fault(f"repeats {repeats:g} times (params[1])", "set a whole number")
+        raise command.error(f"repeats {repeats:g} times (params[1])", "set a whole number")
     return int(repeats)
 
 
 def _target(commands: Sequence[Command], jump: Command) -> int:
-    """Return the row of the command to which a jump leads."""
+    """Return the row of a jump's target."""
     wanted = jump.number(0, "target")
     if jump.command == Mav.JUMP_TO_TAG:
         tags = (c.params[0] if c.command == Mav.JUMP_TAG else None for c in commands)
@@ -61,8 +61,8 @@ def _target(commands: Sequence[Command], jump: Command) -> int:
     else:
         rows = [row for row, c in enumerate(commands) if c.jump_id == wanted]
     if len(rows) != 1:
-        raise jump.fault(
-            f"jumps to {wanted:g}, which {len(rows) or 'no'} commands are",
+        raise jump.error(
+            f"jumps to {wanted:g}, which is the number of {len(rows) or 'no'} commands",
             "save the plan in QGroundControl again",
         )
     return rows[0]

@@ -1,9 +1,9 @@
-"""An aircraft that follows the commands of a mission and takes photographs when commanded.
+"""Simulate an aircraft that executes the commands of a mission and takes photographs.
 
 Commands and frames are MAVLink's: https://mavlink.io/en/messages/common.html. A command between two
-waypoints is done where the first one is reached, as all autopilots do it; one that a condition
-delays is done on the way to the second. What a plan does not tell, such as the way of a landing or
-the curve of a spline, may not have photographs: a command that asks for them there is an error.
+waypoints is executed at the first one, as all autopilots do; a command delayed by a condition is
+executed on the way to the second. The path of a landing or a spline is unknown, so photographs on
+it are refused.
 """
 
 from __future__ import annotations
@@ -52,31 +52,28 @@ _AT_HOME_M = 1.0
 
 
 class Aircraft:
-    """Flies commands one after the other and collects the exposures.
+    """Executes commands in order and collects the exposures.
 
-    The aircraft starts on the ground at home. Where a waypoint has no yaw, the nose points along
-    the way.
-
-    Attributes:
-        doubts: What the user should know of the flight, one phrase each.
+    The aircraft starts on the ground at home. Without a yaw, its nose points along the path.
     """
 
     def __init__(self, vehicle: Vehicle, pitch_deg: float, positions: Positions) -> None:
-        """Place an aircraft at its home with the camera at ``pitch_deg`` along the nose."""
+        """Start at home, with the camera along the nose at ``pitch_deg``."""
         self._vehicle, self._positions = vehicle, positions
         self._at = positions.home.copy()
         self._nose = 0.0
-        self._held_nose: float | None = None  # set by a command, for one way
+        self._held_nose: float | None = None  # set by a command, for one leg
         self._gimbal, self._triggers = Gimbal(pitch_deg), Triggers()
-        self._turning_s = 0.0  # until the camera has turned
-        # Why the plan does not tell where the aircraft is; None where it does.
-        self._unsure: str | None = "the aircraft is not at its first waypoint"
-        self._next: Array | None = None  # where it flies to, or will
-        self._way: Array | None = None  # the way (3,) that it flew last
-        self._shots: list[tuple[float, ...]] = []
+        self._turning_s = 0.0  # remaining time of the camera's turn
+        # Why the position is unknown; None where it is known.
+        self._unknown: str | None = "the aircraft is not at its first waypoint"
+        self._next: Array | None = None  # position of the next navigation command
+        self._leg: Array | None = None  # last leg (3,)
+        self._exposures: list[tuple[float, ...]] = []
 
     @property
     def doubts(self) -> list[str]:
+        """Return warnings for the user, one phrase each."""
         return self._triggers.doubts
 
     def fly(self, commands: Sequence[Command]) -> Aims:
@@ -85,39 +82,39 @@ class Aircraft:
         A mission without camera triggers takes a photograph at every waypoint.
 
         Raises:
-            InputError: A command cannot be followed, or there are too many photographs.
+            InputError: A command cannot be executed, or there are too many photographs.
         """
         triggered = any(command.command in CAPTURES for command in commands)
         rest = unroll(commands)
         while rest:
             todo = list(takewhile(lambda c: c.command not in NAVIGATION, rest))
             goal, rest = next(iter(rest[len(todo) :]), None), rest[len(todo) + 1 :]
-            waits = [k for k, command in enumerate(todo) if command.command in CONDITIONS]
-            first = waits[0] if waits else len(todo)
+            conditions = [k for k, command in enumerate(todo) if command.command in CONDITIONS]
+            first = conditions[0] if conditions else len(todo)
             self._next = self._positions.goal(goal, self._at)
             for command in todo[:first]:
-                self._obey(command)
+                self._execute(command)
             if goal is None:
-                _require_nothing(todo[first:], "the mission ends")
+                _require_executed(todo[first:], "the mission ends")
                 break
             if goal.command in LANDINGS:
-                _require_nothing(todo[first:], f"{goal.title} begins")
+                _require_executed(todo[first:], f"{goal.title} begins")
                 if self._land(goal, rest):
                     break
             self._navigate(goal, todo[first:])
             if not triggered and goal.command in (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT):
                 self._photograph(self._at)
-        self._note_the_end()
-        shots = np.array(self._shots).reshape(-1, 5)
-        return Aims(shots[:, :3], shots[:, 3], shots[:, 4])
+        self._warn_of_remaining()
+        exposures = np.array(self._exposures).reshape(-1, 5)
+        return Aims(exposures[:, :3], exposures[:, 3], exposures[:, 4])
 
-    def places(self, commands: Sequence[Command]) -> Array:
+    def waypoints(self, commands: Sequence[Command]) -> Array:
         """Return the positions of the mission's waypoints, (K, 3) metres."""
         positions = [self._positions.goal(c, self._at) for c in commands if c.command in PLACES]
         return np.array([p for p in positions if p is not None]).reshape(-1, 3)
 
-    def _obey(self, command: Command) -> None:
-        """Do a command that does not fly anywhere."""
+    def _execute(self, command: Command) -> None:
+        """Execute a command that does not move the aircraft."""
         number = command.command
         if number in CAPTURES or number == Mav.STOP_CAPTURE:
             self._release(command)
@@ -137,22 +134,22 @@ class Aircraft:
         elif number == Mav.GUIDED_ENABLE and not command.params[0]:
             pass
         elif number in DOUBTFUL:
-            self.doubts.append(f"{command.title} is left out")
+            self.doubts.append(f"{command.title} is ignored")
         elif number not in HARMLESS:
-            raise command.fault("is not understood", "plan without it")
+            raise command.error("is not supported", "remove it from the plan")
 
     def _release(self, command: Command) -> None:
-        """Obey a command that releases the camera or will."""
-        now = self._triggers.obey(command)
-        if self._unsure and (now or self._triggers.command):
-            raise command.fault(
-                f"releases the camera while {self._unsure}", "release it after a waypoint"
+        """Execute a command that triggers the camera now or later."""
+        at_once = self._triggers.execute(command)
+        if self._unknown and (at_once or self._triggers.command):
+            raise command.error(
+                f"triggers the camera while {self._unknown}", "trigger it after a waypoint"
             )
-        if now:
+        if at_once:
             self._photograph(self._at)
 
     def _look(self, command: Command) -> None:
-        """Obey a command of a region of interest."""
+        """Execute a command that sets or cancels a region of interest."""
         mode = {Mav.ROI_LOCATION: ROI_LOCATION, Mav.ROI_NEXT: ROI_NEXT, Mav.ROI_NONE: ROI_NONE}.get(
             Mav(command.command)
         )
@@ -161,12 +158,12 @@ class Aircraft:
             mode = int(command.number(0, "mode"))
             if mode == ROI_NONE and anywhere:
                 if not (self._vehicle.is_ardupilot or self._vehicle.is_px4):
-                    raise command.fault(
-                        "has mode 0, none (params[0]), and a place", "set mode 3 for a place"
+                    raise command.error(
+                        "has mode 0, none (params[0]), and a location", "set mode 3 for a location"
                     )
                 mode = ROI_LOCATION if self._vehicle.is_ardupilot else ROI_NONE
         if mode == ROI_LOCATION and not anywhere and self._vehicle.is_ardupilot:
-            mode = ROI_NONE  # ArduPilot's own way to cancel
+            mode = ROI_NONE  # cancels in ArduPilot
         self._turning_s = 0.0
         if mode == ROI_LOCATION:
             self._gimbal.look_at(Region(self._positions.of(command)))
@@ -175,24 +172,24 @@ class Aircraft:
         elif mode == ROI_NONE:
             if self._gimbal.cancel():
                 self.doubts.append(
-                    f"{command.title} turns the camera to the pitch that it started with, not to "
-                    "that before the region"
+                    f"{command.title} returns the camera to its initial pitch, not to the one "
+                    "before the region"
                 )
         else:
-            raise command.fault(f"has mode {mode} (params[0]), which is not understood", "set 3")
+            raise command.error(f"has mode {mode} (params[0]), which is not supported", "set 3")
 
     def _turn_nose(self, command: Command) -> None:
-        """Obey MAV_CMD_CONDITION_YAW, which holds up to the next waypoint."""
+        """Execute MAV_CMD_CONDITION_YAW, which is in effect until the next waypoint."""
         angle = math.radians(command.number(0, "angle"))
         if relative := command.number(3, "relative"):
             if relative != 1:
-                raise command.fault(f"has params[3] {relative:g}", "set 0 or 1")
+                raise command.error(f"has params[3] {relative:g}", "set 0 or 1")
             direction = command.number(2, "direction")
             angle = self._nose + (-angle if direction < 0 else angle)
         self._nose = self._held_nose = angle
 
     def _navigate(self, goal: Command, waiting: list[Command]) -> None:
-        """Do a command that flies or waits; ``waiting`` is done on the way."""
+        """Execute a navigation command, and the commands ``waiting`` on the way."""
         hovers = goal.command == Mav.LOITER_TIME and not self._vehicle.glides
         if goal.command == Mav.WAYPOINT or hovers:
             if goal.command == Mav.WAYPOINT:
@@ -201,25 +198,24 @@ class Aircraft:
             if not self._vehicle.glides:
                 self._hold(goal)
             return
-        _require_nothing(waiting, f"{goal.title} begins")
+        _require_executed(waiting, f"{goal.title} begins")
         if goal.command == Mav.DELAY and not self._vehicle.glides:
             self._hold(goal)
             return
         if (trigger := self._triggers.command) is not None:
-            raise goal.fault(
-                f"flies a way that the plan does not tell, while {trigger.title} releases the "
-                "camera",
+            raise goal.error(
+                f"flies an unknown path, while {trigger.title} triggers the camera",
                 "stop the camera before it",
             )
         match goal.command:
             case Mav.LOITER_UNLIMITED:
-                raise goal.fault("never ends", "set a time by NAV_LOITER_TIME")
+                raise goal.error("never ends", "set a time by NAV_LOITER_TIME")
             case Mav.TAKEOFF | Mav.VTOL_TAKEOFF:
                 self._take_off(goal)
             case Mav.SPLINE_WAYPOINT:
                 self._fly_to(goal, [])
             case Mav.LAND | Mav.VTOL_LAND:
-                self._arrive(goal, f"the aircraft is down after {goal.title}")
+                self._arrive(goal, f"the aircraft is on the ground after {goal.title}")
                 self._vehicle.enter(forward=False)
             case _:
                 circles = goal.command == Mav.LOITER_TURNS or self._vehicle.glides
@@ -227,26 +223,26 @@ class Aircraft:
 
     def _check_waypoint(self, goal: Command) -> None:
         if goal.params[2]:
-            raise goal.fault(
+            raise goal.error(
                 f"is passed at a radius of {goal.params[2]:g} m (params[2])", "set it to 0"
             )
         if self._vehicle.is_ardupilot and goal.params[3]:
-            self.doubts.append(f"{goal.title} has a yaw, to which ArduPilot does not turn")
+            self.doubts.append(f"{goal.title} has a yaw, which ArduPilot ignores")
 
     def _take_off(self, goal: Command) -> None:
-        """Climb to the height of a takeoff, and fly on to its place where it has one."""
+        """Climb to the height of a takeoff, and fly to its position if it has one."""
         target = self._positions.goal(goal, self._at)
         assert target is not None
         away = float(np.hypot(*(target - self._at)[:2])) > _AT_HOME_M
         self._nose = self._nose if goal.params[3] is None else math.radians(goal.params[3])
-        self._unsure = None
+        self._unknown = None
         if goal.command == Mav.VTOL_TAKEOFF:
             self._vehicle.enter(forward=True)
         if self._vehicle.glides or (away and not self._vehicle.is_px4):
-            self._unsure = f"the aircraft climbs after {goal.title}"
+            self._unknown = f"the aircraft climbs after {goal.title}"
         if self._vehicle.is_ardupilot and not self._vehicle.glides:
-            target[:2], self._unsure = self._at[:2], None
-        self._at, self._way, self._held_nose = target, None, None
+            target[:2], self._unknown = self._at[:2], None
+        self._at, self._leg, self._held_nose = target, None, None
 
     def _land(self, goal: Command, rest: Sequence[Command]) -> bool:
         """Land, and return whether the flight is over."""
@@ -256,46 +252,46 @@ class Aircraft:
         if not flies_on:
             if self._triggers.command is not None:
                 self.doubts.append(
-                    f"{goal.title} is where photographs end: the plan does not tell the way that "
-                    f"follows, on which {self._triggers.command.title} goes on"
+                    f"{goal.title} ends the photographs: the path that follows is unknown, though "
+                    f"{self._triggers.command.title} continues on it"
                 )
             if any(c.command in (*CAPTURES, *PLACES) for c in rest):
-                self.doubts.append(f"what follows {goal.title} is left out")
+                self.doubts.append(f"commands after {goal.title} are ignored")
         return not flies_on
 
-    def _arrive(self, goal: Command, unsure: str | None) -> None:
-        """Be at the place of a command; ``unsure`` says why that is not quite known."""
+    def _arrive(self, goal: Command, unknown: str | None) -> None:
+        """Move to the position of a command; ``unknown`` says why it is not exactly known."""
         target = self._positions.goal(goal, self._at)
         self._at = self._at if target is None else target
-        self._way, self._held_nose, self._unsure = None, None, unsure
+        self._leg, self._held_nose, self._unknown = None, None, unknown
 
     def _fly_to(self, goal: Command, waiting: list[Command]) -> None:
-        """Fly straight to a position. In a frame above the ground, the height follows it."""
+        """Fly straight to a position; in a frame above the ground, follow the terrain."""
         target = self._positions.goal(goal, self._at)
         assert target is not None
-        start, way = self._at, target - self._at
-        length = float(np.linalg.norm(way))
+        start, leg = self._at, target - self._at
+        length = float(np.linalg.norm(leg))
         yaw = goal.params[3] if goal.command == Mav.WAYPOINT else None
         if yaw is not None and not (self._vehicle.is_ardupilot or self._vehicle.glides):
             self._nose = math.radians(yaw)
         elif self._held_nose is not None:
             self._nose = self._held_nose
-        elif np.linalg.norm(way[:2]) > 0.01:
-            self._nose = math.atan2(way[0], way[1])
-        self._way = way if length > 0.01 else self._way
+        elif np.linalg.norm(leg[:2]) > 0.01:
+            self._nose = math.atan2(leg[0], leg[1])
+        self._leg = leg if length > 0.01 else self._leg
         above = start[2] - self._positions.ground(start), target[2] - self._positions.ground(target)
         follow = goal.above() is Above.GROUND
 
-        def place(flown: float) -> Array:
+        def position_at(flown: float) -> Array:
             share = flown / length if length else 0.0
-            here = start + share * way
+            here = start + share * leg
             if follow:
                 here[2] = self._positions.ground(here) + (1 - share) * above[0] + share * above[1]
             return np.asarray(here)
 
-        if self._unsure and self._triggers.command:
-            raise self._triggers.command.fault(
-                f"releases the camera while {self._unsure}", "release it after a waypoint"
+        if self._unknown and self._triggers.command:
+            raise self._triggers.command.error(
+                f"triggers the camera while {self._unknown}", "trigger it after a waypoint"
             )
         flown = 0.0
         while waiting:
@@ -304,60 +300,64 @@ class Aircraft:
             waiting = waiting[len(todo) :]
             if not todo:
                 continue
-            met = self._met_after(condition, start, target, flown)
+            met = self._distance_until(condition, start, target, flown)
             if not flown - _SAME_M <= met <= length + _SAME_M:
-                raise condition.fault(
-                    f"is not met on the way to {goal.where}, so that {todo[0].title} is not done",
-                    "correct it",
+                raise condition.error(
+                    f"is not met on the way to {goal.where}, so {todo[0].title} is not executed",
+                    "correct its value",
                 )
-            self._advance(place, flown, met)
-            flown, self._at = met, place(met)
+            self._advance(position_at, flown, met)
+            flown, self._at = met, position_at(met)
             for command in todo:
-                self._obey(command)
-        self._advance(place, flown, length)
-        self._at, self._held_nose, self._unsure = target, None, None
+                self._execute(command)
+        self._advance(position_at, flown, length)
+        self._at, self._held_nose, self._unknown = target, None, None
 
-    def _met_after(self, condition: Command, start: Array, target: Array, flown: float) -> float:
-        """Return how much of a way has been flown when a condition is met, metres."""
-        way = target - start
-        length, level = float(np.linalg.norm(way)), float(np.hypot(way[0], way[1]))
+    def _distance_until(
+        self, condition: Command, start: Array, target: Array, flown: float
+    ) -> float:
+        """Return the distance along a leg at which a condition is met, metres."""
+        leg = target - start
+        length, level = float(np.linalg.norm(leg)), float(np.hypot(leg[0], leg[1]))
         if condition.command == Mav.CONDITION_DELAY:
             return flown + condition.number(0, "delay") * self._vehicle.speed(condition)
         if level < 0.01:
-            raise condition.fault("is on a way straight up or down", "remove it")
+            raise condition.error("is on a vertical leg", "remove it")
         if condition.command == Mav.CONDITION_DISTANCE:
             left = condition.number(0, "distance")
             return max(length * (1 - left / level), flown)
         gate = self._positions.of(condition)
-        return float((gate - start)[:2] @ way[:2]) / level**2 * length
+        return float((gate - start)[:2] @ leg[:2]) / level**2 * length
 
-    def _advance(self, place: Callable[[float], Array], flown: float, until: float) -> None:
-        """Fly on along a way, from ``flown`` to ``until`` metres of it, and take photographs."""
+    def _advance(self, position_at: Callable[[float], Array], flown: float, until: float) -> None:
+        """Fly along a leg from ``flown`` to ``until`` metres, and take photographs."""
         timed = self._triggers.timer
         speed = self._vehicle.speed_or_none() if timed is None else self._vehicle.speed(timed)
         left = max(until - flown, 0.0)
         self._triggers.require_few(left, left / speed if speed else 0.0)
         while True:
-            step = min(self._triggers.next_way_m(speed), left)
+            step = min(self._triggers.next_distance_m(speed), left)
             time_s = step / speed if speed else 0.0
             due = self._triggers.advance(step, time_s)
             self._turning_s -= time_s
             flown, left = flown + step, left - step
             for _ in range(due):
-                self._photograph(place(flown))
+                self._photograph(position_at(flown))
             if left <= 0 and not due:
                 break
 
     def _hold(self, command: Command) -> None:
-        """Stay for the time that a command says in its first parameter; photographs go on."""
+        """Hover for the time in a command's first parameter, and take photographs."""
         timed = self._triggers.timer
         if timed is None and self._turning_s <= 0:
             return
         left = command.number(0, "time")
         if left < 0:
-            raise command.fault(f"waits for {left:g} s (params[0])", "set the time in seconds")
+            raise command.error(f"waits for {left:g} s (params[0])", "set the time in seconds")
         if left and self._vehicle.kind is None:
-            raise command.fault("waits, but vehicleType is missing", "save the plan again")
+            raise command.error(
+                "waits, but vehicleType is missing", "save the plan in QGroundControl"
+            )
         self._triggers.require_few(0.0, left)
         while True:
             step = min(self._triggers.next_time_s(), left)
@@ -368,21 +368,21 @@ class Aircraft:
             if left <= 0 and not due:
                 break
 
-    def _photograph(self, place: Array) -> None:
+    def _photograph(self, position: Array) -> None:
         if self._turning_s > _SAME_S:
             raise InputError(
                 f"a photograph is taken while the camera turns, {self._turning_s:.1f} s before it "
-                "stands: turn it earlier, or give no rate"
+                "is still: turn it earlier, or remove the rate"
             )
-        if len(self._shots) >= MAX_PHOTOGRAPHS:
+        if len(self._exposures) >= MAX_PHOTOGRAPHS:
             raise too_many()
-        ahead = None if self._next is None else self._next - place
+        ahead = None if self._next is None else self._next - position
         if ahead is None or np.linalg.norm(ahead) < 0.01:
-            ahead = self._way
-        heading, pitch = self._gimbal.direction(place, self._nose, ahead)
-        self._shots.append((*place, heading, pitch))
+            ahead = self._leg
+        heading, pitch = self._gimbal.direction(position, self._nose, ahead)
+        self._exposures.append((*position, heading, pitch))
 
-    def _note_the_end(self) -> None:
+    def _warn_of_remaining(self) -> None:
         for repeater in self._triggers.running.values():
             if repeater.count:
                 self.doubts.append(
@@ -391,10 +391,10 @@ class Aircraft:
                 )
 
 
-def _require_nothing(waiting: Sequence[Command], before: str) -> None:
-    """Require that no command waits for a condition."""
-    done = [c for c in waiting if c.command not in CONDITIONS and c.command not in HARMLESS]
-    if done:
-        raise waiting[0].fault(
-            f"is not met before {before}, so that {done[0].title} is not done", "correct it"
+def _require_executed(waiting: Sequence[Command], before: str) -> None:
+    """Require that no command still waits for a condition."""
+    left = [c for c in waiting if c.command not in CONDITIONS and c.command not in HARMLESS]
+    if left:
+        raise waiting[0].error(
+            f"is not met before {before}, so {left[0].title} is not executed", "correct its value"
         )

@@ -1,8 +1,8 @@
-"""Reader of mission plans of QGroundControl (``.plan``).
+"""Read mission plans of QGroundControl (``.plan``).
 
-The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. The
-reader interprets simple items, and surveys and corridor scans by the items that they contain, or by
-their transects where they contain none. ``structure_scan`` reads structure scans.
+The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html.
+Supported are simple items, and surveys and corridor scans by their items, or by their transects
+where they have no items. ``structure_scan`` reads structure scans.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class _Transects(_Part):
     camera: _CameraCalc = Field(_CameraCalc(), alias="CameraCalc")
     follows_terrain: bool | None = Field(None, alias="FollowTerrain")
     hovers: bool = Field(False, alias="HoverAndCapture")
-    # QGroundControl, too, takes photographs in turns where a file does not say.
+    # The default of QGroundControl.
     in_turns: bool = Field(True, alias="CameraTriggerInTurnAround")
     turn_m: float = Field(0.0, alias="TurnAroundDistance")
 
@@ -97,16 +97,16 @@ def read_plan(
 ) -> Aims:
     """Read a mission plan and return its exposures.
 
-    What a plan leaves open is said in one warning each.
+    Each ambiguity of the plan is logged as a warning.
 
     Args:
         path: The ``.plan`` file.
-        origin: Where on earth the origin of the world lies.
+        origin: Geodetic coordinates of the world's origin.
         area_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         pitch_deg: Pitch of the gimbal until the plan changes it.
-        undulation_m: Height of the geoid above the ellipsoid at the place, for heights above the
-            sea; None takes it from the grid of PROJ where that is installed.
+        undulation_m: Height of the geoid above the ellipsoid, metres, for heights above sea level;
+            None takes it from the grid of PROJ if that is installed.
 
     Raises:
         InputError: The file cannot be read or interpreted, the plan takes no photographs or too
@@ -133,8 +133,8 @@ def read_plan(
     doubts = list(aircraft.doubts)
     if geoid_m is None and any(c.frame in (0, 5) and c.command not in HARMLESS for c in commands):
         doubts.append(
-            "its heights above the sea are taken for heights above the ellipsoid: give the geoid's "
-            "height by the flight's undulation_m"
+            "its heights above sea level are treated as ellipsoidal: give the height of the geoid "
+            "as undulation_m of the flight"
         )
     for doubt in doubts:
         log.warning("mission plan %s: %s", path, doubt)
@@ -157,12 +157,12 @@ def _commands(mission: _Mission) -> Iterator[Command]:
             yield from _scan(item, where).commands(where)
         else:
             raise InputError(
-                f"{where} is a {item.kind}, which is not understood: fly it by waypoints"
+                f"{where} is a {item.kind}, which is not supported: replace it by waypoints"
             )
 
 
 def _scan(item: _ComplexItem, where: str) -> StructureScan:
-    """Return a structure scan.
+    """Parse a structure scan.
 
     Raises:
         InputError: A field is missing or wrong.
@@ -188,7 +188,7 @@ def _scan(item: _ComplexItem, where: str) -> StructureScan:
 
 
 def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
-    """Yield the commands of a landing pattern, with which photographs end."""
+    """Yield the commands of a landing pattern, which ends the photographs."""
     nothing = (0.0,) * 7
     if item.stops_photographs:
         for stop in (Mav.TRIGGER_DISTANCE, Mav.STOP_CAPTURE):
@@ -197,7 +197,7 @@ def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
 
 
 def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Command]:
-    """Yield the commands of a survey that was saved without them, made from its transects."""
+    """Yield the commands of a survey that was saved without items, from its transects."""
     camera, remedy = transects.camera, "save it again in QGroundControl"
     height, trigger = camera.distance_m, camera.trigger_m
     if not transects.points or height is None or trigger is None:
@@ -211,8 +211,8 @@ def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Co
     intervals = _intervals(item, transects, trigger)
     if intervals is None:
         raise InputError(
-            f"{where} has no Items, and its transects do not tell where its camera is released: "
-            f"{remedy}"
+            f"{where} has no Items, and its transects do not determine where its camera is "
+            f"triggered: {remedy}"
         )
     for row, (latitude, longitude) in enumerate(transects.points):
         place = (0.0, 0.0, 0.0, None, latitude, longitude, height)
@@ -228,11 +228,11 @@ def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Co
 def _intervals(
     item: _ComplexItem, transects: _Transects, trigger_m: float
 ) -> dict[int, float] | None:
-    """Return the distance between photographs from each point on at which it is set.
+    """Return the trigger distance by the row of the point that sets it.
 
-    QGroundControl sets it where each transect begins, and takes it back where each ends, or where
-    the last does if photographs are taken in turns. The result is None where the points do not tell
-    which they are.
+    QGroundControl sets the distance at the start of each transect and resets it at its end, or at
+    the end of the last one if photographs are taken in turns. The result is None where the points
+    cannot be assigned to transects.
     """
     turn = 1 if transects.turn_m else 0
     if transects.hovers:
@@ -251,13 +251,13 @@ def _intervals(
 def _require_near(
     aircraft: Aircraft, commands: list[Command], origin: Geodetic, half_m: float
 ) -> None:
-    places = aircraft.places(commands)
-    if not len(places):
+    waypoints = aircraft.waypoints(commands)
+    if not len(waypoints):
         raise InputError("it has no waypoints: plan a flight")
-    off = np.abs(places[:, :2])
+    off = np.abs(waypoints[:, :2])
     if not (off <= half_m).all(1).any():
         nearest = np.linalg.norm(off, axis=1).min()
         raise InputError(
-            f"its nearest waypoint lies {nearest:,.0f} m from the place's "
-            f"middle: plan around {origin.latitude:.6f}, {origin.longitude:.6f} or set the origin"
+            f"its nearest waypoint lies {nearest:,.0f} m from the centre of the place: plan around "
+            f"{origin.latitude:.6f}, {origin.longitude:.6f} or set the origin"
         )

@@ -1,4 +1,4 @@
-"""Flights that were flown before: the poses of a finished scene's photographs."""
+"""Repeat a recorded flight: the poses of a finished scene's photographs."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
 
     Raises:
-        InputError: The scene is not finished or has changed, its world is another one, or it has no
-            such photographs.
+        InputError: The scene is not finished, has changed, has another origin, or has no such
+            photographs.
     """
     scene = Scene.open(flight.scene)
     if scene_digest(flight.scene) != flight.sha256:
-        raise InputError(f"scene {flight.scene} has changed since it was flown: restore it")
+        raise InputError(
+            f"scene {flight.scene} has changed since the flight was configured: restore it"
+        )
     if not is_same_place(site.origin, scene.manifest.origin):
         raise InputError(
-            f"scene {flight.scene} has its origin elsewhere than this place, so its photographs "
-            "cannot be repeated here"
+            f"scene {flight.scene} has another origin than this place: set the same origin"
         )
     queries = {name for names in scene.splits.queries.values() for name in names}
     chosen = {"map": set(scene.splits.map), "queries": queries}.get(flight.photographs)
@@ -38,5 +39,7 @@ def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
         if chosen is None or name in chosen
     ]
     if not poses:
-        raise InputError(f"scene {flight.scene} has no photographs of its {flight.photographs}")
+        raise InputError(
+            f"scene {flight.scene} has no photographs of its {flight.photographs}: choose others"
+        )
     return np.stack(poses)

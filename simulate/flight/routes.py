@@ -1,6 +1,6 @@
-"""Plans of corridors and free flights, and of drives along streets.
+"""Plan corridors, free flights and drives along streets.
 
-The functions return ``simulate.flight.gimbal.Aims``, exposures that the wind has not moved yet.
+The functions return ``simulate.flight.gimbal.Aims``, exposures without wind.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from simulate.place.world import Road, polyline_length, polyline_points
 Array = NDArray[np.float64]
 
 _SHARPEST_TURN_DEG = 150
-# Distance between the positions at which a vehicle may stop (m).
+# Distance (m) between possible stops of a vehicle.
 _STREET_STEP_M = 1.0
-# Distance between points of a road that is cut to the place (m).
+# Distance (m) between points of a road that is clipped to the place.
 _ROAD_STEP_M = 5.0
-# Lowest and highest altitude of a free flight that names none, as shares of a survey's altitude.
+# Default minimum and maximum altitude of a free flight, as shares of a survey's altitude.
 _FREE_ALTITUDES = 0.7, 1.1
-# Ranges of the waves of a free flight's course, periods per flight; slower ones are stronger.
+# Ranges of the number of periods of a free flight's waves; slower waves are stronger.
 _PERIODS = np.array([[0.6, 1.2], [1.2, 2.5], [2.5, 4.0]])
 
 
-def beside(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Array]:
-    """Return points and directions of travel beside a line.
+def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Array]:
+    """Return points and directions of travel at an offset from a polyline.
 
-    Directions turn smoothly between the line's corners, so that parallel lines neither cross nor
-    tear; no point is farther than ``right_m`` from the line.
+    Directions turn smoothly between corners, so that parallel lines neither cross nor separate. No
+    point is farther than ``right_m`` from the line.
 
     Args:
         line: Points (K, 2) of the line, metres.
-        at_m: Arc lengths (N,) on it, metres.
-        right_m: Distance to the right of the direction of travel, metres, (N,) or one for all.
+        at_m: Arc lengths (N,) on the line, metres.
+        right_m: Offset to the right of the direction of travel, metres, (N,) or one for all.
 
     Returns:
         Points (N, 2) in metres and directions (N,) in radians clockwise from north.
@@ -52,14 +52,14 @@ def beside(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Arr
     length = np.linalg.norm(steps, axis=1)
     line, steps, length = line[np.append(True, length > 0)], steps[length > 0], length[length > 0]
     if not len(steps):
-        raise InputError("a route needs two points that differ")
+        raise InputError("a route needs two different points")
     unit = steps / length[:, None]
     turn = np.degrees(np.arccos(np.clip((unit[1:] * unit[:-1]).sum(1), -1, 1)))
     if turn.max(initial=0) > _SHARPEST_TURN_DEG:
         x, y = line[1 + int(turn.argmax())]
         raise InputError(
-            f"a route turns back on itself at ({x:g}, {y:g}) m: leave {180 - _SHARPEST_TURN_DEG} "
-            "degrees between its legs"
+            f"a route turns by more than {_SHARPEST_TURN_DEG} degrees at ({x:g}, {y:g}) m: choose "
+            "a wider turn"
         )
     tangent = np.vstack([unit[:1], unit[1:] + unit[:-1], unit[-1:]])
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -75,14 +75,14 @@ def beside(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Arr
 
 
 def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) -> Aims:
-    """Plan parallel lines along a line; every second one is flown back.
+    """Plan parallel lines along a polyline; every second one is flown back.
 
     Args:
         flight: The corridor. Its altitude is above the ground below each exposure, or above the
             ground at the line's start without ``terrain_following``.
         site: The place and the camera.
-        frames: The exact number of exposures, evenly spaced. With None, there are as many as the
-            overlap needs along the line itself.
+        frames: The exact number of exposures, evenly spaced. None takes the number that the overlap
+            needs along the polyline.
 
     Returns:
         The exposures (N) in flying order.
@@ -95,10 +95,10 @@ def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) 
     if site.usual.backwards:
         line = line[::-1]
     altitude_m = flight.altitude(site.camera.focal[0], site.usual.nadir_altitude_m)
-    length = _length(line)
+    length = polyline_length(line)
     stops = _corridor_stops(flight, site.footprint_m(altitude_m), length, frames)
     share = np.where(stops.back, 1 - stops.share, stops.share)
-    xy, heading = beside(line, share * length, stops.right_m)
+    xy, heading = offset_line(line, share * length, stops.right_m)
     below = xy if flight.terrain_following else np.broadcast_to(line[0], xy.shape)
     z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
     return Aims(
@@ -109,10 +109,10 @@ def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) 
 
 
 class _Stops(NamedTuple):
-    """The exposures of a corridor, before they are placed along its line.
+    """The exposures of a corridor, relative to its polyline.
 
     Attributes:
-        right_m: Distance (N,) to the right of the middle of the corridor, metres.
+        right_m: Offset (N,) to the right of the polyline, metres.
         share: Share (N,) of the corridor's length, counted in the direction of flight.
         back: Whether each exposure (N,) is on a line that is flown back.
     """
@@ -133,7 +133,7 @@ def _corridor_stops(
     reach = max(0.5 * flight.width_m - INSET_SHARE * min(footprint_m), 0.0)
     if max(2 * reach / across_m, length / along_m, frames or 0) > MAX_PHOTOGRAPHS:
         raise InputError(
-            f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
+            f"the flight needs more than {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
         )
     lines = int(np.ceil(2 * reach / across_m)) + 1 if flight.lines is None else flight.lines
     if frames is None:
@@ -152,14 +152,14 @@ def _corridor_stops(
 def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
     """Plan the drive of a vehicle on the right-hand lane of the roads of a place.
 
-    All of the vehicle's cameras expose together, one stop after the other, as in a survey of
-    streets (the car of CMU Seasons looked 45 degrees to both sides).
+    All of the vehicle's cameras expose together at each stop, as in a survey of streets (the
+    cameras of CMU Seasons looked 45 degrees to both sides).
 
     Args:
         flight: The drive.
-        site: The place; its roads are driven from their start, unless the drive says otherwise.
-        frames: The number of photographs of all cameras together; stops are spread evenly over
-            all roads.
+        site: The place with its roads.
+        frames: The number of photographs of all cameras together. Stops are spread evenly over all
+            roads.
 
     Returns:
         The exposures (``frames``) in driving order.
@@ -172,19 +172,20 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
     candidates = [np.empty((0, 4))]
     for line, width_m in _driven_roads(flight, site):
         right_m = 0.25 * width_m + flight.offset_m
-        xy, heading = beside(line, np.arange(0.0, _length(line), _STREET_STEP_M), right_m)
+        at_m = np.arange(0.0, polyline_length(line), _STREET_STEP_M)
+        xy, heading = offset_line(line, at_m, right_m)
         z = site.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
         candidates.append(np.column_stack([xy, z, heading]))
-    places = np.concatenate(candidates)
+    positions = np.concatenate(candidates)
     reach = max(0.5 * site.area_m - flight.edge_m, 0.0)
-    away_from_edge = (np.abs(places[:, :2]) <= reach).all(1)
-    places = places[away_from_edge & site.is_free(places[:, :3])]
-    if len(places) < stops:
+    away_from_edge = (np.abs(positions[:, :2]) <= reach).all(1)
+    positions = positions[away_from_edge & site.is_free(positions[:, :3])]
+    if len(positions) < stops:
         raise InputError(
-            f"the roads have {len(places)} free places, {stops} are needed: fewer frames, or "
-            "another place"
+            f"the roads have {len(positions)} free positions, {stops} are needed: choose fewer "
+            "frames or a larger area"
         )
-    chosen = places[((np.arange(stops) + 0.5) / stops * len(places)).astype(int)]
+    chosen = positions[((np.arange(stops) + 0.5) / stops * len(positions)).astype(int)]
     yaw = chosen[:, 3:] + np.radians(flight.yaws_deg)
     centres = np.repeat(chosen[:, :3], cameras, axis=0)[:frames]
     return Aims(centres, yaw.ravel()[:frames], np.full(frames, np.radians(flight.pitch_deg)))
@@ -227,18 +228,18 @@ def free_aims(flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.
 
 
 def _driven_roads(flight: StreetFlight, site: FlightSite) -> list[tuple[Array, float]]:
-    """Return centre lines (K, 2) in the direction they are driven, and the widths of the roads."""
+    """Return the centre lines (K, 2) in driving direction, and the widths of the roads."""
     roads: Sequence[Road] = site.roads
     if flight.roads is not None:
         by_length = sorted(roads, key=lambda road: -len(_part_inside(road, site.area_m)))
         roads = by_length[: flight.roads]
-    way = flight.way or ("back" if site.usual.backwards else "there")
-    steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[way]
+    direction = flight.way or ("back" if site.usual.backwards else "there")
+    steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[direction]
     return [(road.line[::step], road.width_m) for road in roads for step in steps]
 
 
 def _longest_road(site: FlightSite) -> Array:
-    """Return the line (K, 2) of the road with most of its length inside the place, cut to it."""
+    """Return the line (K, 2) of the road that is longest inside the place, clipped to it."""
     parts = (_part_inside(road, site.area_m) for road in site.roads)
     longest = max(parts, key=len, default=np.empty((0, 2)))
     if len(longest) < 2:
@@ -247,11 +248,7 @@ def _longest_road(site: FlightSite) -> Array:
 
 
 def _part_inside(road: Road, area_m: float) -> Array:
-    """Return points (N, 2) of a road, metres apart, from where it enters to where it leaves."""
+    """Return equidistant points (N, 2) of a road between its first and last inside the place."""
     points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), _ROAD_STEP_M))
     inside = np.flatnonzero((np.abs(points) <= 0.5 * area_m).all(1))
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
-
-
-def _length(line: Array) -> float:
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())

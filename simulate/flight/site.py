@@ -1,4 +1,4 @@
-"""The place and camera that planners of flights take besides the flight's configuration."""
+"""The place and the camera as flight planners take them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ GroundHeight = Callable[[Array, Array], Array]
 """Ground height in metres at world x, y (N,) metres, such as ``World.terrain.height``."""
 
 MAX_PHOTOGRAPHS: Final = 20_000
-"""The most photographs of one flight; a flight that needs more is taken for a mistake."""
+"""Maximum number of photographs of a flight; more indicate a mistake."""
 
 
 @dataclass(frozen=True)
 class Wind:
-    """The deviation of exposures from their planned poses.
+    """Deviations of exposures from their planned poses by wind.
 
     Attributes:
         position_jitter_m: Standard deviation of each camera centre per axis, metres.
@@ -44,17 +44,17 @@ def _is_free_everywhere(centres: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class FlightSite:
-    """The place over which a flight is planned, and the camera that photographs it.
+    """The place of a flight, and the camera.
 
     Attributes:
-        area_m: Side of the square place, which is centred on the origin, metres.
+        area_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
-        camera: The camera of the photographs. Its footprint is taken to be that of a pinhole.
-        usual: The numbers of a flight whose configuration leaves them out.
-        wind: How far exposures are from their planned poses.
+        camera: The camera of the photographs; its footprint is approximated by a pinhole.
+        usual: Defaults of the flight's options.
+        wind: Deviations from planned poses.
         roads: The roads that corridors and streets may follow.
-        is_free: Tells which of (N, 3) positions in world metres a camera can be at.
-        origin: Where on earth the origin of the world lies; only mission plans need it.
+        is_free: Returns which positions (N, 3) in world metres are free for a camera.
+        origin: Geodetic coordinates of the world's origin, for mission plans.
     """
 
     area_m: float
@@ -67,6 +67,6 @@ class FlightSite:
     origin: Geodetic = _ANYWHERE
 
     def footprint_m(self, altitude_m: float) -> tuple[float, float]:
-        """Return the width and height in metres of a photograph of flat ground straight below."""
+        """Return the width and height of a nadir photograph's footprint on flat ground, metres."""
         focal = self.camera.focal[0]
         return self.camera.width * altitude_m / focal, self.camera.height * altitude_m / focal

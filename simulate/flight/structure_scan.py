@@ -1,9 +1,9 @@
 """Structure scans of QGroundControl: layers of a flight around a polygon, looking inwards.
 
-QGroundControl saves no commands with a scan of version 3. It makes them of the fields that are read
-here: the polygon is flown at ``DistanceToSurface`` outside, at one height in each layer. Layers are
-``AdjustedFootprintFrontal`` apart, photographs ``AdjustedFootprintSide``. The corner at which a
-scan begins can be changed, but is not saved; the first one is taken, as QGroundControl itself does.
+QGroundControl saves a scan of version 3 without commands and generates them from its fields: the
+aircraft flies around the polygon at ``DistanceToSurface``, at one height in each layer. The spacing
+of layers is ``AdjustedFootprintFrontal``, that of photographs ``AdjustedFootprintSide``. The start
+corner is not saved; the first corner is used, as in QGroundControl.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ class StructureScan(BaseModel):
     """The fields of a scan.
 
     Attributes:
-        version: That of the fields.
+        version: Version of the format.
         polygon: Latitude and longitude of the corners, degrees.
-        entrance_m: Height above home at which the aircraft comes and leaves.
-        bottom_m: Height of the lowest photographs' ground line above home.
-        top_m: Height of the structure above home.
-        layers: Number of rounds.
-        pitch_deg: Pitch of the camera.
-        from_top: Whether the first round is the highest.
-        distance_m: Distance of the flight to the polygon.
-        along_m: Distance between photographs.
-        layer_m: Distance between rounds.
+        entrance_m: Height of entrance and exit above home, metres.
+        bottom_m: Height of the bottom of the scan above home, metres.
+        top_m: Height of the structure above home, metres.
+        layers: Number of layers.
+        pitch_deg: Pitch of the camera, degrees.
+        from_top: Whether the first layer is the highest.
+        distance_m: Distance of the flight from the polygon, metres.
+        along_m: Distance between photographs, metres.
+        layer_m: Distance between layers, metres.
     """
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
@@ -64,13 +64,13 @@ class StructureScan(BaseModel):
     layer_m: _Length
 
     def commands(self, where: str) -> Iterator[Command]:
-        """Yield the commands of the scan, as QGroundControl sends them.
+        """Yield the commands of the scan, as QGroundControl generates them.
 
         Args:
-            where: Place in the file, for messages.
+            where: Position in the file, for messages.
 
         Raises:
-            InputError: The fields tell no flight.
+            InputError: The fields do not define a flight.
         """
         self._check(where)
         corners = [(float(lat), float(lon)) for lat, lon in self._flight_corners(where)]
@@ -92,7 +92,7 @@ class StructureScan(BaseModel):
     def _check(self, where: str) -> None:
         if self.version != _VERSION:
             raise InputError(
-                f"{where} is a StructureScan of version {self.version}, which is not understood: "
+                f"{where} is a StructureScan of version {self.version}, which is not supported: "
                 "save it again in QGroundControl"
             )
         if not 1 <= self.layers <= _MOST_LAYERS or self.layers != int(self.layers):
@@ -122,25 +122,27 @@ class StructureScan(BaseModel):
         area = float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum())
         if not area < 0 or not length.all():
             raise InputError(
-                f"{where} has a polygon that does not run clockwise, around which the camera would "
-                "look away: draw it again"
+                f"{where} has a polygon that is not clockwise, so that the camera would look away "
+                "from it: draw it again"
             )
         ahead /= length
         outwards = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-        flown = [
-            _meet(corners[k] + self.distance_m * outwards[[k - 1, k]], ahead[[k - 1, k]], where)
+        offset = [
+            _intersect(
+                corners[k] + self.distance_m * outwards[[k - 1, k]], ahead[[k - 1, k]], where
+            )
             for k in range(len(corners))
         ]
-        found = [geodetic_from_enu(np.array([*xy, 0.0]), origin) for xy in flown]
-        return np.array([[place.latitude, place.longitude] for place in found])
+        flown = [geodetic_from_enu(np.array([*xy, 0.0]), origin) for xy in offset]
+        return np.array([[corner.latitude, corner.longitude] for corner in flown])
 
 
-def _meet(starts: Array, ways: Array, where: str) -> Array:
-    """Return where two lines through (2, 2) points along (2, 2) unit directions meet."""
-    if abs(float(np.linalg.det(ways))) < 1e-6:
-        raise InputError(f"{where} has a polygon with a corner that is none: remove it")
-    along = np.linalg.solve(np.column_stack([ways[0], -ways[1]]), starts[1] - starts[0])
-    return np.asarray(starts[0] + along[0] * ways[0])
+def _intersect(starts: Array, directions: Array, where: str) -> Array:
+    """Intersect two lines through points (2, 2) along unit directions (2, 2)."""
+    if abs(float(np.linalg.det(directions))) < 1e-6:
+        raise InputError(f"{where} has a polygon with a corner on a straight side: remove it")
+    along = np.linalg.solve(np.column_stack([directions[0], -directions[1]]), starts[1] - starts[0])
+    return np.asarray(starts[0] + along[0] * directions[0])
 
 
 def _waypoint(corner: tuple[float, float], height: float, where: str) -> Command:

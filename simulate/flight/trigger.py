@@ -1,4 +1,4 @@
-"""What releases the camera of a mission on the way: distances, cycles and capture sequences."""
+"""Camera triggers of a mission: by distance, by time and by capture sequence."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from objconnect.scene.errors import InputError
 from simulate.flight.commands import Command, Mav
 from simulate.flight.site import MAX_PHOTOGRAPHS
 
-# A photograph is due when it lacks no more than this way, metres, or time, seconds.
+# Tolerance of distances (m) and times (s) at which a photograph is due.
 _DUE = 1e-6
 _PER_MILLISECOND = 0.001
-# No camera of a drone takes photographs so quickly one after the other, seconds.
+# Minimum time (s) between photographs of a drone's camera.
 _QUICKEST_S = 0.05
-# No camera is released again by a distance after so short a way, metres.
-_ONE_PLACE_M = 0.1
+# Minimum distance (m) after which a distance trigger takes a photograph at once.
+_MIN_DISTANCE_M = 0.1
 
 
 @dataclass
 class Repeater:
-    """Releases the camera again and again.
+    """A trigger that takes photographs repeatedly.
 
     Attributes:
         every: Metres or seconds between photographs.
         left: Metres or seconds to the next photograph.
         timed: Whether these are seconds.
-        count: How many photographs are still to be taken; None for all that there are.
-        command: The command that started it.
-        since_m: The way since it has released the camera last, metres.
+        count: Number of photographs left; None is unlimited.
+        command: The command that started the trigger.
+        since_m: Distance since its last photograph, metres.
     """
 
     every: float
@@ -38,13 +38,12 @@ class Repeater:
     command: Command
     since_m: float = math.inf
 
-    def advance(self, way_m: float, time_s: float) -> None:
-        """Note a way and the time that it took."""
-        passed = time_s if self.timed else way_m
-        self.left -= passed
-        self.since_m += way_m
+    def advance(self, distance_m: float, time_s: float) -> None:
+        """Advance by a distance and the time that it took."""
+        self.left -= time_s if self.timed else distance_m
+        self.since_m += distance_m
 
-    def is_due(self) -> bool:
+    def take_if_due(self) -> bool:
         """Return whether a photograph is due, and count it if so."""
         if self.left > _DUE or self.count == 0:
             return False
@@ -57,12 +56,12 @@ class Repeater:
 
 @dataclass
 class Triggers:
-    """The triggers of a camera, which run beside each other.
+    """The concurrent triggers of a camera.
 
     Attributes:
-        running: Each running trigger by the command that starts its kind.
-        paused: Triggers that may be started again.
-        doubts: What the user should know, one phrase each.
+        running: Running triggers, by the command that starts their kind.
+        paused: Triggers that can be resumed.
+        doubts: Warnings for the user, one phrase each.
     """
 
     running: dict[Mav, Repeater] = field(default_factory=dict)
@@ -71,15 +70,15 @@ class Triggers:
 
     @property
     def command(self) -> Command | None:
-        """The command of a trigger that has photographs left; None where there is none."""
+        """The command of a trigger with photographs left; None without one."""
         return next((r.command for r in self.running.values() if r.count != 0), None)
 
     @property
     def timer(self) -> Command | None:
-        """The command of a running trigger that goes by time; None where there is none."""
+        """The command of a running trigger by time; None without one."""
         return next((r.command for r in self.running.values() if r.timed and r.count != 0), None)
 
-    def obey(self, command: Command) -> bool:
+    def execute(self, command: Command) -> bool:
         """Start or stop a trigger, and return whether a photograph is taken at once.
 
         Raises:
@@ -102,33 +101,33 @@ class Triggers:
                 self._stop(command, Mav.START_CAPTURE)
         return False
 
-    def next_way_m(self, speed: float | None) -> float:
-        """Return the way to the next photograph, metres; infinite where none comes."""
-        ways = [
+    def next_distance_m(self, speed: float | None) -> float:
+        """Return the distance to the next photograph, metres; infinite without one."""
+        distances = [
             r.left * (speed or 0.0) if r.timed else r.left
             for r in self.running.values()
             if r.count != 0
         ]
-        return max(min(ways, default=float("inf")), 0.0)
+        return max(min(distances, default=float("inf")), 0.0)
 
     def next_time_s(self) -> float:
         """Return the time to the next photograph of a hovering aircraft, seconds."""
         times = [r.left for r in self.running.values() if r.timed and r.count != 0]
         return max(min(times, default=float("inf")), 0.0)
 
-    def require_few(self, way_m: float, time_s: float) -> None:
-        """Require that a way, or a time, takes a possible number of photographs."""
+    def require_few(self, distance_m: float, time_s: float) -> None:
+        """Require that a distance and time do not need too many photographs."""
         for repeater in self.running.values():
-            passed = time_s if repeater.timed else way_m
+            passed = time_s if repeater.timed else distance_m
             endless = repeater.count is None or repeater.count > MAX_PHOTOGRAPHS
             if endless and passed / repeater.every > MAX_PHOTOGRAPHS:
                 raise too_many()
 
-    def advance(self, way_m: float, time_s: float) -> int:
-        """Note a way and its time, and return how many photographs are due now."""
+    def advance(self, distance_m: float, time_s: float) -> int:
+        """Advance by a distance and its time, and return the number of photographs due."""
         for repeater in self.running.values():
-            repeater.advance(way_m, time_s)
-        return sum(repeater.is_due() for repeater in self.running.values())
+            repeater.advance(distance_m, time_s)
+        return sum(repeater.take_if_due() for repeater in self.running.values())
 
     def _start(self, command: Command, every: float, count: int | None = None) -> None:
         kind = Mav(command.command)
@@ -140,19 +139,19 @@ class Triggers:
     def _stop(self, command: Command, *kinds: Mav) -> None:
         stopped = [self.running.pop(kind) for kind in kinds if kind in self.running]
         if not stopped and (other := self.command) is not None:
-            self.doubts.append(f"{command.title} does not stop {other.title}, which goes on")
+            self.doubts.append(f"{command.title} does not stop {other.title}, which continues")
 
     def _digicam(self, command: Command) -> bool:
         shoot = command.number(4, "shoot command")
         if shoot not in (0, 1):
-            raise command.fault(f"has the shoot command {shoot:g} (params[4])", "set it to 1")
+            raise command.error(f"has the shoot command {shoot:g} (params[4])", "set it to 1")
         return shoot == 1
 
     def _by_distance(self, command: Command) -> bool:
         every = command.number(0, "distance")
         at_once = command.number(2, "trigger at once") if every > 0 else command.params[2] or 0
         if at_once not in (0, 1):
-            raise command.fault(f"has params[2] {at_once:g}", "set it to 0 or 1")
+            raise command.error(f"has params[2] {at_once:g}", "set it to 0 or 1")
         repeater = self.running.get(Mav.TRIGGER_DISTANCE)
         since_m = math.inf if repeater is None else repeater.since_m
         if every > 0:
@@ -161,53 +160,53 @@ class Triggers:
         elif every in (0, -1):
             self._stop(command, Mav.TRIGGER_DISTANCE)
         else:
-            raise command.fault(f"has the distance {every:g} m (params[0])", "set it")
-        return at_once == 1 and since_m > _ONE_PLACE_M
+            raise command.error(f"has the distance {every:g} m (params[0])", "set it above 0")
+        return at_once == 1 and since_m > _MIN_DISTANCE_M
 
     def _oblique(self, command: Command) -> None:
         every = command.number(0, "distance")
         if every > 0:
-            raise command.fault(
-                "swings the camera from side to side, in an order that is not known",
+            raise command.error(
+                "swings the camera from side to side in an unknown order",
                 "trigger by distance",
             )
         self._stop(command, Mav.TRIGGER_DISTANCE)
 
     def _by_cycle(self, command: Command) -> bool:
-        """Obey MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, whose cycle is in milliseconds.
+        """Execute MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, whose cycle is in milliseconds.
 
         The first cycle begins with a photograph.
         """
         cycle_ms = command.number(0, "cycle")
         if 0 < _PER_MILLISECOND * cycle_ms < _QUICKEST_S:
-            raise command.fault(
-                f"has a cycle of {cycle_ms:g} ms (params[0]), which no camera keeps",
+            raise command.error(
+                f"has a cycle of {cycle_ms:g} ms (params[0]), which is too short for a camera",
                 "set it in milliseconds, not seconds",
             )
         if cycle_ms > 0:
             self._start(command, _PER_MILLISECOND * cycle_ms)
             return True
         if cycle_ms not in (0, -1):
-            raise command.fault(f"has a cycle of {cycle_ms:g} ms (params[0])", "set it")
+            raise command.error(f"has a cycle of {cycle_ms:g} ms (params[0])", "set it above 0")
         if (other := self.command) is not None:
             self.doubts.append(
-                f"{command.title} with a cycle of {cycle_ms:g} ms changes nothing, so "
-                f"{other.title} goes on"
+                f"{command.title} with a cycle of {cycle_ms:g} ms has no effect, so "
+                f"{other.title} continues"
             )
         return False
 
     def _control(self, command: Command) -> bool:
-        """Obey MAV_CMD_DO_TRIGGER_CONTROL, whose parameters are ignored where they are -1."""
+        """Execute MAV_CMD_DO_TRIGGER_CONTROL; parameters of -1 are ignored."""
         start, pause = (command.params[k] for k in (0, 2))
         if start not in (None, -1, 0, 1) or pause not in (None, -1, 0, 1):
-            raise command.fault("is neither start, stop nor pause", "set params[0] to 0 or 1")
+            raise command.error("is neither start, stop nor pause", "set params[0] to 0 or 1")
         own = (Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL)
         if start == 0 or pause == 1:
             self.paused |= {kind: self.running.pop(kind) for kind in own if kind in self.running}
         elif start == 1 and not any(kind in self.running for kind in own):
             if not self.paused:
-                raise command.fault(
-                    "starts the aircraft's own trigger, whose interval the plan does not tell",
+                raise command.error(
+                    "starts the aircraft's own trigger, whose interval is unknown",
                     "set one by DO_SET_CAM_TRIGG_DIST or DO_SET_CAM_TRIGG_INTERVAL",
                 )
             self.running |= self.paused
@@ -218,20 +217,22 @@ class Triggers:
         return False
 
     def _capture(self, command: Command) -> bool:
-        """Obey MAV_CMD_IMAGE_START_CAPTURE, whose interval is in seconds."""
+        """Execute MAV_CMD_IMAGE_START_CAPTURE, whose interval is in seconds."""
         count = command.number(2, "number of images")
         if count < 0 or count != int(count):
-            raise command.fault(f"takes {count:g} images (params[2])", "set how many, or 0 for all")
+            raise command.error(
+                f"takes {count:g} images (params[2])", "set a whole number, or 0 for no limit"
+            )
         self.running.pop(Mav.START_CAPTURE, None)
         if count == 1:
             return True
         every = command.number(1, "interval")
         if not every >= _QUICKEST_S:
-            raise command.fault(f"has an interval of {every:g} s (params[1])", "set it in seconds")
+            raise command.error(f"has an interval of {every:g} s (params[1])", "set it in seconds")
         self._start(command, every, int(count) - 1 if count else None)
         return True
 
 
 def too_many() -> InputError:
-    """Return the error of a plan that takes too many photographs."""
+    """Return the error for a plan with too many photographs."""
     return InputError(f"it takes more than {MAX_PHOTOGRAPHS} photographs: trigger less often")

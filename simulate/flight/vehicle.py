@@ -1,4 +1,4 @@
-"""The aircraft of a mission plan: how it flies, how fast, and by which autopilot."""
+"""The aircraft of a mission plan: type, speeds and autopilot."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _VTOL: Final = range(19, 26)
 _HOVERING, _FORWARD = 3, 4  # MAV_VTOL_STATE
 # SPEED_TYPE.
 _AIR, _GROUND, _CLIMB, _DESCENT = 0, 1, 2, 3
-_UNCHANGED, _USUAL = -1, -2
+_UNCHANGED, _DEFAULT = -1, -2
 
 
 @dataclass
 class Vehicle:
-    """An aircraft as a plan describes it; what the plan leaves out is None.
+    """An aircraft as a plan describes it; missing values are None.
 
     Attributes:
         home: Latitude and longitude, degrees.
@@ -28,7 +28,7 @@ class Vehicle:
         hover_m_s: Speed of an aircraft that hovers.
         cruise_m_s: Speed of an aircraft in forward flight.
         transitioned: Whether a VTOL aircraft is in forward flight.
-        told_m_s: Speed that the mission asks for.
+        set_m_s: Speed set by the mission.
     """
 
     home: tuple[float, float]
@@ -37,32 +37,32 @@ class Vehicle:
     hover_m_s: float | None = None
     cruise_m_s: float | None = None
     transitioned: bool = False
-    told_m_s: float | None = None
+    set_m_s: float | None = None
 
     @property
     def is_ardupilot(self) -> bool:
-        """Return whether ArduPilot flies."""
+        """Return whether the autopilot is ArduPilot."""
         return self.autopilot == _ARDUPILOT
 
     @property
     def is_px4(self) -> bool:
-        """Return whether PX4 flies."""
+        """Return whether the autopilot is PX4."""
         return self.autopilot == _PX4
 
     @property
     def is_vtol(self) -> bool:
-        """Return whether the aircraft takes off like a helicopter and flies like a plane."""
+        """Return whether the aircraft takes off vertically and cruises like a plane."""
         return self.kind in _VTOL
 
     @property
     def glides(self) -> bool:
-        """Return whether the aircraft cannot stop in the air now."""
+        """Return whether the aircraft is in forward flight and cannot hover."""
         return self.kind == _PLANE or (self.is_vtol and self.transitioned)
 
     def speed_or_none(self) -> float | None:
-        """Return the speed, metres per second; None where the plan does not tell it."""
-        if self.told_m_s is not None:
-            return self.told_m_s
+        """Return the speed, metres per second; None if unknown."""
+        if self.set_m_s is not None:
+            return self.set_m_s
         if self.kind is None:
             return self.hover_m_s if self.hover_m_s == self.cruise_m_s else None
         return self.cruise_m_s if self.glides else self.hover_m_s
@@ -71,47 +71,47 @@ class Vehicle:
         """Return the speed, metres per second.
 
         Raises:
-            InputError: The plan does not tell it.
+            InputError: The speed is unknown.
         """
         speed = self.speed_or_none()
         if speed is None:
             name = "cruiseSpeed" if self.glides else "hoverSpeed"
             raise InputError(
-                f"{'vehicleType' if self.kind is None else name} is missing, without which "
-                f"{needed_by.title} has no speed: save the plan in QGroundControl again"
+                f"{'vehicleType' if self.kind is None else name} is missing, so the speed of "
+                f"{needed_by.title} is unknown: save the plan in QGroundControl again"
             )
         return speed
 
     def change_speed(self, command: Command) -> None:
-        """Obey MAV_CMD_DO_CHANGE_SPEED. Without wind, speeds in the air are those over ground.
+        """Execute MAV_CMD_DO_CHANGE_SPEED. Without wind, air speed equals ground speed.
 
         Raises:
             InputError: A parameter is missing or not a speed.
         """
         kind, speed = command.number(0, "speed type"), command.number(1, "speed")
         if kind not in (_AIR, _GROUND, _CLIMB, _DESCENT):
-            raise command.fault(f"has the speed type {kind:g} (params[0])", "set 0 or 1")
+            raise command.error(f"has the speed type {kind:g} (params[0])", "set 0 or 1")
         if kind in (_CLIMB, _DESCENT) or speed == _UNCHANGED:
             return
-        if speed == _USUAL:
-            self.told_m_s = None
+        if speed == _DEFAULT:
+            self.set_m_s = None
             return
         if not speed > 0:
-            raise command.fault(f"sets the speed {speed:g} m/s (params[1])", "set it above 0")
-        self.told_m_s = speed
+            raise command.error(f"sets the speed {speed:g} m/s (params[1])", "set it above 0")
+        self.set_m_s = speed
 
     def transition(self, command: Command) -> None:
-        """Obey MAV_CMD_DO_VTOL_TRANSITION, which ends a speed that was set before.
+        """Execute MAV_CMD_DO_VTOL_TRANSITION, which resets the speed.
 
         Raises:
             InputError: The state is neither hovering nor forward flight.
         """
         state = command.number(0, "state")
         if state not in (_HOVERING, _FORWARD):
-            raise command.fault(f"asks for the state {state:g} (params[0])", "set 3 or 4")
+            raise command.error(f"has the state {state:g} (params[0])", "set 3 or 4")
         self.enter(forward=state == _FORWARD)
 
     def enter(self, *, forward: bool) -> None:
-        """Hover or fly forward from now on, which only VTOL aircraft can change."""
+        """Change between hovering and forward flight, for VTOL aircraft."""
         if forward != self.transitioned:
-            self.transitioned, self.told_m_s = forward, None
+            self.transitioned, self.set_m_s = forward, None

@@ -1,4 +1,4 @@
-"""Meshes of buildings: walls cut into bays, gable, hip and flat roofs, and what stands on roofs.
+"""Build meshes of buildings: walls with bays, gable, hip and flat roofs, and roof installations.
 
 A mesh has the frame of its building's box: the origin is the centre of the base, and x runs along
 the frontage. Lengths are in metres.
@@ -14,7 +14,7 @@ from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M, fa
 from simulate.place.world import BuildingStyle, Facade, Rgb, WorldObject
 
 _FOUNDATION_M = 1.5  # walls reach this far below the base, because the ground may slope
-_CHIMNEY_M = 0.5  # the part of `roof_height_m` above the ridge of a pitched house roof
+_CHIMNEY_M = 0.5  # part of `roof_height_m` above the ridge of a pitched house roof
 
 
 def building_mesh(building: WorldObject) -> Mesh:

@@ -1,7 +1,7 @@
 """Conditions: a season, a light and, optionally, a weather, as in "autumn-dusk-fog".
 
-A condition decides how a place looks and at what time it is flown. It never changes the geometry of
-a place; ``simulate.place.change`` does that.
+A condition determines the appearance of a place and the time of a flight. It does not change the
+geometry of a place; ``simulate.place.change`` does.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 
 PLACE = Geodetic(47.0, 8.0, 450.0)
-"""The geodetic origin of places whose configuration names none."""
+"""The default geodetic origin of places."""
 
 # Linear albedo of each kind of ground: (fresh, worn).
 _SUMMER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
@@ -62,8 +62,8 @@ class Season:
         leaf: Linear colour of the inner leaves of broadleaved trees.
         leaf_tip: Linear colour of their outer leaves.
         snow: Fraction of open ground under snow, 0 to 1.
-        bare: Whether broadleaved trees are without leaves. This changes the geometry, so sessions
-            declare it.
+        bare: Whether broadleaved trees have no leaves, a change of the geometry that sessions
+            declare.
     """
 
     day: date
@@ -77,7 +77,7 @@ class Season:
 _BROWN_LEAF: Rgb = (0.042, 0.036, 0.024)
 _BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
 SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
-"""Linear colours of the inner and outer leaves in summer. Conifers have them all year."""
+"""Linear colours of the inner and outer leaves in summer, and of conifers all year."""
 
 _SEASONS: dict[str, Season] = {
     "spring": Season(
@@ -105,9 +105,8 @@ class Light:
     """A time of day.
 
     Attributes:
-        elevation: Elevation of the sun, degrees. None stands for half an hour before
-            the sun is highest.
-        rising: Whether the sun has that elevation in the morning, else in the afternoon.
+        elevation: Elevation of the sun, degrees. None is half an hour before solar noon.
+        rising: Whether that elevation is in the morning, else in the afternoon.
     """
 
     elevation: float | None
@@ -121,7 +120,7 @@ _LIGHTS: dict[str, Light] = {
     "dusk": Light(10.0),
 }
 LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e, Light))
-# Where the sun never reaches the elevation of a light, its elevation is this share of its highest.
+# Where the sun does not reach a light's elevation, this share of its highest elevation is used.
 _SHARE_OF_HIGHEST = 0.6
 _LOWEST_NOON = 3.0
 
@@ -153,7 +152,7 @@ WEATHER = Registry("weather", "objconnect.weather", _WEATHER, lambda e: isinstan
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun at one moment.
+    """The sun at a time.
 
     Attributes:
         azimuth: Degrees clockwise from north.
@@ -172,12 +171,12 @@ class Sun:
 
 @dataclass(frozen=True)
 class Sky:
-    """The sky at one moment.
+    """The sky at a time.
 
     Attributes:
         zenith: Linear colour straight above.
         horizon: Linear colour at the horizon, and of fog.
-        strength: Factor of both colours, as of Blender's background.
+        strength: Factor on both colours, as in Blender's background.
     """
 
     zenith: Rgb
@@ -191,9 +190,7 @@ class Condition:
 
     Attributes:
         name: SEASON-LIGHT[-WEATHER].
-        time: When a flight under the condition begins.
-        season: What grows and lies on the ground.
-        weather: Cloud, fog and rain.
+        time: Start of flights under the condition.
         sun: The sun at that time, through the clouds.
         sky: The sky at that time.
         exposure: Exposure of the photographs, stops.
@@ -210,7 +207,7 @@ class Condition:
 
 @cache
 def condition(name: str, place: Geodetic = PLACE) -> Condition:
-    """Return the condition called SEASON-LIGHT[-WEATHER] at a place. Without WEATHER it is clear.
+    """Return the condition SEASON-LIGHT[-WEATHER] at a place; the default weather is clear.
 
     Raises:
         InputError: a part of the name is unknown, or the sun does not rise that day at that
@@ -219,7 +216,7 @@ def condition(name: str, place: Geodetic = PLACE) -> Condition:
     words = name.split("-")
     if len(words) not in (2, 3):
         raise InputError(
-            f"unknown condition {name!r}: write SEASON-LIGHT[-WEATHER], as summer-noon, "
+            f"unknown condition {name!r}: write SEASON-LIGHT[-WEATHER], such as summer-noon, "
             f"winter-dusk or autumn-morning-fog; seasons: {', '.join(SEASONS)}; lights: "
             f"{', '.join(LIGHTS)}; weather: {', '.join(WEATHER)}"
         )
@@ -256,7 +253,7 @@ def _part(known: Registry[T], word: str, kind: str, name: str) -> T:
 
 
 def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
-    """Return the UTC minute of the season's day at which the sun is as the light asks."""
+    """Return the UTC minute of the season's day at which the sun matches the light."""
     day = season.day if place.latitude >= 0 else season.day + timedelta(days=182)
     midnight = datetime(day.year, day.month, day.day, tzinfo=UTC)
     first = midnight - timedelta(minutes=round(place.longitude * 4))  # midnight of mean solar time
@@ -265,7 +262,7 @@ def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
     top = max(range(1440), key=height.__getitem__)
     if height[top] < _LOWEST_NOON:
         raise InputError(
-            f"condition {name!r} has no sun at latitude {place.latitude:g} on {day}: choose "
+            f"condition {name!r} has no daylight at latitude {place.latitude:g} on {day}: choose "
             "another season or origin"
         )
     if light.elevation is None:
@@ -298,9 +295,9 @@ def _sky(elevation: float, cloud: float) -> Sky:
 
 
 def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather) -> float:
-    """Return the exposure in stops: 85 % of what a light meter at 100 m, looking down, asks for.
+    """Return the exposure in stops: 85 % of that of a light meter at 100 m that points down.
 
-    Photographs of an evening therefore stay a little dark.
+    Photographs in the evening therefore stay a little dark.
     """
     light = sky.strength * (sum(sky.zenith) + sum(sky.horizon)) / 6
     albedo = 0.12 + 0.3 * season.snow

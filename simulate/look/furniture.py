@@ -1,4 +1,4 @@
-"""Meshes of small objects of streets, parks, yards, shores and farms, in metres.
+"""Build meshes of small objects of streets, parks, yards, shores and farms, in metres.
 
 The front of an object faces +x. The parts that take the object's own colour have the material
 "paint".

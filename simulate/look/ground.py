@@ -1,4 +1,4 @@
-"""The albedo image of the ground of a place under a condition."""
+"""Bake the albedo image of the ground of a place under a condition."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from simulate.look.conditions import Condition
 from simulate.place.paint import SHIFT, to_raster
 from simulate.place.world import Ground, Rgb
 
-# Contrast of blotches, of grain and of single spots by class of ground, each as a fraction of the
-# albedo. Spots are tufts and weeds, stones and bare earth.
+# Contrast of blotches, grain and single spots by class of ground, as fractions of the albedo. Spots
+# are tufts, weeds, stones and bare earth.
 _TEXTURE: dict[str, tuple[float, float, float]] = {
     "grass": (0.22, 0.24, 0.24),
     "field": (0.18, 0.22, 0.22),
@@ -23,11 +23,11 @@ _TEXTURE: dict[str, tuple[float, float, float]] = {
     "path": (0.14, 0.18, 0.25),
     "water": (0.10, 0.0, 0.0),
 }
-_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on the surface
+_SEALED = ("road", "pavement", "parking", "driveway")  # classes on which rain stays
 _WET_DARKENING = 0.5
 # Classes that look the same in every season: linear albedo (deep, shallow).
 _SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
-# Share of the snow that stays on each class of ground, because traffic and shovels clear the rest.
+# Share of the snow that stays on each class of ground; traffic and shovels clear the rest.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
     "field": 0.95,
@@ -43,7 +43,7 @@ _SNOW_KEPT: dict[str, float] = {
 def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     """Return the albedo (n, n, 3) uint8 sRGB of the ground under a condition; row 0 is south.
 
-    The same seed gives the same blotches under every condition. Only colours and snow change.
+    Equal seeds give equal blotches under every condition; only colours and snow change.
     """
     rng = np.random.default_rng([seed, 1])
     n = len(ground.labels)
@@ -66,7 +66,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
         soft[k], sharp[k], single[k], snow[k] = low, high, alone, _SNOW_KEPT[name]
 
     labels = ground.labels
-    # The second colour of a class appears where the ground is worn, and more in some parcels.
+    # The second colour of a class appears on worn ground, more in some parcels.
     worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
     value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * fine + 0.22 * tone
     value *= np.maximum(1 + single[labels] * spots, 0.3)
@@ -90,7 +90,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
 
 
 def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
-    """Return how much the ground reflects like a mirror, (n, n) uint8 from 0 to 255.
+    """Return the specular share of the ground, (n, n) uint8 from 0 to 255.
 
     Water is a full mirror. Rain leaves a film and puddles on sealed ground.
     """

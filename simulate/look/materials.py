@@ -1,7 +1,6 @@
-"""Shader graphs of all materials of meshes, for one condition.
+"""Build the shader graphs of all mesh materials for a condition.
 
-The functions receive Blender's data and do not import ``bpy``, so that only the renderer needs
-Blender.
+The functions receive Blender's data and do not import ``bpy``, which only the renderer needs.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def build_materials(
         data: ``bpy.data``.
         condition: The season, light and weather.
         ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
-        mirror: How much the ground reflects like a mirror, (n, n) uint8.
+        mirror: Specular share (n, n) of the ground, uint8.
     """
     build = _Builder(data, condition)
     image = build.image("ground", np.dstack([ground, mirror]))
@@ -54,10 +53,10 @@ def build_materials(
 
 
 def _veil(material: Any, condition: Condition) -> None:
-    """Add fog to a finished material: with distance, its colour fades into that of the sky.
+    """Add fog to a finished material: its colour fades into the sky's with distance.
 
     The contrast at d metres is exp(-3.912 d / visibility) (Koschmieder). Only camera rays are
-    changed. Fog therefore removes no light and adds no noise, and the depth stays that of surfaces.
+    changed, so fog removes no light, adds no noise and keeps the depth of surfaces.
     """
     tree = material.node_tree
     graph = _Graph.of(material)
@@ -95,8 +94,8 @@ class _Builder:
     def ground(self, image: Any, mirrored: bool) -> Any:
         """Make the material of the ground from its baked image, mirrored beyond the area.
 
-        The image contains snow and wetness. Where its alpha is high there is water, which is a
-        slightly rippled mirror over its own colour.
+        The image contains snow and wetness. Its alpha is the share of a slightly rough mirror, as
+        on water.
         """
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
@@ -149,7 +148,7 @@ class _Builder:
         return graph.material
 
     def _add_snow(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
-        """Return the colour made wet, then covered with patches of snow on what faces up."""
+        """Return the colour with wetness, and with patches of snow on surfaces that face up."""
         if self.condition.weather.wet > 0:
             value = 1 - _WET_DARKENING * self.condition.weather.wet
             colour = graph.multiply(colour, graph.rgb((value, value, value)))

@@ -1,7 +1,7 @@
-"""Meshes of trees, hedges and fences. Crowns consist of small opaque triangles, one per leaf.
+"""Build meshes of trees, hedges and fences. Crowns consist of opaque triangles, one per leaf.
 
 The tint of a leaf is (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The material mixes
-the season's two leaf colours by it, or the colours of needles.
+two leaf colours of the season, or of needles, by it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Meshes of vehicles and street furniture, built once in metres and fitted into objects' boxes.
+"""Build meshes of vehicles and street furniture in metres, which are fitted into objects' boxes.
 
 The front of an object faces +x. The parts that take the object's own colour have the material
 "paint".
@@ -23,8 +23,8 @@ _LAMP_RED: Rgb = (0.30, 0.02, 0.02)
 _WOOD: Rgb = (0.24, 0.15, 0.085)
 _IRON: Rgb = (0.06, 0.06, 0.065)
 
-# Shapes of cars: where the tail, the roof (back and front) and the bonnet begin, as shares of the
-# length from the tail, and the height of the waist line as a share of the car's height.
+# Shapes of cars: start of tail, roof (back and front) and bonnet, as shares of the length
+# from the tail, and the height of the waist line as a share of the car's height.
 _CAR_SHAPES = {
     "hatchback": (0.02, 0.10, 0.55, 0.74, 0.60),
     "saloon": (0.16, 0.28, 0.55, 0.72, 0.62),

@@ -1,4 +1,4 @@
-"""The position of the sun by Meeus' low-precision formulas, as in NOAA's solar calculator.
+"""Compute the position of the sun by Meeus' low-precision formulas, as NOAA's solar calculator.
 
 Source: Jean Meeus, Astronomical Algorithms, 2nd edition, chapters 12, 13 and 25. The error is below
 0.01 degrees between 1950 and 2050. Refraction is left out; it is under 0.1 degrees when the sun is
@@ -24,7 +24,7 @@ class SunPosition(NamedTuple):
 
 
 def sun_position(time: datetime, place: Geodetic) -> SunPosition:
-    """Return the sun's geometric position at a time (with a time zone), seen from a place."""
+    """Return the sun's geometric position at a time with a zone, seen from geodetic coordinates."""
     days = (time - _J2000).total_seconds() / 86400
     right_ascension, declination = sun_equatorial(days)
     sidereal = 280.46061837 + 360.98564736629 * days

@@ -1,4 +1,4 @@
-"""The albedo image of a surveyed place under a condition: its orthophoto in another season."""
+"""Bake the albedo image of a site under a condition: its orthophoto in another season."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _LINEAR = np.where(
 
 
 def bake_albedo(world: World, condition: Condition) -> NDArray[np.uint8]:
-    """Return the albedo (n, n, 3) uint8 sRGB of a surveyed place; row 0 is south.
+    """Return the albedo (n, n, 3) uint8 sRGB of a site; row 0 is south.
 
-    Vegetation and ground get the colours of the season by the ratio to those of the season that
-    the orthophoto shows, so that what it shows in detail remains. Crowns that lose their leaves are
-    coloured like twigs and litter; their shape stays.
+    Colours of vegetation and ground are multiplied by the ratio of the two seasons' colours, which
+    keeps the detail of the orthophoto. Leafless crowns are coloured like twigs and litter and keep
+    their shape.
     """
     imagery = world.imagery
     assert imagery is not None
@@ -48,7 +48,7 @@ def bake_albedo(world: World, condition: Condition) -> NDArray[np.uint8]:
 
 
 def bake_gloss(world: World, condition: Condition) -> NDArray[np.uint8]:
-    """Return how much a surveyed place reflects like a mirror, (n, n) uint8 from 0 to 255."""
+    """Return the specular share of a site, (n, n) uint8 from 0 to 255."""
     labels = world.ground.labels
     standing = np.where(labels == CLASSES["water"], 255, 0).astype(np.uint8)
     if condition.weather.wet == 0:
@@ -63,7 +63,7 @@ def bake_gloss(world: World, condition: Condition) -> NDArray[np.uint8]:
 
 
 def _drift(world: World, n: int) -> Float:
-    """Return how unevenly snow lies, (n, n): mean 0."""
+    """Return the variation of snow, (n, n), with mean 0."""
     rng = np.random.default_rng([world.seed, 1])
     across = n * world.ground.texel_m
     broad = noise(rng, n, across / 40.0)
@@ -79,7 +79,7 @@ def _lay_snow(
     drift: Float,
     amount: float,
 ) -> None:
-    """Cover the albedo (h, n, 3) of some rows, as ``simulate.look.ground.bake`` covers ground."""
+    """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does."""
     cover = np.clip(kept * np.float32(amount * 4.2 / 255) - 1.4 + 1.5 * drift, 0, 1)
     cover *= np.where(labels == CLASSES["tree"], np.float32(_ON_CROWNS), np.float32(1))
     white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
@@ -87,7 +87,7 @@ def _lay_snow(
 
 
 def _table(values: dict[str, float]) -> Float:
-    """Return a table by label; labels without a value have 0."""
+    """Return values as a table by label; missing labels have 0."""
     table = np.zeros(max(CLASSES.values()) + 1, np.float32)
     for name, value in values.items():
         table[CLASSES[name]] = value
@@ -95,7 +95,7 @@ def _table(values: dict[str, float]) -> Float:
 
 
 def _ratios(shown: Season, wanted: Season) -> Float:
-    """Return by label the factor (labels, 3) from the colours of one season to another's."""
+    """Return the ratio of the colours of two seasons, (labels, 3)."""
     table = np.ones((max(CLASSES.values()) + 1, 3), np.float32)
     for name in ("grass", "pavement"):
         before, after = (np.mean(season.ground[name], axis=0) for season in (shown, wanted))

@@ -1,4 +1,4 @@
-"""Meshes of the ground: the place, its raised pavements, and the country around it."""
+"""Build meshes of the ground: the place, its raised pavements, and the land around it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from simulate.place.world import MIRRORED_M, Kerb, World
 Array = NDArray[np.float64]
 
 _STEP_M = 8.0  # distance between the nodes of the mirrored ground
-_FAR_M, _FAR_NODES = 2400.0, 26  # extent and nodes of the country around it
-_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and where they begin
+_FAR_M, _FAR_NODES = 2400.0, 26  # extent and number of nodes of the land around it
+_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and their distance
 _AIR_RGB = np.array([0.22, 0.26, 0.31])
 _FOOT_M = 0.05  # kerbs reach this far into the ground
 _STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of kerb stones
@@ -31,7 +31,7 @@ def ground_mesh(world: World, light: Condition) -> Mesh:
     x, y = np.meshgrid(axis, axis)
     beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - half, 0.0)
     surface = world.terrain.height(x, y)
-    if world.bare is not None:  # what stands on a surveyed place is not repeated around it
+    if world.bare is not None:  # objects of a site are not mirrored around it
         surface = np.where(beyond > 0, world.bare.height(x, y), surface)
     fade = np.exp(-((beyond / 150.0) ** 2))
     z = world.level_m + (surface - world.level_m) * fade + _hills(x, y, beyond)
@@ -47,12 +47,12 @@ def ground_mesh(world: World, light: Condition) -> Mesh:
     mesh = replace(
         mesh, tint=tint, material=country.astype(np.int32), materials=("ground", "plain")
     )
-    # Walls of a surface model would be quads that are far from flat.
+    # Quads at walls of a surface model are not planar.
     return mesh if world.imagery is None else mesh.triangulate()
 
 
 def kerbs_mesh(world: World) -> Mesh | None:
-    """Return the raised pavements (kerb, top and far edge), or None where a place has none."""
+    """Return the raised pavements (kerb, top and far edge); None for a place without them."""
     if not world.kerbs:
         return None
     mesh = merge([_kerb_mesh(kerb, world) for kerb in world.kerbs])
@@ -73,8 +73,7 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
     stone = k < 2
     points = np.concatenate([edges, height[..., None]], -1).reshape(-1, 3)
     return Mesh(
-        # Faces share no vertices. With shared vertices, edges would be shaded as if they were
-        # round.
+        # Faces share no vertices, because shared ones would be shaded smoothly.
         vertices=points[flat.ravel()].astype(np.float32),
         corners=np.arange(flat.size, dtype=np.int32),
         sizes=np.full(len(k), 4, np.int32),

@@ -1,4 +1,4 @@
-"""Images of walls and roofs, drawn with numpy.
+"""Draw images of walls and roofs with numpy.
 
 Each image is (rows, columns, 4) uint8 with row 0 at the bottom. The first three channels are an
 sRGB colour. Alpha is the share by which the object's tint multiplies it: 255 for a wall or tile of

@@ -1,11 +1,11 @@
-"""Meshes of the wires of power lines."""
+"""Build meshes of the wires of power lines."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from simulate.look.mesh import Mesh, MeshBuilder
-from simulate.place.power import APART_M, RADIUS_M, hanging
+from simulate.place.power import RADIUS_M, SPACING_M, wire_heights
 from simulate.place.world import Heightfield, WorldObject
 
 
@@ -14,10 +14,10 @@ def wire_mesh(wire: WorldObject, terrain: Heightfield) -> Mesh:
     half = 0.5 * wire.size[0]
     direction = np.array([np.cos(wire.yaw), np.sin(wire.yaw)])
     ends = wire.centre[:2] + np.array([[-half], [half]]) * direction
-    z = hanging(terrain, ends) - wire.centre[2]
+    z = wire_heights(terrain, ends) - wire.centre[2]
     x = np.linspace(-half, half, len(z))
     out = MeshBuilder()
-    for y in (-0.5 * APART_M, 0.5 * APART_M):
+    for y in (-0.5 * SPACING_M, 0.5 * SPACING_M):
         for k in range(len(z) - 1):
             top = [(x[k], z[k]), (x[k + 1], z[k + 1])]
             profile = [(a, b - 2 * RADIUS_M) for a, b in top] + top[::-1]

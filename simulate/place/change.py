@@ -1,7 +1,7 @@
-"""Declared change between flights: vehicles moved, objects removed or added, bare trees.
+"""Change a place between sessions: vehicles moved, objects removed or added, bare trees.
 
-Conditions do not change the geometry. Every difference from the place that a scene's seed makes is
-configured by a ``Change`` and recorded object by object.
+Conditions do not change the geometry. Every difference from the original place is configured by a
+``Change`` and recorded object by object.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
-from simulate.place.kerbs import Rises
+from simulate.place.kerbs import PavementHeights
 from simulate.place.world import MAX_OBJECT_ID, World, WorldObject
 
 Array = NDArray[np.float64]
@@ -36,35 +36,35 @@ _TRIES = 60
 
 
 class Change(Config):
-    """The difference between the world of a session and the place that the scene's seed makes.
+    """The difference between the world of a session and the original place.
 
-    Sessions with the same change see the same world.
+    Sessions with equal changes show the same world.
     """
 
     cars_moved: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="Share of the remaining cars, vans and trucks that stand in another place, "
-        "where there is room.",
+        description="Share of the remaining cars, vans and trucks that are moved, where there is "
+        "room, 0 to 1.",
     )
     objects_removed: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="Share of the objects of the classes ``LOOSE`` that are removed.",
+        description="Share of the objects of classes ``LOOSE`` that are removed, 0 to 1.",
     )
     objects_added: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="Number of new objects of these classes, as a share of those that the place "
-        "was built with, where there is room.",
+        description="Number of new objects of classes ``LOOSE``, as a share (0 to 1) of the "
+        "original ones, where there is room.",
     )
     bare_trees: bool = Field(
-        False, description="Whether broadleaved trees are without leaves, as in leaf-off seasons."
+        False, description="Whether broadleaved trees have no leaves, as in leaf-off seasons."
     )
-    seed: int = Field(0, ge=0, description="Seed by which the objects are drawn.")
+    seed: int = Field(0, ge=0, description="Random seed of the choice of objects.")
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,6 @@ class ChangedWorld:
     """A world after a change.
 
     Attributes:
-        world: the world.
-        change: the change that made it.
         first_new_id: the first id of its new objects.
         declared: ids of the objects that were moved, removed, added or lost their leaves.
     """
@@ -101,8 +99,8 @@ def change_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]:
     return worlds
 
 
-def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObject, ...]:
-    """Return the objects of the base world and those that any change added, by ascending id."""
+def list_objects(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObject, ...]:
+    """Return the objects of the base world and of all changes, by ascending id."""
     objects = {o.id: o for o in base.objects}
     for changed in worlds:
         for item in changed.world.objects:
@@ -113,8 +111,8 @@ def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObje
 def change_world(base: World, change: Change, first_new_id: int = 0) -> ChangedWorld:
     """Return the world after a change. Equal arguments give equal worlds.
 
-    Objects that stay keep their id and their box. An object in a new place gets a new id: the next
-    from ``first_new_id`` on, or from the first id that ``base`` leaves free.
+    Unchanged objects keep their id and box. Moved and added objects get new ids, counted from
+    ``first_new_id`` or from the first free id of ``base``.
 
     Raises:
         InputError: there are more objects than a renderer can number.
@@ -170,20 +168,19 @@ def _free_id(world: World) -> int:
 
 
 def _kind(item: WorldObject) -> str:
-    """Return the kind of objects that an object may stand beside: its class, or any vehicle."""
+    """Return the group of objects that may stand beside each other: a class, or vehicles."""
     return "vehicle" if item.class_name in VEHICLES else item.class_name
 
 
 class _Places:
-    """Finds room for objects beside others of their kind, on the same kind of ground.
+    """Finds free positions for objects beside others of their kind, on the same class of ground.
 
-    The places of the objects before the change stay taken, so that an object for which no place
-    is found can stay where it was.
+    Original positions stay occupied, so that an object without a new position can stay.
     """
 
     def __init__(self, base: World, rng: np.random.Generator) -> None:
         self._base = base
-        self._rises = Rises(base.kerbs)
+        self._pavements = PavementHeights(base.kerbs)
         self._rng = rng
         self._taken: list[Array] = []
         self._circles = CircleGrid()
@@ -193,7 +190,7 @@ class _Places:
             self._kin.setdefault(_kind(item), []).append(item)
 
     def find(self, item: WorldObject, number: int) -> WorldObject | None:
-        """Return a copy of an object in a free place with a new id, or None where none is found."""
+        """Return a copy of an object at a free position with a new id; None without one."""
         kin = self._kin[_kind(item)]
         for _ in range(_TRIES):
             beside = kin[int(self._rng.integers(len(kin)))]
@@ -201,14 +198,14 @@ class _Places:
             if not self._fits(at, item, beside):
                 continue
             self._take(rectangle(at, item.size[:2], beside.yaw))
-            ground = float(self._base.terrain.height(*at)) + self._rises.at(at)
+            ground = float(self._base.terrain.height(*at)) + self._pavements.at(at)
             height = ground + 0.5 * item.size[2]
             centre = np.array([at[0], at[1], height])
             return replace(item, id=number, centre=centre, yaw=beside.yaw)
         return None
 
     def _step(self, beside: WorldObject) -> Array:
-        """Draw an offset (2,), metres, from an object to a place like its own."""
+        """Draw an offset (2,), metres, from an object to a similar position."""
         ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
         left = np.array([-ahead[1], ahead[0]])
         sign = 1 if self._rng.random() < 0.5 else -1
@@ -223,7 +220,7 @@ class _Places:
         return np.asarray(sign * bays * _BAY_M * left)
 
     def _fits(self, at: Array, item: WorldObject, beside: WorldObject) -> bool:
-        """Return whether an object would stand on one kind of ground and in no other's place."""
+        """Return whether a position has a single class of ground and no other object."""
         grown = rectangle(at, item.size[:2] + 2 * _GAP_M, beside.yaw)
         if np.abs(grown).max() > 0.5 * self._base.area_m:
             return False

@@ -1,4 +1,4 @@
-"""Residential blocks: houses on parcels, and blocks of flats."""
+"""Build residential blocks: houses on parcels, and blocks of flats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of farmland: farmyards, hayfields and pastures."""
+"""Build blocks of farmland: farmyards, hayfields and pastures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks of open land: parks, fields, woods and meadows."""
+"""Build blocks of open land: parks, fields, woods and meadows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A spatial index of circles: the time of a look-up does not grow with their number."""
+"""A spatial index of circles with constant look-up time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CELL_M = 16.0
 
 
 class CircleGrid:
-    """Circles in the cells of a square grid, numbered in the order in which they are added."""
+    """Circles in the cells of a square grid, numbered in order of insertion."""
 
     def __init__(self) -> None:
         self._circles: list[tuple[float, float, float]] = []
@@ -26,7 +26,7 @@ class CircleGrid:
         self._circles.append((x, y, float(radius)))
 
     def near(self, centre: NDArray[np.float64], radius: float) -> list[int]:
-        """Return the ascending numbers of the circles that overlap with this one (metres)."""
+        """Return the numbers of the circles that overlap with this one (metres), ascending."""
         x, y = centre.tolist()
         candidates = {k for cell in _cells(x, y, radius) for k in self._cells.get(cell, ())}
         neighbours = []

@@ -1,4 +1,4 @@
-"""Kerbs: where pavements are raised above carriageways, and the objects that stand on them."""
+"""Lay kerbs with raised pavements, and raise the objects on them."""
 
 from __future__ import annotations
 
@@ -11,23 +11,30 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.labels import CLASSES
 from simulate.place.grid import CircleGrid
 from simulate.place.site import PAVEMENT_M
-from simulate.place.world import Ground, Kerb, Road, WorldObject, polyline_points
+from simulate.place.world import (
+    Ground,
+    Kerb,
+    Road,
+    WorldObject,
+    arc_lengths,
+    polyline_length,
+    polyline_points,
+)
 
 Array = NDArray[np.float64]
 
 KERB_M = 0.13  # height
-_RAMP_M = 0.7  # length of the slope where a kerb is dropped
+_RAMP_M = 0.7  # length of the ramp at a dropped kerb
 _STEP_M = 0.5  # distance between the points at which the ground is sampled
 _SHORTEST_M = 2.0
 _LOOK_M = (0.4, 0.8, 1.2)  # distances from the kerb at which the ground is sampled
-_HUNG = ("pole", "wire")  # poles and wires keep their heights, which match
+_HUNG = ("pole", "wire")  # not raised, so that wires meet their poles
 
 
 def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
-    """Return kerbs along both sides of every road, where its verge is pavement.
+    """Return kerbs along both sides of every road where its verge is pavement.
 
-    Kerbs are lowered to the ground where another carriageway, a drive or the entrance of a car park
-    crosses.
+    Kerbs are dropped where another carriageway, a drive or the entrance of a car park crosses.
     """
     half = 0.5 * len(ground.labels) * ground.texel_m
     kerbs = []
@@ -42,21 +49,21 @@ def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
 
 
 def raise_objects(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
-    """Return the objects, with those on raised pavements lifted by the pavement's height."""
-    rises = Rises(kerbs)
+    """Return the objects, raised by the height of the pavement on which they stand."""
+    heights = PavementHeights(kerbs)
 
     def lift(item: WorldObject) -> WorldObject:
-        rise = 0.0 if item.class_name in _HUNG else rises.at(item.centre[:2])
+        rise = 0.0 if item.class_name in _HUNG else heights.at(item.centre[:2])
         return replace(item, centre=item.centre + np.array([0, 0, rise])) if rise else item
 
     return tuple(lift(item) for item in objects)
 
 
-class Rises:
-    """The heights of raised pavements above the ground."""
+class PavementHeights:
+    """Heights of raised pavements above the ground."""
 
     def __init__(self, kerbs: Sequence[Kerb]) -> None:
-        """Divide every kerb into the quadrilaterals between its pairs of points."""
+        """Divide every kerb into quadrilaterals between its pairs of points."""
         joined = [np.stack([k.front[:-1], k.front[1:], k.back[:-1], k.back[1:]], 1) for k in kerbs]
         corners = np.concatenate([np.empty((0, 4, 2)), *joined])
         ends = [np.stack([k.rise[:-1], k.rise[1:]], 1) for k in kerbs]
@@ -83,8 +90,7 @@ class Rises:
 
 def _on_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
     """Return whether the verge of a road is pavement, at every ``_STEP_M`` along it."""
-    length = float(np.linalg.norm(np.diff(road.line, axis=0), axis=1).sum())
-    at = np.arange(0.0, length, _STEP_M)
+    at = np.arange(0.0, polyline_length(road.line), _STEP_M)
     pavement = np.ones(len(at), bool)
     for out in _LOOK_M:
         points = _beside(road, side * (0.5 * road.width_m + out), at)
@@ -101,7 +107,7 @@ def _runs(on: NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 
 def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
-    corners = np.concatenate([[0.0], np.linalg.norm(np.diff(road.line, axis=0), axis=1).cumsum()])
+    corners = arc_lengths(road.line)
     between = corners[(corners > start + _RAMP_M + 0.1) & (corners < end - _RAMP_M - 0.1)]
     at = np.concatenate([[start, start + _RAMP_M], between, [end - _RAMP_M, end]])
     rise = np.full(len(at), KERB_M)
@@ -112,10 +118,9 @@ def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
 
 def _beside(road: Road, left_m: float, at_m: Array) -> Array:
     """Return points (N, 2) ``left_m`` to the left of a road's centre line, as ``ribbon`` does."""
-    corners = np.concatenate([[0.0], np.linalg.norm(np.diff(road.line, axis=0), axis=1).cumsum()])
     tangent = np.gradient(road.line, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     points, _ = polyline_points(road.line, at_m)
-    across = np.stack([np.interp(at_m, corners, normal[:, k]) for k in (0, 1)], -1)
+    across = np.stack([np.interp(at_m, arc_lengths(road.line), normal[:, k]) for k in (0, 1)], -1)
     return np.asarray(points + left_m * across)

@@ -1,4 +1,4 @@
-"""Functions that place single objects, with their sizes and colours."""
+"""Place single objects, with their sizes and colours."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def steel(site: Site) -> Rgb:
 def building(
     site: Site, shape: str, at: Frame, spot: Local, size: Size, style: BuildingStyle
 ) -> bool:
-    """Place a building that faces the street of its frame, smaller where there is less room."""
+    """Place a building that faces its street, reduced in size where there is less room."""
     where, yaw = at.point(*spot), at.yaw(*spot)
     for share in (1.0, 0.9, 0.8, 0.7):
         fitted = (size[0] * share, size[1] * share, size[2])

@@ -1,4 +1,4 @@
-"""The raster of the ground cover, painted from regions."""
+"""Paint the raster of the ground cover from regions."""
 
 from __future__ import annotations
 

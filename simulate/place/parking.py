@@ -1,4 +1,4 @@
-"""Car parks with marked bays, about half of them occupied."""
+"""Lay car parks with marked bays, about half of them occupied."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans of places: the streets, the use of the blocks between them, and the objects along them."""
+"""Plans of procedural places: streets, uses of the blocks between them, and objects along them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ Lining = Callable[[Site], None]
 class Quarter:
     """The use of the blocks of a place, or of one part of it.
 
-    The blocks nearest the middle get one use of ``first`` each, so that every place has every
+    The blocks nearest the centre get one use of ``first`` each, so that every place has every
     class. Of the other blocks, a share ``open_share`` is open land, and the rest is drawn from
-    ``uses`` by their weights. ``name`` is the name of the part, where a place has several.
+    ``uses`` by weight. ``name`` is the name of the part of a place with several parts.
     """
 
     first: tuple[Use, ...]
@@ -41,7 +41,7 @@ class Quarter:
     name: str = ""
 
     def fill(self, site: Site, blocks: Sequence[Block]) -> None:
-        """Choose the use of each block and fill it. Blocks come nearest the middle first."""
+        """Choose the use of each block and fill it. Blocks are sorted by distance to the centre."""
         first = [self.first[i] for i in site.rng.permutation(len(self.first))]
         uses, weights = tuple(self.uses), tuple(self.uses.values())
         for i, block in enumerate(blocks):
@@ -67,7 +67,7 @@ class Plan:
         after: Functions that place objects along the roads after the blocks are filled.
         before: Functions that place objects along the roads before the blocks are filled.
         verge: Ground class along the streets.
-        least_m: The smallest side, metres, that has room for all quarters.
+        least_m: The minimum side, metres, for all quarters.
     """
 
     block_m: float
@@ -78,7 +78,7 @@ class Plan:
     least_m: float = MIN_AREA_M
 
     def build(self, seed: int, area_m: float) -> World:
-        """Build a place of ``area_m`` metres a side. Seed and area decide everything in it.
+        """Build a square place of ``area_m`` metres. Equal seeds and areas give equal places.
 
         Raises:
             InputError: ``area_m`` is not within ``least_m`` and 2000 m, the seed is negative, or

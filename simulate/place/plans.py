@@ -1,4 +1,4 @@
-"""The plans of all presets except ``town``, which has its own module."""
+"""Plans of all presets except ``town``, which has its own module."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Power lines: poles along a road and the wires hanging between them."""
+"""Place power lines: poles along a road, with wires between them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 
 _PITCH_M = 42.0  # distance between poles
 _ATTACHED_M = 8.75  # height of the wires above the ground at a pole
-APART_M = 1.7  # distance between the two wires
+SPACING_M = 1.7  # distance between the two wires
 RADIUS_M = 0.03
 _SAG = 0.02  # as a share of the span
 
 
 def power_lines(site: Site) -> None:
-    """Place a power line along every third road that crosses the place, from the middle one on."""
+    """Place a power line along every third road that crosses the place, starting at the centre."""
     crossing = [r for r in site.roads if polyline_length(r.line) > site.area_m]
     crossing.sort(key=lambda r: float(np.linalg.norm(r.line, axis=1).min()))
     for road in crossing[::3]:
@@ -48,13 +48,13 @@ def _pole(site: Site, line: Array, s: float, offset: float) -> Array | None:
 def _wires(site: Site, ends: Array) -> None:
     """Hang the wires between two poles (2, 2), and keep the ground below free of trees."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
-    z = hanging(site.terrain, ends)
-    site.span("wire", ends, (z[0], z[-1]), APART_M + 2 * RADIUS_M, z.min() - 2 * RADIUS_M)
+    z = wire_heights(site.terrain, ends)
+    site.span("wire", ends, (z[0], z[-1]), SPACING_M + 2 * RADIUS_M, z.min() - 2 * RADIUS_M)
     yaw = float(np.arctan2(*(ends[1] - ends[0])[::-1]))
-    site.reserve(rectangle(ends.mean(0), (length, APART_M + 0.6), yaw))
+    site.reserve(rectangle(ends.mean(0), (length, SPACING_M + 0.6), yaw))
 
 
-def hanging(terrain: Heightfield, ends: Array) -> Array:
+def wire_heights(terrain: Heightfield, ends: Array) -> Array:
     """Return the heights (9,) in metres of a wire between two poles (2, 2), which is a parabola."""
     a, b = terrain.height(ends[:, 0], ends[:, 1]) + _ATTACHED_M
     t = np.linspace(0, 1, 9)

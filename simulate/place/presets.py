@@ -1,4 +1,4 @@
-"""The presets: kinds of places that can be built, by name, and the one that is surveyed."""
+"""The presets: kinds of places by name, and the preset of a site."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PRESETS: Final[Registry[Plan]] = Registry(
 )
 
 SITE: Final = "site"
-"""The preset of a user's own place, which is no plan: it is read from a file (``surveyed``)."""
+"""The preset of a real place, which is read from a file instead of built by a plan."""
 
 
 def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], World]:
@@ -45,10 +45,10 @@ def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], Wo
 
     Args:
         name: Name of a preset.
-        prepared: File of a surveyed place, for the preset ``SITE`` alone.
+        prepared: File of a site, for the preset ``SITE``.
 
     Raises:
-        InputError: there is no such preset, or a package's cannot be loaded.
+        InputError: the preset does not exist, or a package's preset cannot be loaded.
     """
     if name == SITE and prepared is not None:
         from simulate.place.survey_files import load_site

@@ -1,4 +1,4 @@
-"""The relief of the terrain."""
+"""Generate the relief of the terrain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects along roads: lamps, trees, street furniture and vehicles."""
+"""Place objects along roads: lamps, trees, street furniture and vehicles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A place while it is built. Every object that is placed claims its footprint."""
+"""A place under construction, in which every placed object claims its footprint."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PAVEMENT_M = 2.0  # on both sides of every road
 
 @dataclass(frozen=True)
 class ObjectSpec:
-    """An object before it has a place.
+    """An object without a position.
 
     Attributes:
         class_name: class of the object.
@@ -56,7 +56,7 @@ class Footing:
     Attributes:
         on_road: whether it may stand on roads and pavements.
         on_reserved: whether it may stand on reserved ground.
-        gap_m: least distance to other objects, per side.
+        gap_m: minimum distance to other objects, per side.
     """
 
     on_road: bool = False
@@ -71,8 +71,8 @@ ANYWHERE_FREE: Final = Footing()
 class Site:
     """Collects regions, markings and objects, and refuses objects that would intersect.
 
-    An object must lie inside the area, apart from every earlier object, off the roads and their
-    pavements and off reserved ground such as driveways, unless its footing allows them.
+    An object must lie inside the area and must not overlap earlier objects, roads with their
+    pavements, and reserved ground such as driveways, unless its footing allows it.
     """
 
     def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
@@ -164,7 +164,7 @@ class Site:
             spec: The object.
             at: Centre of its box (2,), metres.
             yaw: Direction of its length, radians anticlockwise from east.
-            footing: Ground on which it may stand, and its least distance to other objects.
+            footing: Ground on which it may stand, and its minimum distance to other objects.
 
         Returns:
             Whether there was room.
@@ -252,12 +252,12 @@ class Site:
         self.paint("water", shore)
 
     def _add(self, spec: ObjectSpec, centre: Array, size: Array, yaw: float) -> None:
-        """Add an object with its box (3,) metres, which may be higher than its own size."""
+        """Add an object with its box (3,), metres, which may be higher than its own size."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(
-                f"a place of {self.area_m:g} m a side needs more than the {MAX_OBJECT_ID} objects "
-                "that can be told apart: ask for a smaller area"
+                f"a place of {self.area_m:g} m a side has more than {MAX_OBJECT_ID} objects, the "
+                "maximum: choose a smaller area"
             )
         yaw = float(np.angle(np.exp(1j * yaw)))
         self.objects.append(

@@ -1,4 +1,4 @@
-"""Street plans: a grid of roads with gaps, bent by a smooth warp."""
+"""Lay streets: a grid of roads with gaps, bent by a smooth warp."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STEP_M = 3.0  # distance between the points of a centre line
 
 @dataclass(frozen=True)
 class Warp:
-    """Maps plan metres (u, v) to world metres: a rotation plus two gentle waves."""
+    """Maps plan metres (u, v) to world metres by a rotation and two smooth waves."""
 
     rotation: float
     amplitude: Array  # (2, 2) metres, wave x axis
@@ -29,7 +29,7 @@ class Warp:
 
     @staticmethod
     def random(rng: np.random.Generator, pitch_m: float) -> Warp:
-        """Draw a warp whose bends are in proportion to the distance between streets."""
+        """Draw a warp with bends proportional to the distance between streets."""
         heading = rng.uniform(0, 2 * np.pi, 2)
         number = 2 * np.pi / (pitch_m * rng.uniform(2.4, 3.6, 2))
         return Warp(

@@ -1,4 +1,4 @@
-"""Random styles of buildings of each kind: roofs, facades and colours."""
+"""Draw random styles of buildings: roofs, facades and colours."""
 
 from __future__ import annotations
 

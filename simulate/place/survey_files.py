@@ -1,4 +1,4 @@
-"""Surveyed places on disk: what the rendering processes read instead of building a place."""
+"""Read and write the places of sites, which rendering processes load from disk."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
 from simulate.place.world import Ground, Heightfield, Imagery, World
 
-_GREY: Final = 128  # tone of ground cover that has no parcels
+_GREY: Final = 128  # tone of ground cover without parcels
 
 
 def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
-    """Return the ground cover of a surveyed place from its labels (n, n) uint8."""
+    """Return the ground cover of a site from its labels (n, n) uint8."""
     tone = np.broadcast_to(np.uint8(_GREY), labels.shape)
     return Ground(texel_m, labels, tone, ())
 
 
 def save_site(path: Path, world: World) -> None:
-    """Write a surveyed place, whole or not at all.
+    """Write the place of a site atomically.
 
     Raises:
         WriteError: The file cannot be written.
@@ -48,7 +48,7 @@ def save_site(path: Path, world: World) -> None:
 
 
 def load_site(path: Path, seed: int) -> World:
-    """Read a surveyed place. The seed decides how snow and puddles lie.
+    """Read the place of a site. The seed determines the variation of snow and puddles.
 
     Raises:
         InputError: The file is missing or damaged.
@@ -70,6 +70,5 @@ def load_site(path: Path, seed: int) -> World:
             )
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
-            f"surveyed place {path} is missing or damaged ({error}): remove the scene and make it "
-            "again"
+            f"place {path} is missing or damaged ({error}): remove the scene and simulate it again"
         ) from None

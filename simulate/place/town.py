@@ -1,4 +1,4 @@
-"""The plan of a town: blocks of housing, flats, trade and parks, and fields between them."""
+"""The plan of a town: housing, flats, trade and parks, with fields between them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from simulate.place.greens import field, park
 from simulate.place.plan import Plan, Quarter
 from simulate.place.roadside import deliveries, street_furniture, street_lamps, traffic
 from simulate.place.trade import trade
-from simulate.place.world import World
 
 TOWN = Plan(
     block_m=80.0,
@@ -21,8 +20,3 @@ TOWN = Plan(
     ),
     after=(street_lamps, traffic, street_furniture, deliveries),
 )
-
-
-def build_town(seed: int, area_m: float) -> World:
-    """Build a town; see ``Plan.build``."""
-    return TOWN.build(seed, area_m)

@@ -1,4 +1,4 @@
-"""Industrial blocks: halls, yards and car parks."""
+"""Build industrial blocks: halls, yards and car parks."""
 
 from __future__ import annotations
 

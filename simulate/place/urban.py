@@ -1,4 +1,4 @@
-"""Blocks of a city centre: closed fronts of buildings around a court, and paved squares."""
+"""Build blocks of a city centre: perimeter blocks around a court, and paved squares."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks with still water: a lake in a park, and a dock."""
+"""Build blocks with still water: a lake in a park, and a dock."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ Rgb = tuple[float, float, float]
 
 MAX_OBJECT_ID = 32767  # the largest value of Blender's Object.pass_index
 MIRRORED_M = 64.0
-"""Width (m) of the strip around a place in which the ground is the place's mirror image."""
+"""Width (m) of the margin around a place in which the ground is mirrored."""
 
 
 def _reflect(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
@@ -156,12 +156,12 @@ class Facade(IntEnum):
 
 @dataclass(frozen=True)
 class Imagery:
-    """The look of a surveyed place from above, on the raster of its ``Ground``.
+    """The appearance of a site from above, on the raster of its ``Ground``.
 
     Attributes:
-        albedo: Albedo (n, n, 3) uint8, coded as sRGB, in the season of the orthophoto.
+        albedo: Albedo (n, n, 3) uint8, sRGB-coded, in the season of the orthophoto.
         snow: Share of the snow that stays by class, slope and shelter, (n, n) uint8 of 255.
-        season: Name of the season that it shows.
+        season: Name of the orthophoto's season.
     """
 
     albedo: NDArray[np.uint8]
@@ -181,9 +181,7 @@ class BuildingStyle:
         floors: Number of floors.
         roof: Shape of the roof. Ridges run along the x axis of the box.
         roof_height_m: Height of the roof above the walls, metres.
-        eaves_m: How far the roof overhangs the walls, metres.
-        facade: Kind of facade.
-        roofing: Material of the roof.
+        eaves_m: Overhang of the roof beyond the walls, metres.
         wall_rgb: Albedo of the walls, linear RGB.
         roof_rgb: Albedo of the roof, linear RGB.
         wing: Fractions of the depth and of the width of the box that the main body of an L-shaped
@@ -228,16 +226,16 @@ class WorldObject:
 
 @dataclass(frozen=True)
 class World:
-    """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up.
+    """A square place of ``area_m`` metres, centred on the origin, east-north-up, Z up.
 
-    Its surroundings do not overlap and cover the place, or there are none. The last four belong to
-    surveyed places, whose terrain is the surface with all that stands on it.
+    Its surroundings do not overlap and cover the place, or there are none. The last four attributes
+    belong to sites, whose terrain is the surface including buildings and trees.
 
     Attributes:
-        imagery: What a surveyed place looks like.
-        bare: Its ground without what stands on it, from which altitudes of flights count.
-        margin_m: Width of the strip around the place that terrain and ground cover, too, metres.
-        level_m: Height of the country around, metres.
+        imagery: The appearance of a site.
+        bare: The ground of a site without buildings and trees, the reference of flight altitudes.
+        margin_m: Width of the margin around the place with terrain and ground, metres.
+        level_m: Height of the land around the place, metres.
     """
 
     seed: int
@@ -255,8 +253,13 @@ class World:
 
     @property
     def footing(self) -> Heightfield:
-        """Return the ground from which altitudes of flights count."""
+        """Return the ground to which altitudes of flights refer."""
         return self.terrain if self.bare is None else self.bare
+
+
+def arc_lengths(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the arc length (K,) of each point of a line (K, 2), metres."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def polyline_points(
@@ -266,7 +269,7 @@ def polyline_points(
     at = np.atleast_1d(np.asarray(at_m, float))
     steps = np.diff(line, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    start = np.concatenate([[0.0], np.cumsum(lengths)])
+    start = arc_lengths(line)
     i = np.clip(np.searchsorted(start, at, side="right") - 1, 0, len(steps) - 1)
     direction = steps[i] / lengths[i, None]
     return line[i] + (at - start[i])[:, None] * direction, direction

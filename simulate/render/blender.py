@@ -1,7 +1,7 @@
-"""A process that renders frames with Cycles: ``python -m simulate.render.blender CHUNK.json``.
+"""Render frames with Cycles in a process: ``python -m simulate.render.blender CHUNK.json``.
 
 This is the only module that imports ``bpy``. The process prints one JSON line per finished frame to
-standard output and nothing else. What Blender prints there is discarded.
+standard output. Other output of Blender is discarded.
 """
 
 from __future__ import annotations
@@ -37,19 +37,25 @@ from simulate.place.presets import preset
 from simulate.place.world import World, WorldObject
 from simulate.render.board import board_mesh
 from simulate.render.caster import Caster
-from simulate.render.frame import late_by, pinhole_rays, row_shift, save_layers, semantic_labels
+from simulate.render.frame import (
+    exposure_offset,
+    pinhole_rays,
+    row_shift,
+    save_layers,
+    semantic_labels,
+)
 from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_path
 from simulate.render.process import end_with, keep_to_one_core
 from simulate.render.reach import Reach
 
 _SENSOR_MM = 36.0
-# Cycles takes the first ray of a pixel from a table of its filter, which puts it this far (px) to
-# the right of the centre and above it. We measured it by ray casting; it is equal at every pixel.
+# Cycles offsets the first ray of a pixel by this much (px) to the right and up, because it samples
+# a table of its filter. The offset was measured by ray casting and is equal at every pixel.
 _FIRST_RAY_PX = 0.000526
 _NEAR_M = 0.1  # near clipping distance
 _NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
-_MANY_OBJECTS = 5000  # of a place of which so many change that moving them would cost more
-_FAR_BELOW_M = 1e7  # a ray that misses the ground does not meet what is this far below it
+_MANY_OBJECTS = 5000  # in a place with more objects, unlinking is faster than moving
+_FAR_BELOW_M = 1e7  # depth below the ground at which no ray meets an object
 
 
 def main(chunk_path: str) -> None:
@@ -70,7 +76,7 @@ def main(chunk_path: str) -> None:
         _build_scene(world, light)
         stage = _Stage(world, light)
     _set_up_render(job, chunk.threads)
-    bpy.context.scene.cycles.use_denoising = job.board is None  # it would move the board's edges
+    bpy.context.scene.cycles.use_denoising = job.board is None  # denoising shifts edges of a board
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     bpy.context.view_layer.update()
     caster = Caster(bpy.context.scene.objects, _NEAR_M)
@@ -82,7 +88,7 @@ def main(chunk_path: str) -> None:
                 continue
             start = time.monotonic()
             pose = np.asarray(rows, float)
-            # The noise of a frame depends on its number alone, not on the process or the order.
+            # The noise of a frame depends only on its number, not on process or order.
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
@@ -105,7 +111,7 @@ def main(chunk_path: str) -> None:
 
 
 def _claim_stdout() -> TextIO:
-    """Return the real standard output, and discard what others write to descriptor 1."""
+    """Return the real standard output, and redirect descriptor 1 to the null device."""
     reports = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -125,7 +131,7 @@ def _build_scene(world: World, light: Condition) -> None:
     else:
         albedo, mirror = bake_albedo(world, light), bake_gloss(world, light)
     materials = build_materials(bpy.data, light, albedo, mirror)
-    # Meshes come first, because adding a material to a mesh takes time for every existing object.
+    # Meshes come first, because adding a material to a mesh slows down with existing objects.
     surfaces = [
         _mesh_data(name, surface, materials)
         for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
@@ -144,7 +150,7 @@ def _build_scene(world: World, light: Condition) -> None:
     for surface in surfaces:
         _add(surface.name, surface)
     for item, data in zip(world.objects, meshes, strict=True):
-        # Blender sorts its objects by name. Ascending names are inserted at the end, which is fast.
+        # Blender sorts objects by name; ascending names are fast to insert.
         placed = _add(f"{item.id:05d}", data)
         placed.pass_index = item.id
         placed.location = item.centre
@@ -174,7 +180,7 @@ def _build_board(board: Board) -> None:
 
 
 def _own_mesh(item: WorldObject, world: World) -> Mesh | None:
-    """Return the mesh of an object that has its own, in metres, or None for shared shapes."""
+    """Return the individual mesh of an object, in metres; None for shared shapes."""
     if item.class_name == "building":
         return building_mesh(item)
     if item.class_name == "hedge":
@@ -239,17 +245,17 @@ def _add_light(light: Condition) -> None:
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
-    # Rays from surfaces hit a smooth sky often enough. If it were also sampled as a lamp, half of
-    # the shadow rays would go to the sky instead of the sun, for a third more time and more noise.
+    # Rays from surfaces sample a smooth sky well. Sampling it as a lamp would take half of the
+    # shadow rays from the sun, a third more time, and add noise.
     sky.cycles.sampling_method = "NONE"
     bpy.context.scene.view_settings.exposure = light.exposure
 
 
 class _Stage:
-    """Keeps those objects in place that a frame needs, and takes the others away.
+    """Removes the objects that a frame does not need, without changing its pixels.
 
-    They move far below the ground, which costs 0.2 ms each. In a place of many objects they leave
-    the scene instead: Cycles then takes all of it in anew, for 0.4 s. The pixels are the same.
+    Objects are moved far below the ground, which takes 0.2 ms each. In a place with many objects
+    they are unlinked instead, after which Cycles reloads the scene in 0.4 s.
     """
 
     def __init__(self, world: World, light: Condition) -> None:
@@ -261,7 +267,7 @@ class _Stage:
     def set_up(
         self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
     ) -> None:
-        """Bring back the objects that a frame needs, and take the others away."""
+        """Restore the objects that a frame needs, and remove the others."""
         needed = self._reach(camera, cam_from_world, travel_m)
         held = bpy.context.scene.collection.objects
         for row in np.flatnonzero(needed != self._there):
@@ -311,7 +317,7 @@ def _set_up_render(job: RenderJob, threads: int) -> None:
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.use_denoising = True
     cycles.denoiser = "OPENIMAGEDENOISE"
-    # Without prefiltered guides, a frame takes 3.0 instead of 5.4 CPU seconds and looks the same.
+    # Fast guides take 3.0 instead of 5.4 CPU-seconds per frame at the same visual quality.
     cycles.denoising_prefilter = "FAST"
     cycles.denoising_quality = job.denoising.upper()
     layer = scene.view_layers[0]
@@ -335,7 +341,7 @@ def _render(
     settings.exr_codec = "NONE"
     scene.render.filepath = str(folder / "passes.exr")
     bpy.ops.render.render(write_still=True)
-    # Blender writes this in two thirds of the time of a PNG that is not compressed.
+    # An uncompressed TIFF takes two thirds of the time of an uncompressed PNG.
     settings.file_format, settings.color_depth, settings.color_mode = "TIFF", "8", "RGB"
     settings.tiff_codec = "NONE"
     picture = folder / "picture.tif"
@@ -344,8 +350,9 @@ def _render(
     with OpenEXR.File(str(folder / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
     depth = channels["Depth.Z"]
-    # Cycles measures depth from the camera's position at the frame, and rows have their own.
-    ahead = (row_shift(travel, len(depth)) + late_by(travel, len(depth))) @ cam_from_world[2, :3]
+    # Cycles measures depth from the frame's position; each row has its own.
+    offset = row_shift(travel, len(depth)) + exposure_offset(travel, len(depth))
+    ahead = offset @ cam_from_world[2, :3]
     depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
     normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
@@ -358,12 +365,12 @@ def _render(
 
 
 def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
-    """Make Cycles expose the picture row by row while the camera moves by ``travel`` (3,) metres.
+    """Animate the camera for a rolling shutter with ``travel`` (3,) metres over the picture.
 
     The camera's current position is that of the middle row.
     """
     camera, moves = scene.camera, bool(travel.any())
-    # Cycles takes in the whole scene anew, for 0.3 s, also where these two change nothing.
+    # Assigning these makes Cycles reload the scene for 0.3 s, even if nothing changes.
     if camera.animation_data is not None:
         camera.animation_data_clear()
     if scene.render.use_motion_blur != moves:
@@ -375,7 +382,7 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     scene.cycles.rolling_shutter_type = "TOP"
     scene.cycles.rolling_shutter_duration = 0.0  # row by row and without streaks
     now = scene.frame_current
-    middle = np.array(camera.location) - late_by(travel, scene.render.resolution_y)
+    middle = np.array(camera.location) - exposure_offset(travel, scene.render.resolution_y)
     for step in (-1, 1):
         camera.location = middle + step * travel
         camera.keyframe_insert("location", frame=now + step)

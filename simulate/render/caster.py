@@ -1,4 +1,4 @@
-"""Rays that are cast at the objects of a Blender scene."""
+"""Cast rays at the objects of a Blender scene."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from simulate.camera.resample import Cast
 
-# Objects with a smaller box in the picture may have parts thinner than a pixel, as lamps do.
+# Objects whose box in the picture is smaller than this (square px) may have parts thinner than a
+# pixel, such as lamps.
 _SMALL_PX = 1000.0
 
 
@@ -18,19 +19,19 @@ class Caster:
     """Casts rays at objects for ``simulate.camera.resample``.
 
     Args:
-        objects: of Blender, whose matrices are up to date.
+        objects: objects of Blender with updated matrices.
         near_m: near clipping distance, metres.
     """
 
     def __init__(self, objects: Iterable[Any], near_m: float) -> None:
         self._near_m = near_m
-        # Objects that a frame does not need may be elsewhere later, so matrices are kept.
+        # Matrices are stored, because objects that a frame does not need are moved away.
         self._objects: dict[int, list[tuple[Any, NDArray[np.float64]]]] = {}
         for item in objects:
             if item.type == "MESH":
                 placed = item, np.array(item.matrix_world)
                 self._objects.setdefault(item.pass_index, []).append(placed)
-        items = [(number, found[0]) for number, found in self._objects.items() if number > 0]
+        items = [(number, placed[0]) for number, placed in self._objects.items() if number > 0]
         self._numbers = [number for number, _ in items]
         boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, (item, _) in items]
         self._corners = np.array(
@@ -40,7 +41,7 @@ class Caster:
     def small(
         self, cam_from_world: NDArray[np.float64], f: float
     ) -> dict[int, NDArray[np.float64]]:
-        """Return the boxes of small objects in a pinhole picture, as ``resample`` takes them."""
+        """Return the boxes of small objects in a pinhole picture for ``resample``, by id."""
         x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
         ahead = (z > self._near_m).all(-1)
         xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
@@ -61,11 +62,11 @@ class Caster:
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()
-                # A list is filled first, because a call of numpy per ray costs more than the ray.
-                answers = [item.ray_cast(start, way) for way in directions.tolist()]
-                hit = np.array([answer[0] for answer in answers], bool)
-                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
-                # Along (x/z, y/z, 1) the planar depth is the length.
+                # Plain lists, because a call of numpy per ray is slower than the ray.
+                results = [item.ray_cast(start, ray) for ray in directions.tolist()]
+                hit = np.array([result[0] for result in results], bool)
+                at = np.array([result[1][:] for result in results]).reshape(-1, 3)
+                # The length in units of (x/z, y/z, 1) is the planar depth.
                 z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
                 nearest = np.where(hit, np.minimum(nearest, z), nearest)
             return nearest

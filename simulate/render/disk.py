@@ -1,4 +1,4 @@
-"""A check that the disk has room for the frames to be rendered."""
+"""Check that the disk has room for the frames to render."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from objconnect.scene.errors import InputError
 
 # Bytes per pixel of a rendered frame before it is packed: rgb and all layers, uncompressed.
 _RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())
-# An upper bound after packing, which leaves a fifth to a quarter at 512 pixels and more of smaller
-# frames.
+# Upper bound after packing: a fifth to a quarter remains at 512 px, more for smaller frames.
 _PACKED = 0.5 * _RAW
 
 
@@ -19,11 +18,11 @@ def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int) -> int:
     """Return an upper bound of the disk space that sessions still need, bytes.
 
     Args:
-        left: numbers of frames still to be rendered and still to be packed, by session.
+        left: numbers of frames to render and to pack, by session.
         pixels: number of pixels of a frame.
     """
     packed = sum(to_pack for _, to_pack in left.values())
-    # Rendered frames of one session at a time wait to be packed.
+    # Only one session at a time has unpacked frames.
     waiting = max((to_render for to_render, _ in left.values()), default=0)
     return int(pixels * (_PACKED * packed + _RAW * waiting))
 
@@ -39,7 +38,8 @@ def require_space(folder: Path, needed: int) -> None:
     if free < needed:
         raise InputError(
             f"the scene needs up to {_readable(needed)} more and the disk of {folder} has "
-            f"{_readable(free)} free: free some, choose another folder, or fewer or smaller frames"
+            f"{_readable(free)} free: free disk space, choose another folder, or render fewer or "
+            "smaller frames"
         )
 
 

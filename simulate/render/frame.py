@@ -1,4 +1,4 @@
-"""Steps of rendering a frame that need no Blender: rays, rolling shutter, labels and the file."""
+"""Steps of rendering a frame without Blender: rays, rolling shutter, labels and the file."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from simulate.camera.pinhole import PinholeCamera
 from simulate.place.world import World, class_lookup
 
 
-def late_by(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return the offset (3,), metres, by which Cycles exposes rows late: at the end of each row."""
+def exposure_offset(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
+    """Return the camera's offset (3,), metres, as Cycles exposes rows at the end of each row."""
     return 0.5 * travel / height
 
 
 def row_shift(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return the camera's offset (height, 3), metres, at every row from that at the middle row.
+    """Return the camera's offset (height, 3), metres, at each row relative to the middle row.
 
     The camera moves by ``travel`` (3,) metres while a picture is read out.
     """
@@ -38,13 +38,13 @@ def semantic_labels(
     shift: NDArray[np.float64],
     arrays: dict[str, NDArray[Any]],
 ) -> NDArray[np.uint8]:
-    """Return the class of the object, or of the ground, that each pixel's ray meets.
+    """Return the class of the object or ground at each pixel.
 
     Args:
         world: The place.
         rays: Rays x/z and y/z (H, W, 2) of the pixels, in camera coordinates.
         cam_from_world: Pose (4, 4) of the frame.
-        shift: How far (H, 3) in world metres the camera is from its pose at each row.
+        shift: Offset (H, 3) of the camera from its pose at each row, world metres.
         arrays: The layers "depth" (H, W) in metres and "instance" (H, W).
 
     Returns:
@@ -61,7 +61,7 @@ def semantic_labels(
 
 
 def save_layers(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write the layers of a frame under another name, then rename: ``path`` is always complete."""
+    """Write the layers of a frame atomically, so that ``path`` is always complete."""
     partial = path.with_suffix(".partial")
     with partial.open("wb") as file:
         np.savez(file, **arrays)

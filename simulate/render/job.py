@@ -1,4 +1,4 @@
-"""The messages to and from the rendering processes."""
+"""Messages between the main process and the rendering processes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class RenderJob(BaseModel):
     """The frames of one flight under one condition.
 
     - ``poses`` maps frame numbers to ``cam_from_world`` (4, 4), OpenCV axes, metres.
-    - ``samples`` is the number of paths per pixel before denoising, and ``denoising`` its quality.
-    - ``origin`` is the geodetic origin, from which the position of the sun follows.
-    - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.change_world``.
-    - ``prepared`` is the file of a surveyed place, which is read instead of built.
-    - ``lens`` is the camera of the photographs as ``str(Camera)``, when it is
-      not the pinhole ``camera``, which then covers its view.
-    - ``travel`` is how far the camera of a frame moves, in world metres, while its rows are read
-      out from top to bottom. Its pose is that of the middle of the picture.
+    - ``samples`` is the number of paths per pixel, and ``denoising`` the quality of the denoiser.
+    - ``origin`` is the geodetic origin, which determines the position of the sun.
+    - ``change`` and ``first_new_id`` are arguments of ``simulate.place.change.change_world``.
+    - ``prepared`` is the file of a site, which is read instead of building a place.
+    - ``lens`` is a camera with distortion as ``str(Camera)``. The pinhole ``camera`` covers its
+      view. None means that the photographs have the pinhole camera.
+    - ``travel`` is the displacement of the camera in world metres while a frame is read out from
+      top to bottom, by frame. The pose is that of the middle row.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -64,24 +64,24 @@ class RenderJob(BaseModel):
 
     @field_validator("poses")
     @classmethod
-    def _are_matrices(cls, poses: dict[int, list[list[float]]]) -> dict[int, list[list[float]]]:
+    def _check_poses(cls, poses: dict[int, list[list[float]]]) -> dict[int, list[list[float]]]:
         for frame, rows in poses.items():
             if [len(row) for row in rows] != [4, 4, 4, 4]:
                 raise ValueError(f"the pose of frame {frame} is not a 4 x 4 matrix")
         return poses
 
     @model_validator(mode="after")
-    def _rows_are_the_photographs(self) -> RenderJob:
+    def _check_rolling_shutter(self) -> RenderJob:
         if self.travel and self.lens is not None:
-            raise ValueError("rows of a lens's photograph are not those of the pinhole it is of")
+            raise ValueError("rolling shutter is not supported with lens distortion")
         return self
 
 
 class RenderChunk(BaseModel):
-    """The instructions of one Blender process: a job with its share of the poses.
+    """The task of one Blender process: a job with its share of the poses.
 
-    The process ends early, and another continues, once its memory has grown by ``may_grow_bytes``
-    since its first frame. It also ends when the process ``parent`` ends.
+    The process ends early when its memory has grown by ``may_grow_bytes`` since its first frame,
+    and another process continues. It also ends when the process ``parent`` ends.
     """
 
     model_config = ConfigDict(extra="forbid")

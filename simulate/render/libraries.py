@@ -1,6 +1,6 @@
-"""The system libraries that Blender's module needs and that no Python package contains.
+"""Check the system libraries that Blender's Python module needs.
 
-``python -m simulate.render.libraries`` checks them. As root with apt it installs missing ones, and
+``python -m simulate.render.libraries`` checks them. As root with apt it installs missing libraries;
 otherwise it prints the command that does.
 """
 

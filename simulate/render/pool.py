@@ -1,4 +1,4 @@
-"""Rendering of a flight: starts Blender processes, gives them frames and watches them."""
+"""Render a flight with a pool of Blender processes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,11 @@ from objconnect.scene.storage.scratch import scratch
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.job import FrameDone, RenderChunk, RenderJob, frame_path
+from simulate.render.libraries import PACKAGES
 
-_APT_PACKAGES = (
-    "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libxext6"
-)
-
-
-# A process ends after this many frames, which frees any memory that Blender leaks.
+# A process ends after this many frames, which frees memory that Blender leaks.
 FRAMES_PER_PROCESS = 200
-# It also ends when it takes this much more memory than after its first frame (bytes).
+# A process also ends when its memory has grown by this much since its first frame (bytes).
 _MAY_GROW_BYTES = 1_000_000_000
 
 
@@ -54,20 +50,20 @@ def render(
         job: the frames.
         out_dir: folder of the frames.
         jobs: number of processes.
-        on_frame: is called in this thread with the number of each finished frame.
+        on_frame: called in this thread with the number of each finished frame.
 
     Raises:
-        InputError: the preset or condition is unknown, or the sun does not rise at the origin that
-            day.
-        RenderError: a process died; the frames finished before remain.
+        InputError: the preset or condition is unknown, or the sun does not rise at the origin on
+            that day.
+        RenderError: a process failed; finished frames remain.
     """
-    with closing(rendering(job, out_dir, jobs)) as frames:
+    with closing(iterate_rendering(job, out_dir, jobs)) as frames:
         for frame in frames:
             if on_frame is not None:
                 on_frame(frame)
 
 
-def rendering(
+def iterate_rendering(
     job: RenderJob, out_dir: Path, jobs: int = 1, threads: int | None = None
 ) -> Generator[int, None, None]:
     """Render as ``render`` does, and yield the number of each finished frame.
@@ -107,7 +103,7 @@ def rendering(
             path.write_text(chunk.model_dump_json())
             return _Child(path)
 
-        yield from _work_off(shares, jobs, start, out_dir)
+        yield from _run(shares, jobs, start, out_dir)
 
 
 def _lens_rays(lens: str) -> NDArray[np.float64]:
@@ -134,8 +130,7 @@ class _Child:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                # Blender's temporary files are in this folder, because a killed process leaves
-                # them.
+                # A killed process leaves Blender's temporary files, which are in this folder.
                 env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(chunk.parent.resolve())},
             )
 
@@ -156,9 +151,9 @@ class _Child:
         if code == 0:
             return
         text = self._errors.read_text(errors="replace").strip()
-        last = text.splitlines()[-1] if text else "it said nothing"
+        last = text.splitlines()[-1] if text else "no error output"
         if "cannot open shared object file" in last:
-            last += f"; try: apt-get install {_APT_PACKAGES}"
+            last += f"; try: apt-get install {' '.join(PACKAGES.values())}"
         if "could not be saved" in last:
             last += ": the disk may be full"
         how = f"was killed by signal {-code}" if code < 0 else f"failed with exit code {code}"
@@ -171,15 +166,15 @@ class _Child:
         self.process.wait()
 
 
-def _work_off(
+def _run(
     shares: deque[list[int]],
     jobs: int,
     start: Callable[[list[int]], _Child],
     out_dir: Path,
 ) -> Iterator[int]:
-    """Run up to ``jobs`` processes, one per share, and yield the frames that they finish.
+    """Run up to ``jobs`` processes, one per share, and yield the finished frames.
 
-    Frames that a process leaves go to another process.
+    Remaining frames of a process that ends early go to another process.
 
     Raises:
         RenderError: a process failed.

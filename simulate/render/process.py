@@ -1,4 +1,4 @@
-"""Settings of a rendering process: when it ends, and the core on which it runs."""
+"""Control the lifetime and the CPU core of a rendering process."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with(parent: int) -> None:
-    """Ask the kernel to kill this process when the process ``parent`` ends for any reason.
+    """Make the kernel kill this process when the process ``parent`` ends.
 
-    Otherwise a killed run would leave processes that write the frames that the next run renders.
-    Only Linux offers this; on other systems nothing happens.
+    Otherwise the processes of a killed run would write the same frames as the next run. This works
+    only on Linux; on other systems it does nothing.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
-            sys.exit("the process that wanted these frames has ended")
+            sys.exit("the process that requested these frames has ended")
 
 
 def keep_to_one_core() -> None:
     """Bind this process to one core that no other rendering process uses.
 
-    With one thread, Blender starts a second one that polls for work. It would occupy a core and
-    slow down other renderers on the machine. On a single core it yields to the first. A core is
-    reserved by a name in the kernel that disappears with the process. Where no core is free, and on
-    systems other than Linux, nothing happens.
+    Blender with one thread starts a second one that polls for work and would occupy another core.
+    On a single core it yields to the first thread. A core is reserved by an abstract socket name,
+    which disappears with the process. Without a free core, and on systems other than Linux, the
+    process is not bound.
     """
     if sys.platform != "linux":
         return

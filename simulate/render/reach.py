@@ -1,4 +1,4 @@
-"""Which objects of a wide place can change the picture of a camera."""
+"""Find the objects of a place that can change the picture of a camera."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from simulate.camera.pinhole import PinholeCamera
 from simulate.place.world import WorldObject
 
 REACH_M = 200.0
-"""Light that an object throws farther out of the view than this is not looked for, metres."""
+"""Maximum distance (m) from the view at which reflected light of objects is considered."""
 
 
 class Reach:
-    """Finds the objects that a camera sees, or whose shadow or reflection may fall into its view.
+    """Finds the objects in a camera's view, or whose shadow or reflection may be in it.
 
     Args:
-        objects: of a world.
-        elevation: of the sun, degrees.
+        objects: objects of a world.
+        elevation: elevation of the sun, degrees.
     """
 
     def __init__(self, objects: Sequence[WorldObject], elevation: float) -> None:
@@ -31,12 +31,12 @@ class Reach:
     def __call__(
         self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
     ) -> NDArray[np.bool_]:
-        """Return which objects (N,) are needed.
+        """Return the mask (N,) of objects that a frame needs.
 
         Args:
-            camera: that looks.
-            cam_from_world: its pose (4, 4).
-            travel_m: metres that it moves while a picture is read out.
+            camera: the pinhole camera.
+            cam_from_world: pose (4, 4).
+            travel_m: displacement of the camera while the picture is read out, metres.
         """
         planes = np.array(
             [

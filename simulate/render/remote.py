@@ -1,4 +1,4 @@
-"""Rendering of a flight on a cluster: workers receive shares and send back finished files."""
+"""Render a flight on a cluster, whose workers return finished files."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from objconnect.scene.runtime.cluster import WorkerPool, split_work
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
-from simulate.render.pool import FRAMES_PER_PROCESS, rendering
+from simulate.render.pool import FRAMES_PER_PROCESS, iterate_rendering
 
-# With fewer frames in a share, building the place takes longer than rendering them.
-_WORTH_A_PROCESS = 8
+# With fewer frames, building the place takes longer than rendering.
+_MIN_FRAMES = 8
 
 
-def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+def render_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Render all frames of a job with one process and one thread, on a worker.
 
     Yields:
@@ -24,12 +24,12 @@ def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """
     with (
         scratch() as folder,
-        closing(rendering(share, folder, threads=1)) as frames,
+        closing(iterate_rendering(share, folder, threads=1)) as frames,
     ):
         for frame in frames:
             path = frame_path(folder, frame)
             yield frame, path.read_bytes()
-            path.write_bytes(b"")  # the file exists and takes no space
+            path.write_bytes(b"")  # marks the frame as finished without using disk space
 
 
 def render_remotely(
@@ -40,18 +40,18 @@ def render_remotely(
 ) -> None:
     """Render every frame of a job that does not exist yet, as ``pool.render`` does.
 
-    Only this process writes to ``out_dir``, so the workers need no shared folder.
+    Only this process writes to ``out_dir``, so workers need no shared folder.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
-    with closing(workers.map(divide(job, missing, workers.cores))) as files:
+    with closing(workers.map(split_job(job, missing, workers.cores))) as files:
         for frame, data in files:
             with atomic_write(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)
             on_frame(frame)
 
 
-def divide(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
-    """Yield shares of a job's frames for workers with ``cores`` cores."""
-    for share in split_work(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
+def split_job(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
+    """Yield shares of a job's frames for ``cores`` cores."""
+    for share in split_work(frames, cores, _MIN_FRAMES, FRAMES_PER_PROCESS):
         yield job.model_copy(update={"poses": {i: job.poses[i] for i in share}})

@@ -1,4 +1,4 @@
-"""A surveyed place from its rasters: surface, ground, classes, albedo, and where snow stays."""
+"""Build the place of a site from its rasters: surface, ground, classes, albedo and snow."""
 
 from __future__ import annotations
 
@@ -18,27 +18,34 @@ from simulate.look.ground import srgb
 from simulate.look.sun import sun_position
 from simulate.place.survey_files import make_ground
 from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
-from simulate.twin.albedo import even_walls, reflectance, soften_shadows
-from simulate.twin.classes import NAMES, classify, from_mask
-from simulate.twin.options import SiteConfig, digests
-from simulate.twin.photographs import Photograph, sample_colours
+from simulate.twin.albedo import blur_walls, estimate_albedo, soften_shadows
+from simulate.twin.classes import NAMES, apply_mask, classify
+from simulate.twin.options import SiteConfig, file_digests
+from simulate.twin.photographs import Photograph, sample_photographs
 from simulate.twin.report import SiteReport
-from simulate.twin.sampling import Cells, colours, heights, inner_square, labels, outer_square
-from simulate.twin.snow import snow_that_stays
+from simulate.twin.sampling import (
+    Cells,
+    inner_square,
+    outer_square,
+    sample_colours,
+    sample_heights,
+    sample_labels,
+)
+from simulate.twin.snow import snow_share
 from simulate.twin.source import Files, open_rasters
-from simulate.twin.terrain import close_holes, drop_islands, ground_below, steepness, sunlit
+from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below, uprightness
 
 Float = NDArray[np.float32]
 
-# Level of detail: the larger the place, the coarser are its texture and its surface.
+# Maximum sizes and minimum spacings of texture and surface; larger places are coarser.
 _MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
 _MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
-_SAID_HOLES = 0.005  # holes of a larger share are told
-_LOWEST_SUN = 3.0  # degrees; with a lower sun, nothing is known of the shade
+_NOTED_HOLES = 0.005  # a larger share of holes gets a note
+_LOWEST_SUN = 3.0  # minimum elevation (deg) of the sun to locate shadows
 
 
 class _Grids(NamedTuple):
-    """The two grids on which a place is known: of the surface's nodes, and of the texture."""
+    """The grids of a place: nodes of the surface, and texels of the texture."""
 
     nodes: Cells
     texels: Cells
@@ -53,16 +60,18 @@ def build_site(
     Args:
         site: Its files.
         area_m: Side of the place, metres.
-        origin: Origin of its world, in its middle.
-        seed: Seed of snow and puddles.
+        origin: Origin of its world, at its centre.
+        seed: Random seed of snow and puddles.
         beside: Folder beside which temporary files are written.
 
     Raises:
         InputError: A file cannot be used or has changed, rasters do not overlap, or too much of the
             place has no data.
     """
-    if digests(site.model_dump()) != site.sha256:
-        raise InputError("a file of the site is no longer the scene's: restore it")
+    if file_digests(site.model_dump()) != site.sha256:
+        raise InputError(
+            "a file of the site has changed since the scene was configured: restore it"
+        )
     with open_rasters(site, beside) as files:
         return _build(site, files, area_m, origin, seed)
 
@@ -71,39 +80,41 @@ def _build(
     site: SiteConfig, files: Files, area_m: float, origin: Geodetic, seed: int
 ) -> tuple[World, SiteReport]:
     grids = _grids(files, area_m, origin)
-    surface = heights(files.heights, origin, grids.nodes, site.undulation)
+    surface = sample_heights(files.heights, origin, grids.nodes, site.undulation)
     surface = drop_islands(surface, grids.nodes.spacing_m)
-    rgb = colours(files.colours, origin, grids.texels)
+    rgb = sample_colours(files.colours, origin, grids.texels)
     n, texel_m = len(rgb), grids.texels.spacing_m
-    flat = _holes(surface, grids.nodes, grids.margin_m, site.most_closed, "surface model")
+    unknown_share = _check_holes(
+        surface, grids.nodes, grids.margin_m, site.most_closed, "surface model"
+    )
     surface, closed = close_holes(surface, grids.nodes.spacing_m)
-    fine = _finer(surface, n)
+    fine = _interpolate(surface, n)
     rgb = _paint(rgb, fine, grids.texels, files.photographs)
-    holes = _holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
+    holes = _check_holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
     rgb, _ = close_holes(rgb, texel_m)
     bare = ground_below(surface, grids.nodes.spacing_m)
-    unknown = _finer(closed.astype(np.float32), n) > 0.5
-    found = classify(rgb, fine, _finer(bare, n), texel_m, unknown)
+    unknown = _interpolate(closed.astype(np.float32), n) > 0.5
+    classes = classify(rgb, fine, _interpolate(bare, n), texel_m, unknown)
     if site.classes is not None:
-        mask = labels(Raster.open(site.classes, "class mask"), origin, grids.texels)
-        found = from_mask(mask, found)
+        mask = sample_labels(Raster.open(site.classes, "class mask"), origin, grids.texels)
+        classes = apply_mask(mask, classes)
     report = SiteReport(
         texel_m=round(texel_m, 4),
         spacing_m=round(grids.nodes.spacing_m, 4),
         margin_m=round(grids.margin_m, 2),
-        closed=round(flat, 4),
+        closed=round(unknown_share, 4),
         holes=round(holes, 4),
-        classes={name: round(float((found == k).mean()), 4) for k, name in NAMES.items()},
+        classes={name: round(float((classes == k).mean()), 4) for k, name in NAMES.items()},
     )
-    albedo, report = _albedo(site, files, origin, (rgb, fine, found), report)
-    above = fine - _finer(bare, n)
-    snow = snow_that_stays(surface, grids.nodes.spacing_m, found, above, albedo, texel_m)
+    albedo, report = _albedo(site, files, origin, (rgb, fine, classes), report)
+    above = fine - _interpolate(bare, n)
+    snow = snow_share(surface, grids.nodes.spacing_m, classes, above, albedo, texel_m)
     world = World(
         seed=seed,
         area_m=float(area_m),
         terrain=Heightfield(surface.astype(float), grids.nodes.spacing_m),
         roads=(),
-        ground=make_ground(found, texel_m),
+        ground=make_ground(classes, texel_m),
         objects=(),
         imagery=Imagery(srgb(albedo), np.rint(255 * snow).astype(np.uint8), site.season),
         bare=Heightfield(bare.astype(float), grids.nodes.spacing_m),
@@ -114,7 +125,7 @@ def _build(
 
 
 def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
-    """Choose the grids of a place and of as much of what is around it as is known."""
+    """Choose the grids of a place, with a margin around it where the rasters have data."""
     rasters = (files.colours, files.heights)
     known_m = inner_square(rasters, origin)
     if known_m <= 0:
@@ -123,7 +134,7 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
             f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give others, or "
             "leave the origin out"
         )
-    if files.photographs:  # what lies around is painted as far as they show it
+    if files.photographs:  # photographs colour the surroundings as far as they show them
         known_m = outer_square(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
     half_m = 0.5 * area_m + margin_m
@@ -140,45 +151,44 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
 
 
 def _level(raster: Raster, origin: Geodetic) -> float:
-    """Return the rough height of the surface above the origin, metres; heights are near enough."""
+    """Return the approximate height of the surface above the origin, metres."""
     box = raster.grid.box
     coarse = raster.patch(box, raster.grid.longest_m / 32).values
     known = coarse[np.isfinite(coarse)]
     return float(np.median(known)) - origin.altitude if known.size else 0.0
 
 
-def _holes(values: Float, cells: Cells, margin_m: float, most: float, what: str) -> float:
-    """Return the share of the place itself that has no data in a raster.
+def _check_holes(values: Float, cells: Cells, margin_m: float, most: float, what: str) -> float:
+    """Return the share of the place without data in a raster, not counting the margin.
 
     Raises:
-        InputError: It is larger than ``most``.
+        InputError: The share is larger than ``most``.
     """
     inside = np.abs(cells.axis) <= -cells.axis[0] - margin_m
     share = float((~np.isfinite(values[np.ix_(inside, inside)])).mean())
     if share > most:
         raise InputError(
             f"{100 * share:.0f} % of the place have no data in the {what}, at most "
-            f"{100 * most:.0f} % can be closed: choose a smaller --area, or photograph more of it"
+            f"{100 * most:.0f} % are allowed: choose a smaller --area, or photograph more of it"
         )
     return share
 
 
 def _paint(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photograph]) -> Float:
-    """Return the colours (n, n, 3) with those that photographs show where there were none.
+    """Fill holes of the colours (n, n, 3) from photographs.
 
-    The heights (n, n) of the surface are closed there, so that what stands in such a hole lies
-    flat, with its colours.
+    The surface (n, n) is interpolated in such holes, so that objects appear flat there.
     """
     rows, columns = np.nonzero(~np.isfinite(rgb[..., 0]))
     if not photographs or not len(rows):
         return rgb
     x, y, z = cells.axis[columns], cells.axis[rows], fine[rows, columns]
     painted = rgb.copy()
-    painted[rows, columns] = sample_colours(photographs, np.stack([x, y, z], -1).astype(float))
+    painted[rows, columns] = sample_photographs(photographs, np.stack([x, y, z], -1).astype(float))
     return painted
 
 
-def _finer(values: Float, n: int) -> Float:
+def _interpolate(values: Float, n: int) -> Float:
     """Interpolate values at nodes (m, m) to the texels (n, n) between them."""
     m = len(values)
     at = ((np.arange(n, dtype=np.float32) + 0.5) / n * (m - 1)).astype(np.float32)
@@ -193,39 +203,37 @@ def _albedo(
     place: tuple[Float, Float, NDArray[np.uint8]],
     report: SiteReport,
 ) -> tuple[Float, SiteReport]:
-    """Return the albedo of a place of colours, heights and labels, with its shadows softened."""
-    rgb, surface, found = place
-    albedo = reflectance(rgb, condition(f"{site.season}-noon", origin), site.albedo)
-    albedo = even_walls(albedo, steepness(surface, report.texel_m), report.texel_m)
+    """Return the albedo of a place (colours, heights, classes) with softened shadows."""
+    rgb, surface, classes = place
+    albedo = estimate_albedo(rgb, condition(f"{site.season}-noon", origin), site.albedo)
+    albedo = blur_walls(albedo, uprightness(surface, report.texel_m), report.texel_m)
     if files.taken is None:
         return albedo, report
     sun = sun_position(files.taken, origin)
     if sun.elevation < _LOWEST_SUN:
         return albedo, report
-    lit = sunlit(surface, report.texel_m, sun.azimuth, sun.elevation)
-    albedo, gain = soften_shadows(albedo, found, lit, report.texel_m)
-    said = {
+    lit = find_sunlit(surface, report.texel_m, sun.azimuth, sun.elevation)
+    albedo, gain = soften_shadows(albedo, classes, lit, report.texel_m)
+    shadows = {
         "sun": (round(sun.azimuth, 2), round(sun.elevation, 2)),
         "shade": round(1 - float(lit.mean()), 4),
         "gain": round(gain, 3),
     }
-    return albedo, report.model_copy(update=said)
+    return albedo, report.model_copy(update=shadows)
 
 
 def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
     notes = list(files.notes)
-    if report.closed > _SAID_HOLES:
+    if report.closed > _NOTED_HOLES:
         notes.append(
-            f"closed: {100 * report.closed:.1f} % of the place had no height and got that of their "
-            "neighbours"
+            f"closed: {100 * report.closed:.1f} % of the place had no height and were interpolated"
         )
-    if report.holes > _SAID_HOLES:
+    if report.holes > _NOTED_HOLES:
         notes.append(
-            f"holes: {100 * report.holes:.1f} % of the place had no colours and were closed "
-            "from around"
+            f"holes: {100 * report.holes:.1f} % of the place had no colours and were interpolated"
         )
     if report.sun is None:
         notes.append(
-            "shadows of the orthophoto remain: say by --taken when its photographs were taken"
+            "shadows of the orthophoto remain: give the time of its photographs by --taken"
         )
     return tuple(notes)

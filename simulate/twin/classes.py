@@ -1,4 +1,4 @@
-"""Classes of a site's surface, from its colours, its height above the ground and its roughness."""
+"""Classify a site's surface by colour, height above the ground and roughness."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ LOW, PAVED, WATER, ROOF, CROWN = (
 )
 NAMES: Final = {LOW: "low vegetation", PAVED: "ground", WATER: "water", ROOF: "roof", CROWN: "tree"}
 
-_HIGH_M = 1.8  # above the ground: what stands this high is a building or a tree
+_HIGH_M = 1.8  # minimum height of buildings and trees above the ground
 _GREEN = 0.035  # excess of green over red and blue, as a share of their sum
 _SCALE_M = 0.6  # colours and heights are compared over this distance
-# A crown deviates from a plane by at least the first (m), and by the second where it is but faintly
-# green, as dry or brown leaves are.
+# Minimum deviation (m) of a crown from a plane if it is green, and if it is faintly green, like dry
+# leaves.
 _PLANE_M, _ROUGH_M, _FAINT = 0.2, 0.5, 0.015
-_GRAINY = 0.25  # leaves with their shadows; lawns have 0.1 to 0.15
-_LEVEL = 0.06  # slope of water
-_DARK = 0.34  # brightest water, of 1
-_CALM = 0.045  # deviation of the brightness of water
-_LEAST_WATER_M2, _LEAST_M2 = 120.0, 6.0  # smaller patches belong to what is around them
+_GRAINY = 0.25  # minimum grain of leaves with their shadows; lawns have 0.1 to 0.15
+_LEVEL = 0.06  # maximum slope of water
+_DARK = 0.34  # maximum brightness of water, 0 to 1
+_CALM = 0.045  # maximum deviation of the brightness of water
+_LEAST_WATER_M2, _LEAST_M2 = 120.0, 6.0  # smaller patches are dropped
 _NARROWEST_WATER_M = 2.5
 
 
 def classify(
     rgb: Float, surface: Float, ground: Float, cell_m: float, closed: Mask | None = None
 ) -> Labels:
-    """Tell water, vegetation, ground, roofs and crowns apart.
+    """Classify water, low vegetation, ground, roofs and crowns.
 
-    Where heights are not known, crowns are what is greenish and has the grain of leaves.
+    Where heights are unknown, crowns are recognised by a greenish colour and the grain of leaves.
 
     Args:
         rgb: colours (n, n, 3) in 0..255.
         surface: heights (n, n), metres.
         ground: heights of the ground (n, n), metres.
         cell_m: side of a cell, metres.
-        closed: where heights are not known, (n, n).
+        closed: mask (n, n) of unknown heights.
 
     Returns:
         Labels (n, n) of ``objconnect.scene.bundle.labels.CLASSES``.
@@ -70,30 +70,30 @@ def classify(
     return labels
 
 
-def from_mask(mask: Labels, found: Labels) -> Labels:
-    """Return the classes of a given mask, and those that were found where it is 0.
+def apply_mask(mask: Labels, classified: Labels) -> Labels:
+    """Return the classes of a mask, and the classified ones where it is 0.
 
     Raises:
         InputError: The mask has other values.
     """
-    strange = set(np.unique(mask).tolist()) - {0, *NAMES}
-    if strange:
+    invalid = set(np.unique(mask).tolist()) - {0, *NAMES}
+    if invalid:
         raise InputError(
-            f"the mask of classes has the value {min(strange)}: use 1 (low vegetation), 4 "
-            "(ground), 8 (water), 16 (building), 17 (tree), and 0 where it is not known"
+            f"the mask of classes has the value {min(invalid)}: use 1 (low vegetation), 4 "
+            "(ground), 8 (water), 16 (building), 17 (tree), and 0 where unknown"
         )
-    return np.where(mask > 0, mask, found).astype(np.uint8)
+    return np.where(mask > 0, mask, classified).astype(np.uint8)
 
 
 def _excess_green(rgb: Float) -> Float:
-    """Return how far green exceeds the mean of red and blue, as a share of their sum, (n, n)."""
+    """Return the excess of green over the mean of red and blue, relative to their sum, (n, n)."""
     red, green, blue = np.moveaxis(rgb, -1, 0)
     total = np.maximum(red + green + blue, np.float32(0.05))
     return np.asarray((2 * green - red - blue) / total, np.float32)
 
 
 def _grain(rgb: Float, cell_m: float) -> Float:
-    """Return how far brightness deviates within a metre, as a share of it, (n, n)."""
+    """Return the relative standard deviation of brightness within a metre, (n, n)."""
     value = rgb.mean(-1)
     sigma = 1.0 / cell_m
     mean = cv2.GaussianBlur(value, (0, 0), sigma)
@@ -102,7 +102,7 @@ def _grain(rgb: Float, cell_m: float) -> Float:
 
 
 def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float) -> Mask:
-    """Return what is dark, calm, level and wide, and not green, (n, n)."""
+    """Return the mask (n, n) of water: dark, bluish, smooth, level and wide."""
     value = rgb.mean(-1) / np.float32(255)
     sigma = 1.5 / cell_m
     mean = cv2.GaussianBlur(value, (0, 0), sigma)
@@ -117,7 +117,7 @@ def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     sure = (like & calm & level & (mean < _DARK)).astype(np.uint8)
     wide = _patches(cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m)
-    # Along the shore it is neither calm nor level within the distance of the comparison.
+    # The shore fails the tests of smoothness and level within their radius.
     shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
     return np.asarray(wide | (like & (shore > 0)))
 
@@ -131,7 +131,7 @@ def _patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
 
 
 def _roughness(above: Float, high: Mask, cell_m: float) -> Float:
-    """Return how far heights are from a plane around them, (n, n) metres, 0 outside of ``high``.
+    """Return the deviation of heights from a local plane, (n, n) metres, 0 outside of ``high``.
 
     Only heights of ``high`` count, so that the edge of a flat roof is not rough.
     """
@@ -142,13 +142,13 @@ def _roughness(above: Float, high: Mask, cell_m: float) -> Float:
         total = cv2.GaussianBlur(values * weight, (0, 0), sigma)
         return np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3))
 
-    # A plane survives two means: its first differs from it at the edge as much as its second.
+    # The mean is biased at edges; the same mean of the difference tolerates that for planes.
     once = mean(above)
     return np.asarray(mean(np.abs(above - once)) * weight)
 
 
 def _majority(mask: Mask, among: Mask, cell_m: float) -> Mask:
-    """Return what most of the cells of ``among`` within some metres are, (n, n)."""
+    """Return where most cells of ``among`` within some metres are in ``mask``, (n, n)."""
     sigma = 1.2 / cell_m
     weight = cv2.GaussianBlur(among.astype(np.float32), (0, 0), sigma)
     share = cv2.GaussianBlur((mask & among).astype(np.float32), (0, 0), sigma)

@@ -1,6 +1,6 @@
-"""The photographs of a site's map: how many of them see a point, and the colour that it has there.
+"""Coverage and colours of points by the photographs of a site's map.
 
-Nothing hides a point here: on a site without exact heights nobody knows what does.
+Occlusion is not tested, because a site has no exact heights.
 """
 
 from __future__ import annotations
@@ -21,21 +21,14 @@ from objconnect.scene.storage.images import read_rgb
 Array = NDArray[np.float64]
 
 _AT_ONCE: Final = 1 << 20  # points that are projected at once
-# A surface needs two photographs to have a height. A square is photographed when all but this share
-# of it was seen by two.
+# Minimum number of photographs for a height, and maximum share of a covered square that has fewer.
 _FEWEST_VIEWS: Final = 2
 _UNSEEN: Final = 0.05
-_COARSE: Final = 256  # cells a side of the square in which views are counted
+_COARSE: Final = 256  # side of the grid on which views are counted
 
 
 class Photograph(NamedTuple):
-    """A photograph of the map.
-
-    Attributes:
-        path: its file.
-        camera: with its lens.
-        cam_from_world: (4, 4).
-    """
+    """A photograph of the map, with its pose ``cam_from_world`` (4, 4)."""
 
     path: Path
     camera: Camera
@@ -43,11 +36,11 @@ class Photograph(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Return where it was taken, (3,) metres."""
+        """Return the camera centre, (3,) metres."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
-    def sees(self, points: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return pixels (N, 2) of world points (N, 3), and which of them lie in the picture."""
+    def project(self, points: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Project world points (N, 3) to pixels (N, 2), and return which lie in the picture."""
         import torch
 
         pixels, seen = [], []
@@ -79,20 +72,20 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
     """Return the side of the largest square around the origin that two photographs see.
 
     Args:
-        photographs: Those of the map.
-        height: Of the level ground, metres above the origin.
-        most_m: Largest side, metres.
+        photographs: The photographs of the map.
+        height: Height of the ground, metres above the origin.
+        most_m: Maximum side, metres.
 
     Returns:
-        Metres; 0 where the origin itself was not photographed.
+        The side in metres; 0 where the origin was not photographed.
     """
     axis = (np.arange(_COARSE) + 0.5) / _COARSE - 0.5
     x, y = (most_m * grid.ravel() for grid in np.meshgrid(axis, axis))
     ground = np.stack([x, y, np.full(len(x), height)], -1)
     views = np.zeros(len(ground), int)
     for photograph in photographs:
-        views += photograph.sees(ground)[1]
-    # The square that a point lies on, as the side that it has; sorted from the middle outwards.
+        views += photograph.project(ground)[1]
+    # Side of the square on whose edge each point lies, sorted from the centre outwards.
     sides = 2 * np.maximum(abs(x), abs(y))
     order = np.argsort(sides, kind="stable")
     unseen = np.cumsum(views[order] < _FEWEST_VIEWS) / np.arange(1, len(order) + 1)
@@ -100,11 +93,11 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
     return float(sides[order][good[-1]]) if len(good) else 0.0
 
 
-def sample_colours(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
-    """Return the colours of world points in the photograph that looks at each most from above.
+def sample_photographs(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
+    """Return the colours of world points in the photograph with the steepest view of each.
 
     Args:
-        photographs: Those of the map.
+        photographs: The photographs of the map.
         points: (N, 3) metres.
 
     Returns:
@@ -117,25 +110,25 @@ def sample_colours(photographs: Sequence[Photograph], points: Array) -> NDArray[
     best = np.zeros(len(points))
     with progress_bar("colours of photographs", len(photographs)) as advance:
         for count, photograph in enumerate(photographs, 1):
-            pixels, seen = photograph.sees(points)
+            pixels, seen = photograph.project(points)
             ray = points - photograph.centre
             down = -ray[:, 2] / np.linalg.norm(ray, axis=1)
             better = np.nonzero(seen & (down > best))[0]
             if len(better):
                 rgb = read_rgb(photograph.path, photograph.camera)
                 best[better] = down[better]
-                colours[better] = _at(rgb, pixels[better])
+                colours[better] = _interpolate(rgb, pixels[better])
             advance(count)
     return colours
 
 
-def _at(rgb: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Interpolate a picture (H, W, 3) at pixels (N, 2), whose centres lie at halves."""
-    found = []
-    for k in range(0, len(pixels), 1 << 14):  # OpenCV's pictures have at most 2^15 rows
+def _interpolate(rgb: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate a picture (H, W, 3) at COLMAP pixels (N, 2)."""
+    parts = []
+    for k in range(0, len(pixels), 1 << 14):  # OpenCV accepts at most 2^15 rows
         x, y = (pixels[k : k + (1 << 14)] - 0.5).T
         at = cv2.remap(
             rgb, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-        found.append(at.reshape(-1, 3))
-    return np.asarray(np.concatenate(found), np.float32)
+        parts.append(at.reshape(-1, 3))
+    return np.asarray(np.concatenate(parts), np.float32)

@@ -1,4 +1,4 @@
-"""What was found of a site: ``site/report.json`` of a scene."""
+"""The report of a site, ``site/report.json`` of a scene."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ PLACE: Final = "site/place.npz"
 
 
 class SiteReport(BaseModel):
-    """What a twin was made of, and what has to be known of it.
+    """Figures of a site, and notes for the user.
 
     Attributes:
         texel_m: side of a pixel of the texture, metres.
         spacing_m: distance between the nodes of the surface, metres.
-        margin_m: width of the strip around the place that is known, too, metres.
-        closed: share of the place that had no height and got that of its neighbours.
-        holes: share of the place that had no colours and got those around.
+        margin_m: width of the margin around the place with data, metres.
+        closed: share of the place without heights, which were interpolated.
+        holes: share of the place without colours, which were interpolated.
         classes: share of the place by class.
-        sun: azimuth and elevation of the sun in the orthophoto, degrees; None where not known.
-        shade: share of the place that lay in the shade then.
-        gain: mean factor by which the shade was brightened.
-        notes: one line for each thing that a user has to know.
+        sun: azimuth and elevation of the sun in the orthophoto, degrees; None if unknown.
+        shade: share of the place in the shade.
+        gain: mean gain of shadows.
+        notes: remarks for the user, a line each.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -1,9 +1,8 @@
-"""Rasters of a coordinate reference system, sampled on a square grid of the world.
+"""Sample rasters of a coordinate reference system on a square grid of the world.
 
 The grid is centred on the world's origin, with rows from south to north. The world is
-east-north-up, so it is turned against the raster by the convergence of the meridians, and the earth
-curves away from its plane (``geo.local``). Between pixels, values are interpolated at steps
-of 1/32 of a pixel.
+east-north-up, so it is rotated against the raster by the meridian convergence, and its plane leaves
+the curved earth (``geo.local_coordinates``). Values are interpolated at steps of 1/32 pixel.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 Array = NDArray[np.float64]
 Float = NDArray[np.float32]
 
-_ROWS = 256  # rows of the grid whose places are computed at once
+_ROWS = 256  # rows of the grid that are computed at once
 _MARGIN = 3.0  # pixels of the raster around the grid
 
 
@@ -31,7 +30,7 @@ class Cells(NamedTuple):
 
     Attributes:
         axis: positions (n,), metres from the origin.
-        height: rough height of the surface above the origin, metres.
+        height: approximate height of the surface above the origin, metres.
     """
 
     axis: Array
@@ -43,37 +42,37 @@ class Cells(NamedTuple):
         return float(self.axis[1] - self.axis[0])
 
 
-def colours(raster: Raster, origin: Geodetic, cells: Cells) -> Float:
+def sample_colours(raster: Raster, origin: Geodetic, cells: Cells) -> Float:
     """Return the colours of an orthophoto at a grid, (n, n, 3) in 0..255, NaN where unknown."""
     patch, local = _around(raster, origin, cells)
     bands = np.ascontiguousarray(np.moveaxis(patch.values, 0, -1))
     parts = [
         cv2.remap(bands, x, y, cv2.INTER_LINEAR, borderValue=(np.nan,) * 4)
-        for x, y, _ in _places(patch, local, cells)
+        for x, y, _ in _pixels(patch, local, cells)
     ]
-    found = np.concatenate(parts).reshape(len(cells.axis), len(cells.axis), -1)
-    return np.asarray(np.broadcast_to(found, (*found.shape[:2], 3)), np.float32)
+    sampled = np.concatenate(parts).reshape(len(cells.axis), len(cells.axis), -1)
+    return np.asarray(np.broadcast_to(sampled, (*sampled.shape[:2], 3)), np.float32)
 
 
-def heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: float) -> Float:
-    """Return the world's height of a surface model at a grid, (n, n) metres, NaN where unknown."""
+def sample_heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: float) -> Float:
+    """Return the heights of a surface model at a grid, (n, n) world metres, NaN where unknown."""
     patch, local = _around(raster, origin, cells)
-    # Heights far from zero would lose millimetres between float32 numbers.
+    # The mean is subtracted, because float32 loses millimetres far from zero.
     known = np.isfinite(patch.values)
     zero = float(patch.values[known].mean()) if known.any() else 0.0
     values = np.ascontiguousarray(patch.values[0] - np.float32(zero))
     parts = []
-    for x, y, plane in _places(patch, local, cells):
+    for x, y, plane in _pixels(patch, local, cells):
         above = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderValue=np.nan)
         parts.append(cells.height + above + (zero + undulation - plane))
     return np.asarray(np.concatenate(parts), np.float32)
 
 
-def labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
-    """Return the values of a mask at a grid, (n, n), those of the nearest pixels; 0 beyond it."""
+def sample_labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
+    """Return the nearest values of a mask at a grid, (n, n); 0 beyond the mask."""
     patch, local = _around(raster, origin, cells, means=False)
     values = np.nan_to_num(patch.values[0])
-    parts = [cv2.remap(values, x, y, cv2.INTER_NEAREST) for x, y, _ in _places(patch, local, cells)]
+    parts = [cv2.remap(values, x, y, cv2.INTER_NEAREST) for x, y, _ in _pixels(patch, local, cells)]
     return np.asarray(np.concatenate(parts), np.uint8)
 
 
@@ -86,7 +85,7 @@ def inner_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
 
 
 def outer_square(raster: Raster, origin: Geodetic) -> float:
-    """Return the half side, metres, of the square around an origin that reaches a far edge."""
+    """Return the half side, metres, of the square around an origin that reaches the far edge."""
     return float(_reach(raster, origin).max())
 
 
@@ -108,7 +107,7 @@ def _reach(raster: Raster, origin: Geodetic) -> Array:
 def _around(
     raster: Raster, origin: Geodetic, cells: Cells, means: bool = True
 ) -> tuple[Patch, LocalProjection]:
-    """Return the pixels of a raster around a grid, and the way from the world to them."""
+    """Return the patch of a raster around a grid, and the projection from the world to it."""
     reach = float(cells.axis[-1])
     corner = np.array([reach, reach, 50.0])
     middle = np.array([0.0, 0.0, cells.height])
@@ -122,10 +121,10 @@ def _around(
     return raster.patch(box, cells.spacing_m if means else 0.0), local
 
 
-def _places(
+def _pixels(
     patch: Patch, local: LocalProjection, cells: Cells
 ) -> Iterator[tuple[Float, Float, Array]]:
-    """Yield OpenCV's columns and rows of some rows of the grid, and the height of its plane."""
+    """Yield OpenCV's columns and rows of strips of the grid, and the height of its plane there."""
     for first in range(0, len(cells.axis), _ROWS):
         east, north = np.meshgrid(cells.axis, cells.axis[first : first + _ROWS])
         at = local.coordinates(np.stack([east, north, np.full_like(east, cells.height)], -1))

@@ -1,4 +1,4 @@
-"""Where snow lies on a site: by slope, by shelter, and by what people clear."""
+"""Model where snow lies on a site: by slope, shelter, and clearing of paved ground."""
 
 from __future__ import annotations
 
@@ -12,57 +12,57 @@ Float = NDArray[np.float32]
 Labels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # how far and how high what keeps snow off stands
+_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # distance and full height of sheltering walls
 _SHELTERED = 0.08  # share of the snow that a high wall keeps off
-_SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals on which no snow lies, and all
-# Sides lower than this hold most of their snow: hedges, banks, noise of the surface model.
+_SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals without snow, and with all snow
+# Sides lower than this keep most of their snow: hedges, banks, noise of the surface model.
 _LOW_SIDE_M, _ON_LOW_SIDES = 1.2, 0.7
-# Share of the snow that stays by class. Crowns are specked with it on all sides.
+# Share of the snow that stays, by class. Crowns are speckled on all sides.
 _KEPT = {LOW: 1.0, ROOF: 1.0, CROWN: 0.42, WATER: 0.0}
-# Share that stays on paved ground: wheels clear roads, lots keep some, and what is narrow or light
-# (paths, pavements, yards of gravel) is walked on more than driven on.
+# Share that stays on paved ground: traffic clears roads and partly car parks; narrow or light
+# ground (paths, pavements, gravel yards) is mostly walked on.
 _ON_ROADS, _ON_LOTS, _ON_PATHS = 0.12, 0.4, 0.5
-_PATH_M, _LOT_M = 4.0, 14.0  # widths: paths are narrower than the first, lots wider than the second
-_LIGHT, _TOO_LIGHT = 1.8, 3.3  # times the albedo of roads; lighter still are their markings
-_PAINT_M = 0.7  # albedo is compared over this distance, so that lines of paint do not count
-_RIM_M = 2.0  # edges of roofs, which look rough and dark, are taken for crowns so far
-_STANDS_M, _ON_THINGS = 0.6, 0.9  # cars and other things keep their snow on cleared ground
-_SPLASH_M = 0.5  # wheels throw snow to the edges so far
+_PATH_M, _LOT_M = 4.0, 14.0  # maximum width of paths, minimum width of car parks
+_LIGHT, _TOO_LIGHT = 1.8, 3.3  # range of light ground's albedo over that of roads, below markings
+_PAINT_M = 0.7  # blur of the albedo, against painted lines
+_RIM_M = 2.0  # minimum width of crowns; narrower ones are misclassified edges of roofs
+_STANDS_M, _ON_THINGS = 0.6, 0.9  # minimum height of cars and other objects, which keep their snow
+_SPLASH_M = 0.5  # distance over which wheels throw snow to the edges
 
 
-def snow_that_stays(
-    surface: Float, spacing_m: float, found: Labels, above: Float, albedo: Float, texel_m: float
+def snow_share(
+    surface: Float, spacing_m: float, classes: Labels, above: Float, albedo: Float, texel_m: float
 ) -> Float:
     """Return the share of the snow that stays on each texel, (n, n).
 
     Args:
         surface: Heights at the nodes (m, m), metres.
         spacing_m: Distance between nodes, metres.
-        found: Classes (n, n).
+        classes: Classes (n, n).
         above: Height above the ground (n, n), metres.
         albedo: Linear colours (n, n, 3).
         texel_m: Side of a texel, metres.
     """
-    lies = where_snow_lies(surface, spacing_m, len(found))
+    lies = snow_by_slope(surface, spacing_m, len(classes))
     kept = np.zeros(256, np.float32)
     kept[list(_KEPT)] = list(_KEPT.values())
-    share = np.asarray(kept[found])
-    paved = found == PAVED
+    share = np.asarray(kept[classes])
+    paved = classes == PAVED
     share[paved] = _snow_on_pavement(paved, albedo, texel_m)[paved]
     share = cv2.GaussianBlur(share, (0, 0), _SPLASH_M / texel_m)
-    share[found == WATER] = 0.0
+    share[classes == WATER] = 0.0
     share[paved & (above > _STANDS_M)] = _ON_THINGS
-    crown = _open_mask(found == CROWN, _RIM_M, texel_m)  # what is thinner is the rim of a wall
+    crown = _open_mask(classes == CROWN, _RIM_M, texel_m)
     share[crown] = _KEPT[CROWN]
     return np.asarray(share * np.where(crown, np.float32(1), lies), np.float32)
 
 
-def where_snow_lies(surface: Float, spacing_m: float, n: int) -> Float:
-    """Return the share of the snow that lies on the n x n texels of a surface of nodes (m, m).
+def snow_by_slope(surface: Float, spacing_m: float, n: int) -> Float:
+    """Return the share of snow by slope and shelter on (n, n) texels of a surface (m, m).
 
-    Nothing lies on walls, and a little less beside what stands much higher.
+    No snow lies on walls, and a little less beside high walls.
     """
-    # Slopes of the cells between nodes: those at nodes would bare the ground beside walls.
+    # Slopes of the cells between nodes, because slopes at nodes affect the ground beside walls.
     east = 0.5 * (np.diff(surface[1:], axis=1) + np.diff(surface[:-1], axis=1)) / spacing_m
     north = 0.5 * (np.diff(surface[:, 1:], axis=0) + np.diff(surface[:, :-1], axis=0)) / spacing_m
     up = 1 / np.sqrt(1 + east**2 + north**2)
@@ -92,7 +92,7 @@ def _snow_on_pavement(paved: Mask, albedo: Float, texel_m: float) -> Float:
 
 
 def _open_mask(mask: Mask, width_m: float, texel_m: float) -> Mask:
-    """Return the parts of a mask (n, n) that a disc of this diameter fits into."""
+    """Return the parts of a mask (n, n) into which a disc of this diameter fits."""
     radius = 0.5 * width_m / texel_m
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > radius
     reach = (

@@ -1,4 +1,4 @@
-"""Where a site comes from: two GeoTIFFs, or a scene whose photographs are fused to such files."""
+"""Open the source of a site: two GeoTIFFs, or a scene that is fused to such files."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from simulate.twin.options import LEAST_SITE_M, SiteConfig
 from simulate.twin.photographs import Photograph, covered_square, map_photographs
 from simulate.twin.sampling import inner_square
 
-_FEWEST = 8  # photographs that show a site
-# Photographs lie on one line when they leave it by less than this share of its length.
+_FEWEST = 8  # minimum number of photographs of a site
+# Photographs lie on one line if they deviate from it by less than this share of its length.
 _THIN = 0.12
-_COARSE = 64  # cells a side of the surface model whose median is the height of the ground
+_COARSE = 64  # side of the coarse grid whose median is the height of the ground
 _MOST_M = 2000.0
 
 
 class Files(NamedTuple):
-    """What a site is made of.
+    """The rasters of a site.
 
     Attributes:
         colours: orthophoto.
         heights: surface model.
-        taken: the time they show, where it is known.
-        photographs: those of the map, where the site is a scene.
-        notes: what is to be said of them.
+        taken: time of the photographs, if known.
+        photographs: map photographs, if the site is a scene.
+        notes: remarks for the user.
     """
 
     colours: Raster
@@ -67,7 +67,7 @@ def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
         yield Files(colours, heights, site.taken, notes=notes)
         return
     scene = Scene.open(site.scene)
-    notes, taken = _survey_credit(scene)
+    notes, taken = _check_photographs(scene)
     with scratch(beside) as folder:
         sessions = {name: scene.frames(name) for name in scene.sessions}
         ortho.write(scene, sessions, folder, folder)
@@ -77,15 +77,15 @@ def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
         yield Files(colours, heights, site.taken or taken, photographs, notes)
 
 
-def extent(site: SiteConfig, sized: bool = False) -> Extent:
-    """Return the origin and the side of a site whose configuration does not give both.
+def measure_extent(site: SiteConfig, sized: bool = False) -> Extent:
+    """Return the origin and the side of a site.
 
-    The world of a scene stays as it is. That of two rasters has its origin on the ground, in the
-    middle of what both cover.
+    A scene keeps its origin. Two rasters have their origin on the ground, at the centre of their
+    common area.
 
     Args:
         site: Its files.
-        sized: Whether the configuration gives the side, so that none has to be found.
+        sized: Whether the configuration has the side, so that a small common area is allowed.
 
     Raises:
         InputError: The rasters cannot be used or do not overlap, or the site is too small.
@@ -98,8 +98,8 @@ def extent(site: SiteConfig, sized: bool = False) -> Extent:
     side_m = 2 * inner_square((colours, heights), origin)
     if side_m < LEAST_SITE_M and not sized:
         raise InputError(
-            f"{site.ortho} and {site.dsm} show a square of {max(side_m, 0):.0f} m in common: a "
-            f"site has {LEAST_SITE_M:.0f} m or more"
+            f"{site.ortho} and {site.dsm} have a square of {max(side_m, 0):.0f} m in common, a "
+            f"site needs {LEAST_SITE_M:.0f} m: give larger files"
         )
     return Extent(origin, float(min(np.floor(side_m), _MOST_M)))
 
@@ -110,7 +110,7 @@ def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
 
 
 def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
-    """Return the middle of what two rasters cover, on the ground."""
+    """Return the centre of the common area of two rasters, on the ground."""
     box = heights.grid.box
     coarse = heights.patch(box, heights.grid.longest_m / _COARSE).values
     known = coarse[np.isfinite(coarse)]
@@ -130,7 +130,7 @@ def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
 
 
 def _side(scene: Scene) -> float:
-    """Return the side of the square around the origin that the map's photographs show."""
+    """Return the side of the square around the origin that the map's photographs cover."""
     own = scene.manifest.config.get("area")
     if isinstance(own, int | float):
         return float(own)
@@ -144,30 +144,30 @@ def _side(scene: Scene) -> float:
     side_m = covered_square(photographs, float(np.median(points[:, 2])), most_m)
     if side_m < LEAST_SITE_M:
         raise InputError(
-            f"two photographs of {scene.path} see a square of {side_m:.0f} m around its origin: a "
-            f"site has {LEAST_SITE_M:.0f} m or more"
+            f"two photographs of {scene.path} see a square of {side_m:.0f} m around its origin, a "
+            f"site needs {LEAST_SITE_M:.0f} m: photograph more of it"
         )
     return float(np.floor(side_m))
 
 
-def _survey_credit(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
-    """Return what is to be said of the photographs of a map, and their mean time.
+def _check_photographs(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
+    """Return notes on the photographs of a map, and their median time.
 
     Raises:
-        InputError: There are too few.
+        InputError: There are too few photographs.
     """
     centres = np.array([photograph.centre for photograph in map_photographs(scene)])
     if len(centres) < _FEWEST:
         raise InputError(
-            f"{scene.path} has {len(centres)} photographs in its map, {_FEWEST} are the fewest "
-            "that show a site: photograph more of it"
+            f"{scene.path} has {len(centres)} photographs in its map, a site needs {_FEWEST}: "
+            "photograph more of it"
         )
     spread = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
     notes = []
     if spread[1] < _THIN * spread[0]:
         notes.append(
-            "thin coverage: the photographs lie along one line, so surfaces beside it are known "
-            "from one side alone"
+            "thin coverage: the photographs lie along one line, so surfaces beside it are seen "
+            "from one side only"
         )
     mapped = set(scene.splits.map)
     times = [

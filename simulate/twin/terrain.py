@@ -1,4 +1,4 @@
-"""The surface of a site: holes closed, and the ground below what stands on it."""
+"""Close holes of a site's surface, and estimate the ground below buildings and trees."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ Mask = NDArray[np.bool_]
 
 # Widths (m) of the openings of the progressive morphological filter (Zhang et al., 2003).
 _WINDOWS_M = (3.0, 5.0, 9.0, 17.0, 33.0, 49.0)
-_STEP_M = 0.4  # what stands out by less, at the smallest window, is ground
-_SLOPE = 0.15  # ground rises by at most this much per metre of a window
+_STEP_M = 0.4  # minimum height of objects at the smallest window
+_SLOPE = 0.15  # maximum slope of the ground
 _HIGHEST_STEP_M = 2.5
 _CELL_M = 1.0  # the filter works on cells of this size
-# Standard deviations of the filters over closed holes (m), each from so many of it deep on, and
-# alone from twice as deep on.
+# Standard deviations (m) of the filters over closed holes. A filter sets in ``_DEPTHS`` standard
+# deviations inside a hole, and has full weight at twice that depth.
 _SMOOTH_M = (1.0, 2.0, 4.0, 8.0, 16.0)
 _DEPTHS = 2.0
-_GROUND_M = 2.0  # standard deviation of the filter over the ground that is found
-_SIGMA = 4.0  # cells: a wider filter works on larger cells
-_ISLAND_M2 = 10.0  # smaller patches of heights in a hole are no surface
+_GROUND_M = 2.0  # standard deviation of the filter over the ground
+_SIGMA = 4.0  # maximum standard deviation in cells; wider filters work on larger cells
+_ISLAND_M2 = 10.0  # smaller patches of heights in a hole are dropped
 
 
 def drop_islands(surface: Float, spacing_m: float) -> Float:
-    """Return heights (n, n) without the small patches in large holes, which are mostly wrong.
+    """Drop small patches of heights (n, n) in large holes, which are mostly wrong.
 
-    Where dense depth fails, in woods and on water, what is left of it agrees by chance.
+    Where dense depth fails, in woods and on water, the remaining depths agree by chance.
     """
     known = np.isfinite(surface).astype(np.uint8)
     _, patch, stats, _ = cv2.connectedComponentsWithStats(known, connectivity=8)
@@ -36,14 +36,14 @@ def drop_islands(surface: Float, spacing_m: float) -> Float:
 
 
 def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
-    """Give each cell without data the value of the nearest one, the smoother the deeper it lies.
+    """Fill cells without data from the nearest values, smoothed more strongly deeper in a hole.
 
     Args:
         values: (n, n) or (n, n, bands), NaN where nothing is known.
         spacing_m: side of a cell, metres.
 
     Returns:
-        The closed values, and the mask (n, n) of the cells that were empty.
+        The closed values, and the mask (n, n) of the empty cells.
     """
     flat = values if values.ndim == 2 else values.sum(-1)
     hole = ~np.isfinite(flat)
@@ -58,7 +58,7 @@ def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
     source = index[nearest[hole]]
     closed = values.copy()
     closed[hole] = values[rows[source], columns[source]]
-    # Values of two edges meet in a step where both are as near, which is deep in the hole.
+    # Nearest values of two edges meet in a step deep in the hole, which the filters smooth.
     share = hole.astype(np.float32)
     for smooth_m in _SMOOTH_M:
         sigma = max(smooth_m / spacing_m, 0.5)
@@ -72,7 +72,7 @@ def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
 
 
 def _blur(values: Float, sigma: float) -> Float:
-    """Smooth a grid; a wide filter works on fewer cells, which takes a fraction of the time."""
+    """Smooth a grid. Wide filters work on a coarser grid, which is faster."""
     n = len(values)
     m = min(n, max(4, round(n * _SIGMA / sigma)))
     small = cv2.resize(values, (m, m), interpolation=cv2.INTER_AREA) if m < n else values
@@ -110,14 +110,14 @@ def ground_below(surface: Float, spacing_m: float) -> Float:
     return np.asarray(np.minimum(full, surface))
 
 
-def steepness(surface: Float, spacing_m: float) -> Float:
-    """Return how upright the normals of a surface (n, n) are: 1 where it is level, 0 on walls."""
+def uprightness(surface: Float, spacing_m: float) -> Float:
+    """Return the vertical component of a surface's unit normals (n, n): 1 if level, 0 on walls."""
     north, east = np.gradient(surface, spacing_m)
     return np.asarray(1 / np.sqrt(1 + north**2 + east**2), np.float32)
 
 
-def sunlit(surface: Float, spacing_m: float, azimuth: float, elevation: float) -> Mask:
-    """Return which cells the sun reaches, (n, n); ``azimuth`` and ``elevation`` in degrees."""
+def find_sunlit(surface: Float, spacing_m: float, azimuth: float, elevation: float) -> Mask:
+    """Return the mask (n, n) of sunlit cells; ``azimuth`` and ``elevation`` in degrees."""
     rise = np.tan(np.radians(max(elevation, 1.0)))
     east, north = np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))
     tallest = float(surface.max() - surface.min())
@@ -128,6 +128,6 @@ def sunlit(surface: Float, spacing_m: float, azimuth: float, elevation: float) -
         towards = cv2.warpAffine(
             surface, shift, surface.shape[::-1], borderMode=cv2.BORDER_REPLICATE
         )
-        # Half a cell of height lets a slope not shade itself.
+        # The margin keeps slopes from shading themselves.
         lit &= towards <= surface + np.float32(k * spacing_m * rise + 0.1)
     return lit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from objconnect.scene.bundle.labels import CLASSES
-from simulate.place.kerbs import Rises
+from simulate.place.kerbs import PavementHeights
 from simulate.place.world import World
 
 # Kerbs stand upright: a point this near to one may be anywhere on its side.
@@ -14,7 +14,7 @@ _NEAR_M = 0.03
 
 def ground_error(world: World, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Distance (N,) in height of points (N,), world metres."""
-    rises = Rises(world.kerbs)
+    rises = PavementHeights(world.kerbs)
     around = [(0.0, 0.0), (_NEAR_M, 0.0), (-_NEAR_M, 0.0), (0.0, _NEAR_M), (0.0, -_NEAR_M)]
     found = np.zeros((len(around), len(x)))
     close = [world.ground.label(x + dx, y + dy) for dx in (-0.2, 0, 0.2) for dy in (-0.2, 0, 0.2)]

@@ -36,9 +36,9 @@ def test_opencv_recovers_the_camera(camera: Camera, tmp_path: Path) -> None:
     assert result.rms_px < 0.1
     # Corners lie where the true camera sees them: nothing is half a pixel off.
     assert result.truth_rms_px < 0.1
-    assert np.abs(np.divide(result.found.focal, camera.focal) - 1).max() < 1e-3
-    assert np.abs(np.subtract(result.found.principal, camera.principal)).max() < 0.5
-    assert abs(result.found.distortion[0] - camera.distortion[0]) < 0.02
+    assert np.abs(np.divide(result.estimated.focal, camera.focal) - 1).max() < 1e-3
+    assert np.abs(np.subtract(result.estimated.principal, camera.principal)).max() < 0.5
+    assert abs(result.estimated.distortion[0] - camera.distortion[0]) < 0.02
     assert result.rotation_deg.max() < 0.3
     assert (result.translation_m < 0.005 * result.distance_m).all()
     assert len(list((tmp_path / "views").glob("*.png"))) == 20
@@ -64,5 +64,5 @@ def test_boards_are_seen_whole() -> None:
 
 def test_a_camera_too_small_is_one_line(tmp_path: Path) -> None:
     tiny = Camera("PINHOLE", 24, 24, (20.0, 20.0, 12.0, 12.0))
-    with pytest.raises(InputError, match="does not see the whole"):
+    with pytest.raises(InputError, match="cannot see the whole"):
         calibrate(tiny, tmp_path, views=4)

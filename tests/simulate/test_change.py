@@ -17,10 +17,10 @@ from simulate.place.change import (
     Change,
     change_world,
     change_worlds,
-    every_object,
+    list_objects,
 )
-from simulate.place.kerbs import Rises
-from simulate.place.town import build_town
+from simulate.place.kerbs import PavementHeights
+from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, World
 
 MUCH = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees=True)
@@ -28,7 +28,7 @@ MUCH = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return build_town(5, 120)
+    return TOWN.build(5, 120)
 
 
 def test_what_is_not_declared_stays(town: World) -> None:
@@ -70,7 +70,7 @@ def test_new_places_are_free_and_on_the_ground(town: World) -> None:
     items = changed.world.objects
     new = {*changed.declared.added, *(number for _, number in changed.declared.moved)}
     assert len(new) > 15
-    rises = Rises(town.kerbs)
+    rises = PavementHeights(town.kerbs)
     for item in items:
         if item.id in new:
             box = item.footprint()
@@ -89,7 +89,7 @@ def test_an_id_means_one_object_in_every_session(town: World) -> None:
     new = [{o.id for o in w.world.objects} - {o.id for o in town.objects} for w in (first, second)]
     assert new[0] and new[1] and not new[0] & new[1]
     assert max(new[1]) <= MAX_OBJECT_ID
-    listed = [o.id for o in every_object(town, [none, first, second])]
+    listed = [o.id for o in list_objects(town, [none, first, second])]
     assert listed == sorted({o.id for o in town.objects} | new[0] | new[1])
     # A renderer that is told the change and the first id makes the same world.
     told = change_world(town, other, second.first_new_id)

@@ -20,7 +20,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from objconnect.scene.storage.images import read_exif, read_rgb
 from objconnect.scene.storage.locks import write_lock
-from simulate.command import _frames, find_finished, lasting_noise, simulate
+from simulate.command import _frames, draw_drift, find_finished, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import estimate_bytes
 from simulate.render.libraries import PACKAGES, require_libraries
@@ -294,10 +294,10 @@ def test_missing_libraries_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
         require_libraries()
 
 
-def test_lasting_noise_is_what_it_says() -> None:
+def test_drift_has_its_variance_and_memory() -> None:
     """Of unit variance from its first to its last row, and correlated as asked."""
     rng = np.random.default_rng(0)
-    noise = np.stack([lasting_noise(40, 0.9, rng) for _ in range(4000)])
+    noise = np.stack([draw_drift(40, 0.9, rng) for _ in range(4000)])
     assert np.abs(noise.std(0) - 1).max() < 0.06
     assert (noise[:, 10] * noise[:, 11]).mean() == pytest.approx(0.9, abs=0.03)
     assert (noise[:, 10] * noise[:, 20]).mean() == pytest.approx(0.9**10, abs=0.04)

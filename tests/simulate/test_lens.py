@@ -19,7 +19,7 @@ from simulate.config import SimulateConfig
 from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.flight.site import FlightSite, Wind
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.objconnect.scene.made_cameras import CAMERAS
@@ -131,7 +131,7 @@ RENDERED = [
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
     """A camera, its job, poses, and its frames."""
     camera = LENSES[request.param]
-    town = build_town(SEED, AREA)
+    town = TOWN.build(SEED, AREA)
     rng = np.random.default_rng(0)
     site = FlightSite(AREA, town.terrain.height, made_pinhole(128, 96, 90.0))
     windy = replace(site, wind=Wind(attitude_jitter_deg=3.0))
@@ -194,7 +194,7 @@ def test_frames_agree_through_the_lens(flown) -> None:
 
 def test_ground_and_objects_are_where_they_stand(flown) -> None:
     camera, _, poses, frames = flown
-    town = build_town(SEED, AREA)
+    town = TOWN.build(SEED, AREA)
     by_id = {o.id: o for o in town.objects}
     for pose, arrays in zip(poses, frames, strict=True):
         assert {a.shape[:2] for a in arrays.values()} == {(96, 128)}
@@ -236,17 +236,17 @@ def test_presets_are_drones_of_the_size_asked_for() -> None:
     ("camera", "message"),
     [
         ({"preset": "kite"}, "unknown camera 'kite'; known: mini-2"),
-        ({"preset": "mini-2", "width": 640}, "a preset takes no"),
+        ({"preset": "mini-2", "width": 640}, "give a preset, or model"),
         ({"model": "PINHOLE", "width": 640}, "model, width, height and params"),
         ({"model": "OPENCV", "width": 64, "height": 48, "params": [50, 50]}, "takes 8 parameters"),
         (
             {"model": "SIMPLE_RADIAL", "width": 64, "height": 64, "params": [30, 32, 32, -0.5]},
-            "folds back",
+            "not invertible",
         ),
         (
             {"model": "OPENCV_FISHEYE", "width": 64, "height": 64,
              "params": [32, 32, 32, 32, 0, 0, 0, 0]},
-            "sees 160 degrees; at most 140",
+            "a field of view of 160 degrees, at most 140",
         ),
         ({"lens": "fish"}, "unknown key 'camera.lens'"),
     ],

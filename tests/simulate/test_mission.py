@@ -107,7 +107,7 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
         ([item(205, 0, 0, 0, 0, 0, 0, 1), SHOT], "205, .*mode 1"),
         ([item(204, 2, 0, 0, 0, 0, 1, 0)], "204, .*rates"),
         ([item(1000, 0, 0, None, None, 2), SHOT], "1000, .*neutral"),
-        ([item(1000, None, None, 5, None, 0), SHOT], "1000, .*on and on"),
+        ([item(1000, None, None, 5, None, 0), SHOT], "1000, .*continuously"),
         ([item(1000, -90, 30, None, None, 64)], r"1000, .*params\[4\]"),
         ([item(1000, -90, 30, None, None, 48)], r"1000, .*params\[4\]"),
         ([item(1000, 0, 0, 9, None, 0), SHOT], "10.0 s before"),
@@ -143,7 +143,7 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
         ([item(186, 50)], "186, DO_CHANGE_ALTITUDE"),
         ([item(179, 1)], "179, DO_SET_HOME"),
         ([item(31010)], "31010, USER_1"),
-        ([item(4242)], "4242, no command that is known"),
+        ([item(4242)], "4242, unknown command"),
         ([{**at(16, 0, 0, 40), "frame": None}], "frame is missing"),
         ([{**at(16, 0, 0, 40), "Altitude": 60, "AltitudeMode": 1}], "Altitude is 60"),
     ],
@@ -337,7 +337,10 @@ def test_distances_to_the_surface_have_a_reference(
         ({"DistanceMode": 0}, "DistanceMode is 0"),
         ({"DistanceMode": 7}, "DistanceMode is 7"),
         ({"DistanceMode": 2, "DistanceToSurfaceRelative": True}, "contradicts"),
-        ({"DistanceMode": 1, "HoverAndCapture": True, "TurnAroundDistance": 10}, "do not tell"),
+        (
+            {"DistanceMode": 1, "HoverAndCapture": True, "TurnAroundDistance": 10},
+            "do not determine",
+        ),
     ],
 )
 def test_unknown_references_of_surveys_are_named(

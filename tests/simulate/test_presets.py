@@ -159,7 +159,7 @@ def test_water_is_flat_and_boats_alone_are_on_it(place):
 
 def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr(site_module, "MAX_OBJECT_ID", 100)
-    with pytest.raises(InputError, match=r"^[^\n]*180 m .*100 objects .*smaller area$"):
+    with pytest.raises(InputError, match=r"^[^\n]*180 m .*100 objects.*smaller area$"):
         preset("town")(1, AREA)
 
 

@@ -19,7 +19,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import Aims, camera_centres
 from simulate.flight.qgroundcontrol import read_plan
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.planner import plan_session
 from tests.simulate.test_flights import hills
 
@@ -221,7 +221,7 @@ FAR = geodetic_from_enu(np.array([5000.0, 0.0, 0.0]), ORIGIN)
         (plan_of(waypoint(0, 0, 40), item(206, 0)), "takes no photographs"),
         (plan_of(waypoint(0, 0, 40), item(206, 1e-9), waypoint(9, 0, 40)), "more than 20000"),
         (plan_of(waypoint(0, 0, 40), item(206, 5e-324), waypoint(9, 0, 40)), "more than 20000"),
-        (plan_of(item(16, 0, 0, 0, 0, *FAR[:2], 40, frame=3)), r"5,000 m from the place"),
+        (plan_of(item(16, 0, 0, 0, 0, *FAR[:2], 40, frame=3)), r"5,000 m from the centre"),
         (json.dumps(PLAN).replace("47.0,", "NaN,"), "finite"),
     ],
 )
@@ -241,18 +241,18 @@ def test_a_plan_is_a_session(tmp_path: Path) -> None:
     assert config.session_names() == ("summer-noon-plan-map", "winter-dusk-plan-query")
     again = SimulateConfig.model_validate_json(config.model_dump_json())
     assert again == config
-    world = build_town(0, 160)
+    world = TOWN.build(0, 160)
     rng = np.random.default_rng(0)
     poses = plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     aims = read_plan(path, ORIGIN, 160, world.terrain.height, -90)
     assert_allclose(camera_centres(poses), aims.centres, atol=1e-9)
     path.write_text(json.dumps(plan_of(waypoint(0, 0, 40))))
     assert SimulateConfig.load(None, fields) != config, "another plan is another configuration"
-    with pytest.raises(InputError, match="no longer the scene's"):
+    with pytest.raises(InputError, match="has changed since"):
         plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     underground = plan_of(waypoint(0, 0, -5))
     path.write_text(json.dumps(underground))
-    with pytest.raises(InputError, match="below where a camera clears the ground"):
+    with pytest.raises(InputError, match="below the minimum clearance"):
         simulate(SimulateConfig.load(None, fields), tmp_path / "scene")
     with pytest.raises(InputError, match=r"no\.plan"):
         SimulateConfig.load(None, {"sessions": [f"summer-noon:plan={tmp_path}/no.plan"]})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simulate.camera.pinhole import PinholeCamera
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.place.world import World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
@@ -35,7 +35,7 @@ CORNERS = corners(300)
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return build_town(3, AREA)
+    return TOWN.build(3, AREA)
 
 
 def test_objects_in_view_are_needed_and_those_far_away_are_not(town: World) -> None:

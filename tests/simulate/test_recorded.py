@@ -12,12 +12,12 @@ from numpy.testing import assert_array_equal
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.planner import plan_session
 
 
 def planned(config: SimulateConfig) -> Any:
-    world, rng = build_town(0, 160), np.random.default_rng(0)
+    world, rng = TOWN.build(0, 160), np.random.default_rng(0)
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
@@ -60,9 +60,9 @@ def test_what_cannot_be_repeated_is_refused(rendered_copy: Path, tmp_path: Path)
     elsewhere = config.model_copy(
         update={"origin": config.origin._replace(latitude=config.origin.latitude + 1e-3)}
     )
-    with pytest.raises(InputError, match="has its origin elsewhere"):
+    with pytest.raises(InputError, match="has another origin"):
         planned(elsewhere)
     manifest = rendered_copy / "scene.json"
     manifest.write_text(manifest.read_text() + "\n")
-    with pytest.raises(InputError, match="has changed since it was flown"):
+    with pytest.raises(InputError, match="has changed since the flight"):
         planned(config)

@@ -20,7 +20,7 @@ from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.flight.site import FlightSite, Wind
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
@@ -34,7 +34,7 @@ CAMERA = PinholeCamera(width=112, height=96, f=90.0, cx=52.5, cy=50.25)
 
 
 def job(condition: str) -> RenderJob:
-    town = build_town(SEED, AREA)
+    town = TOWN.build(SEED, AREA)
     rng = np.random.default_rng(0)
     site = FlightSite(AREA, town.terrain.height, pinhole(112, 96, 90.0))
     windy = replace(site, wind=Wind(attitude_jitter_deg=3.0))
@@ -116,7 +116,7 @@ def test_depth_is_what_rays_meet(summer, tmp_path):
 
 @pytest.mark.thorough
 def test_ground_points_lie_on_the_terrain(summer):
-    town, poses = build_town(SEED, AREA), job("summer-noon").poses
+    town, poses = TOWN.build(SEED, AREA), job("summer-noon").poses
     for frame in poses:
         arrays = load(summer, frame)
         on_ground = (arrays["instance"] == 0) & (arrays["depth"] > 0)
@@ -130,7 +130,7 @@ def test_ground_points_lie_on_the_terrain(summer):
 
 
 def test_object_points_lie_in_their_boxes_and_reach_their_tops(summer):
-    town, poses = build_town(SEED, AREA), job("summer-noon").poses
+    town, poses = TOWN.build(SEED, AREA), job("summer-noon").poses
     by_id = {o.id: o for o in town.objects}
     tops = []
     for frame in poses:
@@ -171,7 +171,7 @@ def test_frames_see_the_same_surface(summer):
 
 
 def test_labels_are_consistent(summer):
-    town = build_town(SEED, AREA)
+    town = TOWN.build(SEED, AREA)
     table = class_lookup(town.objects)
     for frame in range(3):
         arrays = load(summer, frame)

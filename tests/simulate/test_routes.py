@@ -18,9 +18,9 @@ from simulate.config import SimulateConfig
 from simulate.flight.clearance import check_flight, is_free
 from simulate.flight.config import CorridorFlight, FreeFlight
 from simulate.flight.gimbal import camera_centres
-from simulate.flight.routes import beside, corridor_aims, free_aims
+from simulate.flight.routes import corridor_aims, free_aims, offset_line
 from simulate.flight.site import FlightSite
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.place.world import World
 from simulate.planner import plan_session
 from tests.simulate.test_flights import CAMERA, assert_rigid, hills, level, nadir, pinhole
@@ -33,7 +33,7 @@ KINDS = ["nadir", "grid", "oblique", "corridor", "free", "street"]
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return build_town(7, AREA)
+    return TOWN.build(7, AREA)
 
 
 def configured(flight: object, role: str = "map", **fields: Any) -> SimulateConfig:
@@ -178,10 +178,10 @@ def test_corridor_overlaps_as_asked() -> None:
 
 def test_routes_that_turn_back_or_lead_nowhere_are_refused() -> None:
     at = np.zeros(1)
-    with pytest.raises(InputError, match=r"turns back on itself at \(10, 0\)"):
-        beside(np.array([[0.0, 0], [10, 0], [0, 1]]), at, 0.0)
-    with pytest.raises(InputError, match="two points that differ"):
-        beside(np.array([[3.0, 3], [3, 3]]), at, 0.0)
+    with pytest.raises(InputError, match=r"turns by more than 150 degrees at \(10, 0\)"):
+        offset_line(np.array([[0.0, 0], [10, 0], [0, 1]]), at, 0.0)
+    with pytest.raises(InputError, match="two different points"):
+        offset_line(np.array([[3.0, 3], [3, 3]]), at, 0.0)
 
 
 @given(seed=st.integers(0, 10_000), frames=st.integers(1, 100))
@@ -237,7 +237,7 @@ def test_street_keeps_to_the_right_and_looks_to_both_sides(town: World) -> None:
         ({"kind": "nadir", "forward_overlap": 1}, "forward_overlap"),
         ({"kind": "grid", "side_overlap": 1.5}, "side_overlap"),
         ({"kind": "corridor", "line": [[0, 0]]}, "at least 2 items"),
-        ({"kind": "free", "altitude_m": [90, 40]}, "lowest, then highest"),
+        ({"kind": "free", "altitude_m": [90, 40]}, "minimum, then maximum"),
         ({"kind": "orbit"}, "orbit"),
         ({"kind": "nadir", "height": 3}, "unknown key"),
         ("barrel-roll", "barrel-roll"),
@@ -258,10 +258,10 @@ def test_a_flight_that_counts_itself_takes_no_frames() -> None:
     ("flight", "message"),
     [
         ({"kind": "oblique", "altitude_m": 4, "radius_m": 40}, "in or under (building|tree)"),
-        ({"kind": "oblique", "centre": [5000, 0]}, "sees nothing of the place"),
-        ({"kind": "oblique", "pitch_deg": 50}, "sees nothing of the place"),
-        ({"kind": "corridor", "line": [[900, 0], [900, 90]]}, "sees nothing of the place"),
-        ({"kind": "nadir", "altitude_m": 0.1}, "below where a camera clears the ground"),
+        ({"kind": "oblique", "centre": [5000, 0]}, "does not show the place"),
+        ({"kind": "oblique", "pitch_deg": 50}, "does not show the place"),
+        ({"kind": "corridor", "line": [[900, 0], [900, 90]]}, "does not show the place"),
+        ({"kind": "nadir", "altitude_m": 0.1}, "below the minimum clearance"),
     ],
 )
 def test_impossible_flights_leave_nothing_behind(
@@ -276,5 +276,5 @@ def test_impossible_flights_leave_nothing_behind(
 
 
 def test_a_flight_of_millions_is_refused() -> None:
-    with pytest.raises(InputError, match="at most 20000 photographs"):
+    with pytest.raises(InputError, match="more than 20000 photographs"):
         nadir(600.0, level, altitude_m=1.0, forward_overlap=0.95, side_overlap=0.95)

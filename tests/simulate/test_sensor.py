@@ -103,5 +103,5 @@ def test_a_scene_keeps_its_truth_under_every_effect(tmp_path: Path) -> None:
 def test_effects_out_of_range_are_one_line() -> None:
     with pytest.raises(InputError, match="sensor.vignetting"):
         SimulateConfig.load(None, {"sensor": {"vignetting": 1.5}})
-    with pytest.raises(InputError, match="give full_well_e too"):
+    with pytest.raises(InputError, match="needs full_well_e"):
         SimulateConfig.load(None, {"sensor": {"read_noise_e": 5}})

@@ -18,7 +18,7 @@ from simulate.config import SimulateConfig
 from simulate.flight.gimbal import camera_centres
 from simulate.look.conditions import condition
 from simulate.look.terrain import ground_mesh, kerbs_mesh
-from simulate.place.kerbs import KERB_M, Rises
+from simulate.place.kerbs import KERB_M, PavementHeights
 from simulate.place.presets import preset
 from simulate.place.world import MIRRORED_M, World
 from simulate.planner import plan_session
@@ -70,7 +70,7 @@ def test_one_road_leads_through_all_surroundings(street: World) -> None:
 
 def test_pavements_stand_above_the_carriageways(street: World) -> None:
     assert 0.10 <= KERB_M <= 0.15
-    rises = Rises(street.kerbs)
+    rises = PavementHeights(street.kerbs)
     on_road = raised = total = 0
     rng = np.random.default_rng(0)
     for road in street.roads:

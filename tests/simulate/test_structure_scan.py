@@ -84,7 +84,7 @@ def test_each_round_looks_at_the_structure(tmp_path: Path, from_top: bool) -> No
         ({"polygon": HOUSE[::-1]}, "clockwise"),
         ({"polygon": HOUSE[:2]}, "2 corners"),
         ({"polygon": [[99.0, 8.0], *HOUSE[1:]]}, "not on earth"),
-        ({"polygon": [HOUSE[0], place(-10, 0), *HOUSE[1:]]}, "corner that is none"),
+        ({"polygon": [HOUSE[0], place(-10, 0), *HOUSE[1:]]}, "corner on a straight side"),
         ({"Layers": 0}, "0 Layers"),
         ({"Layers": 4}, "4 Layers, but StructureHeight"),
         ({"StructureHeight": None}, "'StructureHeight'"),

@@ -12,15 +12,15 @@ from simulate.look.buildings import building_mesh
 from simulate.look.conditions import condition
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
-from simulate.place.kerbs import Rises
+from simulate.place.kerbs import PavementHeights
 from simulate.place.presets import preset
-from simulate.place.town import build_town
+from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, Heightfield, World, class_lookup
 
 
 @pytest.fixture(scope="module", params=[(0, 120.0), (1, 120.0), (2, 150.0), (7, 240.0)])
 def town(request: pytest.FixtureRequest) -> World:
-    return build_town(*request.param)
+    return TOWN.build(*request.param)
 
 
 def flat(value):
@@ -33,7 +33,7 @@ def flat(value):
 
 
 def test_the_seed_decides_everything():
-    a, b, other = build_town(3, 120), build_town(3, 120), build_town(4, 120)
+    a, b, other = TOWN.build(3, 120), TOWN.build(3, 120), TOWN.build(4, 120)
     assert flat(a) == flat(b)
     assert flat(a.objects) != flat(other.objects)
     assert not np.array_equal(a.terrain.nodes, other.terrain.nodes)
@@ -75,7 +75,7 @@ def test_every_class_is_present(town):
 
 
 def test_objects_stand_on_the_ground(town):
-    rises = Rises(town.kerbs)
+    rises = PavementHeights(town.kerbs)
     for item in town.objects:
         x, y = np.vstack([item.footprint(), item.centre[:2]]).T
         ground_z = town.terrain.height(x, y)
@@ -118,14 +118,14 @@ def test_class_lookup(town):
 
 
 def test_large_towns_are_quick_enough_to_build_in_a_test():
-    town = build_town(5, 400)
+    town = TOWN.build(5, 400)
     assert len(town.objects) > 800
 
 
 @pytest.mark.parametrize("area", [10.0, 5000.0, float("nan")])
 def test_an_impossible_area_is_refused(area):
     with pytest.raises(InputError, match="area must be"):
-        build_town(1, area)
+        TOWN.build(1, area)
 
 
 def test_unknown_names_list_the_known_ones():
@@ -136,7 +136,7 @@ def test_unknown_names_list_the_known_ones():
 
 
 def test_ground_bake_is_deterministic_and_differs_between_seasons():
-    town = build_town(1, 120)
+    town = TOWN.build(1, 120)
     summer, winter = (
         ground.bake(town.ground, condition(c), 1) for c in ("summer-noon", "winter-dusk")
     )
@@ -150,7 +150,7 @@ def test_ground_bake_is_deterministic_and_differs_between_seasons():
 
 
 def test_ground_label_and_height_are_mirrored_outside():
-    town = build_town(1, 120)
+    town = TOWN.build(1, 120)
     inside, outside = np.array([59.0, 12.3]), np.array([61.0, 12.3])
     assert town.ground.label(*inside) == town.ground.label(*outside)
     assert town.terrain.height(*inside) == pytest.approx(town.terrain.height(*outside))

@@ -1,1 +1,1 @@
-"""Virtual photographs of an orthophoto and its surface model, which become a scene."""
+"""Make a scene of virtual photographs from an orthophoto and its surface model."""

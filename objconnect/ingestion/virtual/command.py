@@ -1,4 +1,4 @@
-"""The scene of an orthophoto: virtual photographs with exact poses and depth."""
+"""Make the scene of an orthophoto: virtual photographs with exact poses and depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.virtual.flight import camera_of, directions, looking, places
+from objconnect.ingestion.virtual.flight import camera_of, lay_grid, list_directions, view_pose
 from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.surface import Surface
 from objconnect.scene.bundle.covisibility import (
@@ -40,13 +40,13 @@ Array = NDArray[np.float64]
 
 SESSION: Final = "virtual"
 _DEFAULTS: Final = ViewOptions()
-# Surfaces further than this many altitudes are left out of a view: texels are blurred there.
+# Surfaces farther than this many altitudes are not rendered, because texels are blurred there.
 _FARTHEST: Final = 4.0
-# Views that show less surface than this share are left out.
+# Views with a smaller share of surface are left out.
 _LEAST_SEEN: Final = 0.3
 # Rows of a raster that are read at a time.
 _ROWS = 256
-# Views are planned by renders of this many pixels on a side.
+# Side (px) of the small renders by which views are planned.
 _SMALL = 32
 # The ground below a view is the mean of this many cells on each side, of a quarter altitude each.
 _GROUND_CELLS = 2
@@ -55,14 +55,14 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class VirtualReport:
-    """What was made of an orthophoto.
+    """Figures of a scene of virtual photographs.
 
     Attributes:
         views: number of virtual photographs.
         altitude_m: their height above the ground, metres.
-        ground_pixel_m: side of a pixel of a view from above on the ground, metres.
+        ground_pixel_m: ground sampling distance of nadir views, metres.
         left_out: number of views that would show too little surface.
-        notes: what is to be known of the files; a line each.
+        notes: remarks on the input files, a line each.
     """
 
     views: int
@@ -80,7 +80,7 @@ class VirtualReport:
         return "\n".join((figures, *self.notes))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures."""
+        """Return the figures as a dictionary for JSON."""
         return asdict(self)
 
 
@@ -95,24 +95,24 @@ def photograph_orthophoto(
     origin: Geodetic | None = None,
     georeference: Georeference | None = None,
 ) -> VirtualReport:
-    """Make a scene of an orthophoto and a surface model: virtual photographs with exact depth.
+    """Render virtual photographs with exact depth from an orthophoto and a surface model.
 
-    Its only session, ``virtual``, builds the map; the scene has no map yet.
+    The scene has one session, ``virtual``, whose frames are map frames. It has no map yet.
 
     Args:
         orthophoto: GeoTIFF of 8 bits in any reference system in metres.
         dsm: GeoTIFF of heights; it may have another reference system and resolution.
         out: new or empty folder.
-        undulation: height of the geoid above the ellipsoid at the place, metres, for a surface
-            model with heights above sea level; 0 says that they are above the ellipsoid.
-        options: where views are taken from.
+        undulation: height of the geoid above the ellipsoid, metres, for a surface model with
+            heights above sea level; 0 means heights above the ellipsoid.
+        options: altitude, overlap, tilt and size of the views.
         origin: origin of the world; by default in the middle of the orthophoto, on the ground.
-        georeference: how exactly both files are placed on earth; None if unknown, for they do not
-            say it.
+        georeference: accuracy of both files on earth, which the files do not state; None if
+            unknown.
 
     Raises:
-        InputError: a raster cannot be used, they do not overlap, there is nothing to see, or
-            ``out`` is not empty or cannot be written.
+        InputError: a raster cannot be used, the rasters do not overlap, too few views show enough
+            surface, or ``out`` is not empty or cannot be written.
     """
     rasters = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
     require_empty(out)
@@ -123,11 +123,11 @@ def photograph_orthophoto(
     collar = [f"{orthophoto.name}: {survey.collar}"] if survey.collar else []
     notes = (*colours.notes(place), *collar, *heights.notes(place, undulation))
     camera = camera_of(options)
-    planned = _plan_views(survey, camera, options)
-    if len(planned.poses) < _FEWEST:
+    views = _plan_views(survey, camera, options)
+    if len(views.poses) < _FEWEST:
         raise InputError(
-            f"{len(planned.poses)} views of {orthophoto} on {dsm} show enough surface, {_FEWEST} "
-            "are the fewest that make a map: choose a smaller --altitude"
+            f"{len(views.poses)} views of {orthophoto} on {dsm} show enough surface, a map needs "
+            f"{_FEWEST}: choose a smaller --altitude"
         )
     config = {
         "orthophoto": {"file": orthophoto.name, "sha256": sha256_of(orthophoto)},
@@ -136,28 +136,28 @@ def photograph_orthophoto(
         "views": options.model_dump(mode="json"),
     }
     with atomic_folder(out) as folder:
-        _write(folder, survey, camera, planned.poses, _FARTHEST * survey.altitude)
+        _write(folder, survey, camera, views.poses, _FARTHEST * survey.altitude)
         finish_scene(folder, _manifest(survey.surface.origin, config, georeference))
     return VirtualReport(
-        len(planned.poses),
+        len(views.poses),
         survey.altitude,
         survey.altitude / camera.focal[0],
-        planned.left_out,
+        views.left_out,
         notes,
     )
 
 
 @dataclass(frozen=True)
 class _Survey:
-    """What is known of the ground before views are taken.
+    """The rasters, and the area that both cover.
 
     Attributes:
         surface: the rasters and their heights.
         ground: surface model with pixels of a quarter of the altitude; heights above the ellipsoid.
-        low: (2,) west and south ends of what both rasters cover, world metres.
-        high: (2,) its other ends.
+        low: (2,) west and south ends of the area that both rasters cover, world metres.
+        high: (2,) east and north ends.
         altitude: height of the views above the ground, metres.
-        collar: what a rim of the orthophoto looks like that may be no data; None for no such rim.
+        collar: description of a rim of the orthophoto that may be no data; None without one.
     """
 
     surface: Surface
@@ -167,10 +167,10 @@ class _Survey:
     altitude: float
     collar: str | None = None
 
-    def above_ground(self, place: Array) -> Array:
-        """Return the point (3,) at the altitude of the views above a place (2,)."""
+    def above_ground(self, xy: Array) -> Array:
+        """Return the point (3,) at the altitude of the views above a ground position (2,)."""
         origin = self.surface.origin
-        point = np.array([*place, 0.0])
+        point = np.array([*xy, 0.0])
         at = geodetic_from_enu(point, origin)
         coordinates = self.ground.grid.projection.from_geodetic(at)
         x, y = self.ground.grid.columns_rows(coordinates[:1], coordinates[1:2])
@@ -192,8 +192,8 @@ def _survey(
     options: ViewOptions,
     origin: Geodetic | None,
 ) -> _Survey:
-    """Read both rasters whole, and find what they cover."""
-    collar = collar_of(_strips(colours))  # damage is found before the views are rendered
+    """Read both rasters completely, and compute the area that both cover."""
+    collar = collar_of(_strips(colours))  # reads the whole file, so that damage is noticed early
     low, high = np.inf, -np.inf
     for known in _valid_rows(heights):
         low, high = min(low, float(known.min())), max(high, float(known.max()))
@@ -219,7 +219,7 @@ def _survey(
 
 
 def _valid_rows(raster: Raster) -> Iterator[NDArray[np.float32]]:
-    """Read a whole raster; yield the values of some rows that have data, (N,), N > 0."""
+    """Read a whole raster; yield the valid values of each strip that has some, (N,)."""
     for values in _strips(raster):
         known = values[np.isfinite(values)]
         if known.size:
@@ -227,7 +227,7 @@ def _valid_rows(raster: Raster) -> Iterator[NDArray[np.float32]]:
 
 
 def _strips(raster: Raster) -> Iterator[NDArray[np.float32]]:
-    """Read a whole raster; yield the values of some rows, (bands, H, W)."""
+    """Read a whole raster; yield the values of strips of rows, (bands, H, W)."""
     with progress_bar(f"read {raster.kind}", raster.grid.height) as advance:
         done = 0
         for strip in raster.strips(_ROWS):
@@ -237,38 +237,40 @@ def _strips(raster: Raster) -> Iterator[NDArray[np.float32]]:
 
 
 def _ends(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:
-    """Return the ends of the rectangle in the world that holds a grid, (2,) and (2,)."""
+    """Return the lower and upper corner, (2,) each, of a grid's bounding box in the world."""
     left, bottom, right, top = grid.box
     corners = [(e, n, height) for e in (left, right) for n in (bottom, top)]
     world = world_from(grid.projection, origin, np.array(corners))[:, :2]
     return world.min(0), world.max(0)
 
 
-class _Planned(NamedTuple):
+class _Views(NamedTuple):
+    """The poses (N, 4, 4) of the views, and the number of views with too little surface."""
+
     poses: Array
     left_out: int
 
 
-def _plan_views(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
+def _plan_views(survey: _Survey, camera: Camera, options: ViewOptions) -> _Views:
     """Choose the poses (N, 4, 4) of views that show enough surface, by small renders."""
     small = camera.resize(_SMALL, _SMALL)
     farthest = _FARTHEST * survey.altitude
-    aims = directions(options)
-    spots = places(survey.low, survey.high, survey.altitude, options)
+    directions = list_directions(options)
+    grid = lay_grid(survey.low, survey.high, survey.altitude, options)
     poses = []
-    with progress_bar("plan views", len(spots) * len(aims)) as advance:
-        for k, place in enumerate(spots):
-            centre = survey.above_ground(place)
-            for heading, tilt in aims:
-                pose = looking(centre, heading, tilt)
+    with progress_bar("plan views", len(grid) * len(directions)) as advance:
+        for k, xy in enumerate(grid):
+            centre = survey.above_ground(xy)
+            for heading, tilt in directions:
+                pose = view_pose(centre, heading, tilt)
                 if survey.surface.render(small, pose, farthest).coverage >= _LEAST_SEEN:
                     poses.append(pose)
-            advance((k + 1) * len(aims))
-    return _Planned(np.array(poses).reshape(-1, 4, 4), len(spots) * len(aims) - len(poses))
+            advance((k + 1) * len(directions))
+    return _Views(np.array(poses).reshape(-1, 4, 4), len(grid) * len(directions) - len(poses))
 
 
 def _write(folder: Path, survey: _Survey, camera: Camera, poses: Array, farthest: float) -> None:
-    """Render the views, and write everything of the scene but its manifest."""
+    """Render the views, and write the scene without its manifest."""
     names = tuple(f"{SESSION}/images/{k:06d}.jpg" for k in range(len(poses)))
     points = []
 

@@ -1,4 +1,4 @@
-"""Where virtual photographs are taken: a grid above the ground, looking down and to the sides."""
+"""Plan virtual photographs on a grid above the ground: nadir and oblique views."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from objconnect.scene.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 
-# More views than this are a request for another altitude.
+# More views than this need another altitude.
 _MOST_VIEWS = 20_000
-# Field of view: that of a wide lens of a drone, as photographs to localize have it.
+# Field of view of a wide lens of a drone, similar to that of queries.
 _FOV_DEG: Final = 60.0
-# Headings of the oblique views from one place, degrees clockwise from north.
+# Headings of the oblique views from one position, degrees clockwise from north.
 _SIDES = (0.0, 90.0, 180.0, 270.0)
 
 
@@ -29,20 +29,20 @@ def camera_of(options: ViewOptions) -> Camera:
     return Camera("PINHOLE", options.size, options.size, (focal, focal, half, half))
 
 
-def places(low: Array, high: Array, altitude: float, options: ViewOptions) -> Array:
-    """Return the places (N, 2), east and north, above which views are taken, row by row.
+def lay_grid(low: Array, high: Array, altitude: float, options: ViewOptions) -> Array:
+    """Return the horizontal positions (N, 2) of views, east and north, row by row.
 
     Args:
         low: (2,) west and south ends of the ground, world metres.
-        high: (2,) its other ends.
+        high: (2,) east and north ends.
         altitude: height above the ground, metres.
-        options: the overlap.
+        options: the overlap, and whether there are oblique views.
 
     Raises:
         InputError: there would be more than 20,000 views.
     """
     side = 2 * altitude * math.tan(math.radians(_FOV_DEG) / 2)
-    # The outermost views reach the edge of the ground with their outer quarter.
+    # The outer quarter of the outermost views lies beyond the edge of the ground.
     low, high = low + side / 4, high - side / 4
     counts = np.ceil(np.maximum(high - low, 0) / (side * (1 - options.overlap))).astype(int) + 1
     views = int(counts.prod()) * (1 + len(_SIDES) * (options.tilt > 0))
@@ -59,13 +59,13 @@ def places(low: Array, high: Array, altitude: float, options: ViewOptions) -> Ar
     return np.stack([east.ravel(), north.ravel()], -1)
 
 
-def looking(centre: Array, heading_deg: float, tilt_deg: float) -> Array:
-    """Return ``cam_from_world`` (4, 4) of a camera.
+def view_pose(centre: Array, heading_deg: float, tilt_deg: float) -> Array:
+    """Return the pose ``cam_from_world`` (4, 4) of a view.
 
     Args:
         centre: (3,) world metres.
-        heading_deg: where the top of a view from above, and an oblique view, points; degrees
-            clockwise from north.
+        heading_deg: direction of the top of a nadir view, and of an oblique view's optical axis,
+            degrees clockwise from north.
         tilt_deg: angle between the optical axis and the vertical.
     """
     heading, tilt = math.radians(heading_deg), math.radians(tilt_deg)
@@ -81,7 +81,7 @@ def looking(centre: Array, heading_deg: float, tilt_deg: float) -> Array:
     return cam_from_world
 
 
-def directions(options: ViewOptions) -> list[tuple[float, float]]:
-    """Return heading and tilt of the views from one place, degrees."""
+def list_directions(options: ViewOptions) -> list[tuple[float, float]]:
+    """Return heading and tilt of the views from one position, degrees."""
     oblique = [(side, options.tilt) for side in _SIDES] if options.tilt else []
     return [(0.0, 0.0), *oblique]

@@ -1,8 +1,8 @@
-"""Views of an orthophoto on its surface model, rendered by marching along the rays of pixels.
+"""Render views of an orthophoto on its surface model by ray marching.
 
-The world is east-north-up, and the rasters are in coordinates of their own. A ray is a parabola in
-these (``geo.local``), so that rays are followed in the rasters' own pixels and nothing is
-resampled before it is seen.
+The world is east-north-up; the rasters have coordinate systems of their own, in which a ray is a
+parabola (``geo.local_coordinates``). Rays are followed in the rasters' pixels, so no raster is
+resampled before rendering.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Array = NDArray[np.float64]
 
 # Bisections of the step in which a ray enters the surface.
 _BISECTIONS = 6
-# Side of the cells whose highest points tell where rays can go fast, pixels.
+# Side (px) of the cells whose highest points bound how far a ray can skip ahead.
 _CELL = 8
-# Rays start and end this much beyond the heights of the surface, metres and share of the way.
+# Margins of rays beyond the heights of the surface, metres and share of the length.
 _MARGIN_M, _MARGIN = 1.0, 0.01
-# Rays that fall less than this per metre of depth do not meet the ground within sight.
+# Rays that fall less than this per metre of depth are taken to miss the ground.
 _LEAST_FALL = 0.05
 
 
@@ -51,13 +51,13 @@ class View(NamedTuple):
 
 
 class _Rays(NamedTuple):
-    """Rays of pixels with planar depth 1, and the part of each in which the surface may lie.
+    """Rays of pixels, and the interval of depth in which each may meet the surface.
 
     Attributes:
         start: (3,) centre of the camera, world metres.
-        directions: (N, 3).
-        first: (N,) depth where the part begins.
-        last: (N,) depth where it ends; not above ``first`` where a ray meets no ground.
+        directions: (N, 3) for a planar depth of 1.
+        first: (N,) start of the interval, metres of depth.
+        last: (N,) end of the interval; not above ``first`` where a ray misses the ground.
     """
 
     start: Array
@@ -80,7 +80,7 @@ class _Rays(NamedTuple):
         return self.last > self.first
 
     def ends(self) -> Array:
-        """Return both ends of the parts that may meet the surface, (M, 3) world metres."""
+        """Return both ends of the intervals that may meet the surface, (M, 3) world metres."""
         rays = self.directions[self.meet]
         depths = (self.first[self.meet], self.last[self.meet])
         return np.concatenate([self.start + depth[:, None] * rays for depth in depths])
@@ -88,15 +88,15 @@ class _Rays(NamedTuple):
 
 @dataclass(frozen=True)
 class Surface:
-    """An orthophoto and a surface model of one place.
+    """An orthophoto on a surface model.
 
     Attributes:
         colours: orthophoto.
         heights: surface model.
         undulation: height of the geoid above the ellipsoid, metres, which is added to the heights.
         origin: origin of the world.
-        low: lowest height of the surface model with the undulation, metres.
-        high: highest one.
+        low: lowest height of the surface model including the undulation, metres.
+        high: highest height likewise.
     """
 
     colours: Raster
@@ -112,7 +112,7 @@ class Surface:
         Args:
             camera: camera of the view.
             cam_from_world: (4, 4).
-            farthest: surfaces deeper than this are left out, metres.
+            farthest: maximum depth, metres; farther surfaces are not rendered.
 
         Raises:
             InputError: a raster is damaged.
@@ -141,7 +141,7 @@ class Surface:
         return _march(rays, local, patch, self.undulation)
 
     def _paint(self, camera: Camera, rays: _Rays, depth: Array) -> NDArray[np.uint8]:
-        """Return the colours (N, 3) where the rays meet the surface; remove depth without one."""
+        """Return colours (N, 3) where rays meet the surface; zero depth where colour is unknown."""
         colours = np.full((len(depth), 3), np.nan)
         seen = depth > 0
         if seen.any():
@@ -151,15 +151,15 @@ class Surface:
             at = local.coordinates(points)
             image = _Image(patch)
             x, y = (torch.from_numpy(z).float() for z in image.normal(at[:, 0], at[:, 1]))
-            found = image.sample(x, y, "bicubic")
-            colours[seen] = np.broadcast_to(found.numpy().T, (len(points), 3))
+            sampled = image.sample(x, y, "bicubic")
+            colours[seen] = np.broadcast_to(sampled.numpy().T, (len(points), 3))
         known = np.isfinite(colours).all(1)
         depth[~known] = 0
         colours[~known] = colours[known].mean(0) if known.any() else 0
         return np.asarray(np.rint(np.clip(colours, 0, 255)), np.uint8)
 
     def _around(self, raster: Raster, points: Array) -> tuple[LocalProjection, Box]:
-        """Return the way to a raster's coordinates around points (N, 3), and their rectangle."""
+        """Return the projection to a raster around points (N, 3), and their bounding box there."""
         low, high = points.min(0) - _MARGIN_M, points.max(0) + _MARGIN_M
         local = LocalProjection.fit(raster.grid.projection, self.origin, low, high)
         at = local.coordinates(points)
@@ -168,31 +168,30 @@ class Surface:
 
 
 class _Image:
-    """A patch that is interpolated between the centres of its pixels; NaN beyond its edges.
+    """A patch interpolated between its pixel centres; NaN beyond its edges.
 
     Attributes:
-        values: (1, bands, H, W) float32, the patch in a frame of NaN; sides are multiples of
-            ``_CELL``.
+        values: (1, bands, H, W) float32, padded with NaN to sides that are multiples of ``_CELL``.
     """
 
     def __init__(self, patch: Patch) -> None:
         self._grid = patch.grid
-        further = [(1, _CELL - (side + 1) % _CELL) for side in patch.values.shape[1:]]
-        padded = np.pad(patch.values, ((0, 0), *further), constant_values=np.nan)
+        padding = [(1, _CELL - (side + 1) % _CELL) for side in patch.values.shape[1:]]
+        padded = np.pad(patch.values, ((0, 0), *padding), constant_values=np.nan)
         self.values = torch.from_numpy(padded)[None]
 
     def normal(self, east: Array, north: Array) -> tuple[Array, Array]:
-        """Return coordinates as ``grid_sample`` takes them: -1 to 1 from edge to edge."""
+        """Return normalised coordinates as ``grid_sample`` takes them, -1 to 1 between edges."""
         columns, rows = self._grid.columns_rows(east, north)
         height, width = self.values.shape[2:]
         return (columns + 1) * (2 / width) - 1, (rows + 1) * (2 / height) - 1
 
     def sample(self, x: Tensor, y: Tensor, mode: str = "bilinear") -> Tensor:
-        """Return values (bands, N) at normal coordinates (N,)."""
+        """Return values (bands, N) at normalised coordinates (N,)."""
         return _sample(self.values, x, y, mode)
 
     def ceiling(self) -> Tensor:
-        """Return the highest value in each cell and the eight around it, (1, bands, h, w)."""
+        """Return the highest value of each cell and its eight neighbours, (1, bands, h, w)."""
         high = torch.nan_to_num(self.values, nan=-math.inf)
         cells = torch.nn.functional.max_pool2d(high, _CELL)
         return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
@@ -200,16 +199,16 @@ class _Image:
 
 def _sample(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     at = torch.stack([x, y], -1)[None, None]
-    found: Tensor = torch.nn.functional.grid_sample(
+    sampled: Tensor = torch.nn.functional.grid_sample(
         values, at, mode=mode, padding_mode="border", align_corners=False
     )
-    return found[0, :, 0]
+    return sampled[0, :, 0]
 
 
 class _Parabolas(NamedTuple):
-    """Rays in a surface model: the coefficients of what they are at a depth, (3, N) float32 each.
+    """Rays in a surface model as quadratic functions of depth, coefficients (3, N) float32 each.
 
-    The rows are normal coordinates x and y, and height in metres above the model's zero.
+    The rows are normalised coordinates x and y, and height in metres above the model's zero.
     """
 
     constant: Tensor
@@ -218,9 +217,9 @@ class _Parabolas(NamedTuple):
 
     @staticmethod
     def of(rays: _Rays, local: LocalProjection, image: _Image, zero: float) -> _Parabolas:
-        """Make the parabolas of rays."""
+        """Convert rays to parabolas."""
         a, b, c = local.along(rays.start, rays.directions)
-        # Normal coordinates are linear in east and north.
+        # Normalised coordinates are linear in east and north.
         x, y = image.normal(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
         scale = np.array([x[1] - x[0], y[1] - y[0], 1.0])
         first = np.array([*(z.item() for z in image.normal(a[0], a[1])), a[2] - zero])
@@ -229,7 +228,7 @@ class _Parabolas(NamedTuple):
         return _Parabolas(*(torch.from_numpy(part.astype(np.float32)) for part in parts))
 
     def select(self, which: Tensor) -> _Parabolas:
-        """Return some of them."""
+        """Return the selected parabolas."""
         return _Parabolas(*(part[:, which] for part in self))
 
     def at(self, depth: Tensor) -> Tensor:
@@ -240,7 +239,7 @@ class _Parabolas(NamedTuple):
 def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float) -> Array:
     """Return the depth (N,) where rays first pass below the surface, 0 where they do not.
 
-    A ray that comes out of a hole of the surface model below the surface meets nothing.
+    A ray that leaves a hole of the surface model below the surface has no intersection.
     """
     image = _Image(patch)
     which = np.flatnonzero(rays.meet)
@@ -249,30 +248,30 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     lines = _Parabolas.of(rays, local, image, zero).select(torch.from_numpy(which))
     first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
     across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
-    # Depth in which a ray crosses a pixel; upright rays take a pixel of depth.
+    # Depth in which a ray crosses a pixel, bounded for steep rays.
     step = min(patch.grid.ground_pixel) / across.clamp_min(0.2)
-    first = _before_surface(lines, image.ceiling(), first, last, step)
-    shallow, deep = _step_of_entry(lines, image, first, last, step)
+    first = _skip_free_space(lines, image.ceiling(), first, last, step)
+    shallow, deep = _bracket_entry(lines, image, first, last, step)
     hit = torch.nonzero(deep > 0)[:, 0]
     depth = np.zeros(len(rays.first))
     if len(hit):
-        found = _entry(lines.select(hit), image, shallow[hit], deep[hit])
-        depth[which[hit.numpy()]] = found.double().numpy()
+        entry = _refine_entry(lines.select(hit), image, shallow[hit], deep[hit])
+        depth[which[hit.numpy()]] = entry.double().numpy()
     return depth
 
 
 def _clearance(lines: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
-    """Return how far rays are above the surface at a depth, (N,) metres."""
+    """Return the height of rays above the surface at a depth, (N,) metres."""
     at = lines.at(depth)
     return at[2] - image.sample(at[0], at[1])[0]
 
 
-def _before_surface(
+def _skip_free_space(
     lines: _Parabolas, ceiling: Tensor, first: Tensor, last: Tensor, step: Tensor
 ) -> Tensor:
-    """Return depths (N,) before the surface, to which rays stay above all that is near them.
+    """Return depths (N,) up to which rays are certainly above the surface.
 
-    A ray goes from cell to cell while it ends above the highest point around each.
+    A ray advances from cell to cell while it stays above the highest point around each.
     """
     depth = first.clone()
     stride = (_CELL - 1) * step
@@ -288,10 +287,10 @@ def _before_surface(
     return depth
 
 
-def _step_of_entry(
+def _bracket_entry(
     lines: _Parabolas, image: _Image, first: Tensor, last: Tensor, step: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the depths (N,) around the step in which each ray enters the surface, or zeros."""
+    """Return the depths (N,) before and after the step in which a ray enters the surface, or 0."""
     shallow, deep = torch.zeros_like(first), torch.zeros_like(first)
     active = torch.nonzero(first < last)[:, 0]
     now, depth = lines.select(active), first[active]
@@ -307,8 +306,8 @@ def _step_of_entry(
     return shallow, deep
 
 
-def _entry(lines: _Parabolas, image: _Image, shallow: Tensor, deep: Tensor) -> Tensor:
-    """Return the depth (N,) of the surface between two depths, by bisection and one secant."""
+def _refine_entry(lines: _Parabolas, image: _Image, shallow: Tensor, deep: Tensor) -> Tensor:
+    """Return the depth (N,) of the surface between two depths, by bisection and one secant step."""
     for _ in range(_BISECTIONS):
         middle = (shallow + deep) / 2
         below = _clearance(lines, image, middle) <= 0

@@ -1,4 +1,4 @@
-"""Depth maps and a dense cloud for the photographs of a scene's map."""
+"""The command ``dense``: depth maps and a fused cloud of a scene's map photographs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.mapping.dense.consistency import agreeing
+from objconnect.mapping.dense.consistency import count_agreeing
 from objconnect.mapping.dense.options import DEFAULTS, DenseOptions
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.mapping.dense.pictures import draw_cloud, draw_maps
 from objconnect.mapping.dense.planes import normals_of, planes_of
-from objconnect.mapping.dense.report import DenseReport, Fused, read_truth, report
+from objconnect.mapping.dense.report import DenseCloud, DenseReport, read_truth, report
 from objconnect.mapping.dense.sources import choose_all, seeds_in
 from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.warp import StereoView
@@ -58,16 +58,16 @@ UNFINISHED = f"{TEMPORARY_PREFIX}dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]
 
-# Of a depth map: every one alone, then each against its sources.
+# Depth maps are first estimated one by one, then made consistent with their sources.
 _STAGES: tuple[Stage, ...] = ("photometric", "geometric")
 
-# Bytes of a point of the fused cloud with the count of its list, and of a pixel listed there.
+# Bytes of a point of the fused cloud with its visibility count, and of each visibility entry.
 _POINT_BYTES, _LISTED_BYTES = 31, 4
-# Depth maps of the picture for people.
+# Number of depth maps in the overview picture.
 _SHOWN = 3
-# Seconds are told for a map of so many pixels.
+# Times are reported for a map of this many pixels.
 _UNIT = 512 * 512
-# Photographs, and maps, of the largest size for which there is room in a cache.
+# Capacity of each cache, in photographs or maps of the largest size.
 _CACHED = 64
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 
@@ -86,34 +86,34 @@ def dense(
     device: str = AUTO,
     options: DenseOptions = DEFAULTS,
 ) -> DenseReport:
-    """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
+    """Estimate a depth map for every map photograph, fuse them, and measure the result.
 
     The result is the folder ``dense/`` of the scene, in the layout of COLMAP's workspaces. It is
-    made map by map in a hidden folder. An interrupted run continues with the next map, and gives
+    made map by map in a hidden folder. An interrupted run continues with the next map and gives
     the same bytes.
 
     Args:
         path: path of a finished scene with its map.
         size: longest side of the depth maps, pixels; photographs are never enlarged.
-        sources: largest number of photographs with which each is matched.
-        stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
-        seed: seed of every random choice; the same seed makes the same files.
-        cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
-            must see the scene at the same path and write to it.
+        sources: maximum number of source photographs of a depth map.
+        stereo: "own" PatchMatch, or "colmap" where pycolmap has CUDA.
+        seed: random seed; the same seed gives the same files.
+        cluster: cluster that runs our PatchMatch, see ``worker_pool``. Its nodes must see the scene
+            at the same path and write to it.
         device: device of our PatchMatch, as in ``objconnect.scene.runtime.device.Device``. On a
-            cluster, whose units ask for cores alone, auto is cpu.
-        options: when depth maps agree, and which depths are kept.
+            cluster, whose jobs request CPU cores alone, auto is cpu.
+        options: thresholds of consistency and fusion.
 
     Returns:
-        Its figures, against the truth where the scene has depth.
+        Figures of the depth maps, with accuracy where the scene has true depth.
 
     Raises:
-        InputError: not a finished scene, one that another run is writing, no map, no photograph
-            with enough others that see the same, a damaged photograph, a folder that cannot be
-            written, or a device that is not there.
+        InputError: the scene is not finished, is being written by another run, has no map or a
+            damaged photograph, no photograph has enough overlap with others, the folder cannot be
+            written, or the device does not exist.
     """
     if cluster is not None and device == AUTO:
-        device = "cpu"  # units of a cluster ask for cores alone
+        device = "cpu"  # jobs of a cluster request CPU cores alone
     asked = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
     scene = Scene.open(path)
     with write_lock(path):
@@ -122,7 +122,7 @@ def dense(
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked for; see ``dense``."""
+    """The arguments of ``dense``."""
 
     size: int
     sources: int
@@ -143,13 +143,13 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     pairs = choose_all(pinhole_map, asked.sources, enough)
     if not pairs:
         raise InputError(
-            f"no photograph of the map of {path} has {enough} others that see enough of the same: "
+            f"no photograph of the map of {path} overlaps enough with {enough} others: "
             "fly with more overlap"
         )
     skipped = sorted(set(sparse_map.names) - set(pairs))
     if skipped:
         logger.warning(
-            "%d of %d photographs share too little with others for a depth map, as %s",
+            "%d of %d photographs overlap too little with others for a depth map, such as %s",
             len(skipped), len(sparse_map.names), skipped[0],
         )  # fmt: skip
     files = [scene.images_root / name for name in sparse_map.names]
@@ -162,7 +162,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     try:
         require_unchanged(files, photographs)
     except InputError:
-        shutil.rmtree(workspace.path)  # it may contain some of the changed files
+        shutil.rmtree(workspace.path)  # it may contain changed files
         raise
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)
@@ -173,10 +173,10 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     else:
         patch_match_stereo(workspace.path)
     known = 0
-    for name in pairs:  # COLMAP would end the process where we say what is damaged
+    for name in pairs:  # fusion in COLMAP ends the process at a damaged file, so read all first
         known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
-    # Nor does it say that the disk is full. A point is of so many pixels or more, each listed once.
+    # COLMAP does not report a full disk. A point lists ``fused`` pixels or more, each pixel once.
     fused_bytes = known // options.fused * _POINT_BYTES + known * _LISTED_BYTES
     require_disk_space(workspace.cloud, fused_bytes)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, options.fused)
@@ -185,17 +185,17 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     confirmations = {name: maps.confirmations(name) for name in shown}
     draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
     draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
-    fused = Fused(workspace, tuple(pairs), len(xyz), seconds)
-    result = report(scene, len(pinhole_map.names), fused, truth)
+    cloud = DenseCloud(workspace, tuple(pairs), len(xyz), seconds)
+    result = report(scene, len(pinhole_map.names), cloud, truth)
     _finish(scene, workspace)
     return result
 
 
 def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
-    """Return the unfinished folder: what an earlier run with the same key left, or an empty one.
+    """Return the unfinished folder of an earlier run with the same key, or a new one.
 
-    The record stays in the folder when it is finished: the next run with the same key begins with
-    what is whole, under second names.
+    A finished folder keeps its record, so that the next run with the same key hard-links its
+    complete files.
     """
     unfinished, whole = (_resumable(scene.path / name, key) for name in (UNFINISHED, DENSE))
     try:
@@ -218,16 +218,16 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
             options = take_recorded(DenseOptions, dict(recorded.get("options", {})))
         except (ValueError, TypeError):
             return "key"
-        # Options that came later than the folder had the effect of their defaults.
+        # Options that did not exist when the folder was made have their defaults.
         recorded["options"] = DEFAULTS.model_dump(mode="json") | options
-        recorded.setdefault("device", "cpu")  # on which they were all made
+        recorded.setdefault("device", "cpu")
         return None if recorded == json.loads(request) else "key"
 
     return ResumableFolder(folder, folder / KEY, request, difference)
 
 
 def list_own_files(workspace: Workspace) -> set[str]:
-    """Return the files of a workspace that we wrote, as ``atomic_folder`` takes them."""
+    """Return the files that ``dense`` writes into a workspace, as ``atomic_folder`` takes them."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
     for name in workspace.names():
@@ -237,18 +237,18 @@ def list_own_files(workspace: Workspace) -> set[str]:
 
 
 def _link_complete(whole: Path, unfinished: Path) -> None:
-    """Link finished files into the unfinished folder. The old folder stays unchanged."""
+    """Link finished files into the unfinished folder, without changing the finished one."""
     cloud, ours = Workspace(whole).cloud.name, list_own_files(Workspace(whole))
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
-        # COLMAP writes the cloud anew, in place.
+        # COLMAP overwrites the cloud in place, so it is not linked.
         if path.is_file() and name in ours and not name.startswith(cloud):
             (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(path, unfinished / name)
 
 
 def _finish(scene: Scene, workspace: Workspace) -> None:
-    """Put the finished folder in its place, and into the scene's manifest."""
+    """Move the finished folder to its final path, and record it in the scene's manifest."""
     whole = scene.path / DENSE
     try:
         replace_folder(whole, workspace.path, list_own_files(Workspace(whole)))
@@ -279,7 +279,7 @@ def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
 
 
 def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
-    """Make those that are missing; seconds per ``_UNIT`` pixels, None when none was."""
+    """Make the missing depth maps; return CPU-seconds per ``_UNIT`` pixels, None if none was."""
     finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
     pixels, seconds = 0, 0.0
     with (
@@ -292,12 +292,12 @@ def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
                 for size, took in made:
                     pixels, seconds, finished = pixels + size, seconds + took, finished + 1
                     advance(finished)
-    # Both maps of a photograph count as one.
+    # The maps of both stages count as one.
     return 2 * seconds / pixels * _UNIT if pixels else None
 
 
 class _Maps:
-    """Makes the depth maps of a workspace that are not there yet."""
+    """Makes the missing depth maps of a workspace."""
 
     def __init__(
         self,
@@ -324,7 +324,7 @@ class _Maps:
         return _Maps, (self._map, self._workspace, self._pairs, self._asked)
 
     def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
-        """List the maps to make at a stage; the second stage needs all maps of the first."""
+        """List the maps to make in a stage. The second stage needs all maps of the first."""
         return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
 
     def __len__(self) -> int:
@@ -333,7 +333,7 @@ class _Maps:
 
     @torch.inference_mode()
     def __call__(self, unit: tuple[Stage, str]) -> Iterator[tuple[int, float]]:
-        """Make one map: its pixels, and seconds of processor time."""
+        """Make one map; yield its number of pixels and its CPU-seconds."""
         began = time.process_time()
         stage, name = unit
         planes, depth = self._first(name) if stage == "photometric" else self._last(name)
@@ -343,14 +343,14 @@ class _Maps:
 
     @torch.inference_mode()
     def confirmations(self, name: str) -> NDArray[np.int64]:
-        """Return how many sources confirm each pixel of a finished depth map, (H, W)."""
+        """Count the sources that confirm each pixel of a finished depth map, (H, W)."""
         depth = torch.from_numpy(self._workspace.depth(name, "geometric")).to(self._device)
         inverse = torch.where(depth > 0, 1 / depth, 0)
         return self._confirmations(name, inverse).cpu().numpy()
 
     def _confirmations(self, name: str, inverse: Tensor) -> Tensor:
         others = self._pairs[name]
-        return agreeing(
+        return count_agreeing(
             self.view(name),
             [self.view(other) for other in others],
             inverse,
@@ -377,7 +377,7 @@ class _Maps:
         return planes, torch.where(confirmed, 1 / planes[0], 0)
 
     def _generator(self, name: str) -> torch.Generator:
-        """Seed by photograph, so that the order in which maps are made does not matter."""
+        """Return a generator seeded by photograph, so that the order of maps does not matter."""
         return torch.Generator().manual_seed(zlib.crc32(f"{self._asked.seed} {name}".encode()))
 
     def _read_view(self, name: str) -> StereoView:

@@ -1,7 +1,8 @@
-"""The cost of ``objconnect.mapping.dense.photometry`` in compiled loops, for processors.
+"""The plane cost of ``objconnect.mapping.dense.photometry`` in compiled loops for CPUs.
 
-A pixel is finished before the next begins, so that nothing but its cost is written, and sources are
-left out as soon as a plane cannot be the best any more. Costs differ by rounding alone.
+Each pixel is computed completely before the next, so that only its cost is written, and remaining
+sources are skipped as soon as a plane cannot become the best. Results equal those of
+``Photometry`` up to rounding.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ _F = np.float32
 _DX = np.tile(np.array(STEPS, np.float32), len(STEPS))
 _DY = np.repeat(np.array(STEPS, np.float32), len(STEPS))
 _SAMPLES = len(_DX)
-# Sources have a row more, so that every pixel has a next one, and so many columns more: with rows
-# of a power of two, windows of several sources would take turns in the same lines of a cache.
+# Padding of sources: one row, so that every pixel has a next one, and this many columns, because
+# rows of a power of two would make windows of several sources compete for the same cache lines.
 _MORE = 17
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _NOISE, _WORST, _MIN_DEPTH = _F(NOISE), _F(WORST), _F(MIN_DEPTH)
-# The options allow infinite costs, which are compared.
+# The options keep infinities valid, because costs may be infinite.
 _compiled = njit(**OPTIONS)
 
 
 class CompiledWindow(NamedTuple):
-    """Surroundings of n pixels of the reference view, S samples each.
+    """Windows around n pixels of the reference view, S samples each.
 
     Attributes:
         rows: row (n,) of the pixel.
         columns: column (n,) of the pixel.
-        weights: weights (n, S) of the samples, whose sum is one.
+        weights: weights (n, S) of the samples, which sum to one.
         correlators: factors (n, S), see ``objconnect.mapping.dense.photometry.Samples``.
     """
 
@@ -67,19 +68,19 @@ class CompiledWindow(NamedTuple):
 
 
 class _Sources(NamedTuple):
-    """What compiled code has to know of K sources.
+    """K sources as arrays for compiled code.
 
     Attributes:
         seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
-        best: how many of the sources count, (H, W), see ``Visibility``.
-        grey: the pixels of all pictures, see ``_concatenate``.
-        inverse_depths: those of their maps likewise; empty without maps.
-        begins: where each picture begins in them, (K,).
+        best: number of sources that count, (H, W), see ``Visibility``.
+        grey: pixels of all pictures, see ``_concatenate``.
+        inverse_depths: inverse depths of their maps likewise; empty without maps.
+        begins: start of each picture in these arrays, (K,).
         shapes: height and width of each picture, (K, 2).
-        there: warps to them, (K, 3, 4).
-        back: warps from them, (K, 3, 4).
-        geometric_weight: the option.
-        limit_px: the option ``geometric_limit_px``.
+        there: warps to the sources, (K, 3, 4).
+        back: warps from the sources, (K, 3, 4).
+        geometric_weight: ``GEOMETRIC_WEIGHT``.
+        limit_px: ``GEOMETRIC_LIMIT_PX``.
     """
 
     seen: NDArray[np.bool_]
@@ -94,8 +95,8 @@ class _Sources(NamedTuple):
     limit_px: np.float32
 
 
-class _Place(NamedTuple):
-    """Where a pixel lies in another picture: pixels, depth, and whether it is in the picture."""
+class _Projection(NamedTuple):
+    """A pixel in another picture: column, row, depth ratio, and whether it is inside."""
 
     u: np.float32
     v: np.float32
@@ -104,7 +105,7 @@ class _Place(NamedTuple):
 
 
 class _Slopes(NamedTuple):
-    """Derivatives of a place by the pixel: of u by x and y, then of v."""
+    """Derivatives of a projection: du/dx, du/dy, dv/dx and dv/dy."""
 
     ux: np.float32
     uy: np.float32
@@ -113,7 +114,7 @@ class _Slopes(NamedTuple):
 
 
 class CompiledPhotometry:
-    """Costs of planes at pixels, as ``Photometry``, whose arguments it takes."""
+    """Costs of planes at pixels; arguments and results as ``Photometry``."""
 
     def __init__(
         self,
@@ -122,7 +123,7 @@ class CompiledPhotometry:
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None = None,
     ) -> None:
-        # What is left for torch is so little that its threads would wait more than compute.
+        # The remaining work of torch is too small to benefit from several threads.
         self.torch_threads = 1
         self._threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(self._threads)
@@ -170,7 +171,7 @@ class CompiledPhotometry:
         return costs
 
     def _in_parts(self, fill: Callable[[slice], None], count: int) -> None:
-        """Call a function with parts of a count, as many at once as torch has threads."""
+        """Split a range into as many parts as torch has threads, and call ``fill`` in parallel."""
         ends = np.linspace(0, count, self._threads + 1).astype(int)
         parts = [slice(begin, end) for begin, end in pairwise(ends)]
         if len(parts) == 1:
@@ -185,9 +186,9 @@ def _matrices(warps: Sequence[Warp]) -> NDArray[np.float32]:
 
 
 def _concatenate(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
-    """Return the pixels of pictures of several sizes, one after the other, with ``_MORE``."""
-    larger = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
-    return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in larger)])
+    """Return the pixels of pictures of several sizes as one array, padded by ``_MORE``."""
+    padded = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
+    return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in padded)])
 
 
 @_compiled
@@ -248,15 +249,15 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
                         home = _warp(back, k, shape, at.u, at.v, known)
                         pixels = min(np.hypot(home.u - x, home.v - y), pixels)
                     here += weight * pixels
-            # Costs so far, in ascending order.
-            place = done
-            while place > 0 and each[place - 1] > here:
-                each[place] = each[place - 1]
-                place -= 1
-            each[place] = here
+            # Insert the cost in ascending order.
+            rank = done
+            while rank > 0 and each[rank - 1] > here:
+                each[rank] = each[rank - 1]
+                rank -= 1
+            each[rank] = here
             done += 1
             left -= 1
-            # What those to come leave of it, if they cost nothing.
+            # Lower bound of the cost, if the remaining sources cost nothing.
             cost = _ZERO
             for j in range(needed - left):
                 cost += each[j]
@@ -268,14 +269,14 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
 
 @_compiled
 def _warp(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
-    """Warp a pixel as ``Warp`` k does, into a picture of a shape; a ``_Place``."""
+    """Warp a pixel by warp k into a picture of a shape, as ``Warp`` does."""
     a = matrices[k, 0, 0] * x + matrices[k, 0, 1] * y + (matrices[k, 0, 2] + matrices[k, 0, 3] * w)
     b = matrices[k, 1, 0] * x + matrices[k, 1, 1] * y + (matrices[k, 1, 2] + matrices[k, 1, 3] * w)
     c = matrices[k, 2, 0] * x + matrices[k, 2, 1] * y + (matrices[k, 2, 2] + matrices[k, 2, 3] * w)
     z = max(c, _MIN_DEPTH)
     u, v = a / z, b / z
     inside = u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
-    return _Place(u, v, z, inside)
+    return _Projection(u, v, z, inside)
 
 
 @_compiled
@@ -293,11 +294,11 @@ def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-# More than six parameters: at each call a tuple of arrays would cost half as much as the sum.
+# More than six parameters: packing arrays into a tuple costs half as much as the sum itself.
 def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
-    """Return the weighted correlation of window i with that of a picture around a place."""
+    """Return the weighted correlation of window i with the window around a projection."""
     right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _MORE)
-    # Positions count from the middle of the first pixel; those beyond the edge lie on it.
+    # Positions count from the centre of the first pixel and are clamped to the edge.
     u, v = at.u - _HALF, at.v - _HALF
     mean = square = product = _ZERO
     for s in range(_SAMPLES):
@@ -309,7 +310,7 @@ def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # ty
         row = row if row < bottom else bottom
         left, top = np.int32(column), np.int32(row)
         across, down = column - _F(left), row - _F(top)
-        # Unsigned numbers are not looked at for being negative.
+        # Unsigned indices avoid the test for negative ones.
         pixel = np.uint32(begin) + np.uint32(top) * stride + np.uint32(left)
         under = pixel + stride
         upper = grey[pixel] + across * (grey[pixel + np.uint32(1)] - grey[pixel])

@@ -1,4 +1,4 @@
-"""Consistency of a depth map with those of its sources."""
+"""Check the consistency of a depth map with those of its sources."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from objconnect.mapping.dense.options import DEFAULTS, DenseOptions
 from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
 
 
-def agreeing(
+def count_agreeing(
     reference: StereoView,
     sources: Sequence[StereoView],
     inverse: Tensor,
@@ -25,7 +25,7 @@ def agreeing(
         sources: the source views.
         inverse: inverse depths (H, W) of the reference, 0 where unknown.
         inverse_of_sources: inverse depths (H, W) of each source, 0 where unknown.
-        options: limits within which two maps agree.
+        options: thresholds within which two maps agree.
     """
     x, y = reference.camera.pixel_grid(torch.float32).to(inverse.device).unbind(-1)
     count = torch.zeros(inverse.shape, dtype=torch.int64, device=inverse.device)

@@ -1,4 +1,4 @@
-"""Options of dense reconstruction. ``dense.json`` records them beside what they made."""
+"""Options of ``dense``, which ``dense.json`` records beside the depth maps."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from objconnect.scene.config import Config
 
 
 class DenseOptions(Config):
-    """Limits within which depth maps agree, and which depths are kept."""
+    """Thresholds of geometric consistency and fusion of depth maps."""
 
     same_px: float = Field(
         1.0,
         gt=0,
-        description="Two maps agree where the round trip of a pixel ends within this "
-        "distance (px).",
+        description="Two maps agree at a pixel where its reprojection error after a round trip is "
+        "below this, px.",
     )
     same_depth: float = Field(
         0.01,
         gt=0,
-        description="Two maps agree where their depths differ by less than this share.",
+        description="Two maps agree at a pixel where their relative depth difference is below "
+        "this.",
     )
     confirmed: int = Field(
-        2, ge=1, description="A depth is kept when this many sources confirm it."
+        2, ge=1, description="Minimum number of source maps that confirm a depth to keep it."
     )
     fused: int = Field(
-        3, ge=1, description="A point of the cloud is kept when this many maps show it."
+        3, ge=1, description="Minimum number of maps that show a point of the cloud to keep it."
     )
 
 

@@ -1,4 +1,4 @@
-"""PatchMatch stereo of one view: planes spread from pixel to pixel and are refined at random.
+"""PatchMatch stereo of one view: propagate planes between pixels and refine them at random.
 
 Red and black pixels of a checkerboard alternate, so that all pixels of one colour are processed at
 once (Galliani et al., Gipuma, ICCV 2015). A pixel tries the best of several neighbours in each of
@@ -37,13 +37,13 @@ _STEEPEST: Final = 0.5
 # Sizes of random steps: disparity in pixels, and its slope in pixels per pixel; halved each round.
 _STEP_PX: Final = 1.0
 _STEP_SLOPE: Final = 0.2
-# Random inverse depths exceed the range of those of the map's points by this share, because the map
-# has no point at the highest and the lowest place.
+# The range of random inverse depths exceeds that of the map's points by this share, because the map
+# may lack points at the highest and the lowest position.
 _MARGIN: Final = 0.2
 
 
 def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
-    """Return neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
+    """Return offsets (dx, dy) of neighbours of the other colour in four directions."""
     side = [(0, -1), (-1, -2), (1, -2), (-2, -3), (2, -3), (0, -3), (0, -5), (0, -7)]
     regions = []
     for _ in range(4):
@@ -82,7 +82,7 @@ def first_estimate(
         shrink.append(2 * shrink[-1])
     planes = None
     for factor in reversed(shrink):
-        here, others = _shrunk(reference, factor), [_shrunk(view, factor) for view in sources]
+        here, others = _shrink(reference, factor), [_shrink(view, factor) for view in sources]
         height, width = here.grey.shape
         scale = np.array([width, height]) / reference.grey.shape[::-1]
         points = seeds * [*scale, 1.0]
@@ -122,7 +122,7 @@ def consistent_estimate(
     return search.run(search.best_of([planes]), _ROUNDS, 0.5)
 
 
-def _shrunk(view: StereoView, factor: int) -> StereoView:
+def _shrink(view: StereoView, factor: int) -> StereoView:
     if factor == 1:
         return view
     height, width = (max(1, side // factor) for side in view.grey.shape)
@@ -131,7 +131,7 @@ def _shrunk(view: StereoView, factor: int) -> StereoView:
 
 
 class _Search:
-    """The search in one picture of one size."""
+    """The search for planes in one picture at one resolution."""
 
     def __init__(
         self,
@@ -224,7 +224,7 @@ class _Search:
 
 
 def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
-    """Return the class that takes the least time on a device, of those that are installed."""
+    """Return the fastest installed implementation of the cost for a device."""
     if loops_serve(device):
         from objconnect.mapping.dense.compiled_cost import CompiledPhotometry
 

@@ -1,8 +1,7 @@
-"""The photometric cost of a plane: the difference of windows in the reference and other views.
+"""Photometric cost of a plane: bilaterally weighted NCC, as in Gipuma and COLMAP.
 
-It is bilaterally weighted normalised cross-correlation, as in Gipuma and COLMAP. The cost is
-1 - NCC, which is 0 where two windows are equal up to gain and offset. Within the small window the
-warp is approximated as affine, which needs one division for all samples.
+The cost is 1 - NCC, which is 0 where two windows are equal up to gain and offset. Within the small
+window the warp is approximated as affine, which needs one division for all samples.
 """
 
 from __future__ import annotations
@@ -20,33 +19,32 @@ WORST = 2.0
 """Cost of an inverted picture, and of a view that does not see the plane."""
 
 STEPS = (-4, -2, 0, 2, 4)
-"""Offsets of samples: every second pixel of a window of 9 x 9, which is part of the method."""
+"""Offsets of samples: every second pixel of a window of 9 x 9, as in the published method."""
 
 NOISE = 1e-5
-"""Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing."""
-
+"""Variance (of grey in 0..1) of noise. Windows with less variance have no texture."""
 
 SIGMA_PX: Final = 4.0
 """Width (px) of the Gaussian weight of samples: the window's edge counts 61 %."""
 
 SIGMA_GREY: Final = 0.1
-"""Difference in grey (0..1) at which the weight of a sample falls by e: beyond lies another
-surface."""
+"""Difference in grey (0..1) at which the weight of a sample falls by e, because it is likely on
+another surface."""
 
 GEOMETRIC_WEIGHT: Final = 0.2
 """Additional cost per pixel of distance after a round trip through the map of another view."""
 
 GEOMETRIC_LIMIT_PX: Final = 3.0
-"""Largest distance of this round trip (px) that counts, so that one wrong map decides nothing."""
+"""Upper bound (px) of this distance, so that a single wrong map does not decide."""
 
 
 class Visibility(NamedTuple):
-    """Which sources show the pixels of a picture.
+    """Visibility of the pixels of a picture in its sources.
 
     Attributes:
         seen: whether each of K sources shows a pixel, (K, H, W).
-        best: how many of them count, (H, W): the better half, and at least two, so that occluded
-            views are ignored.
+        best: number of sources that count, (H, W): the better half, and at least two, so that
+            occluded views are ignored.
     """
 
     seen: Tensor
@@ -54,7 +52,7 @@ class Visibility(NamedTuple):
 
     @staticmethod
     def of(reference: StereoView, warps: Sequence[Warp], expected: Tensor) -> Visibility:
-        """Find it by the inverse depths (H, W) that are expected and warps to the sources."""
+        """Compute the visibility from expected inverse depths (H, W) and warps to the sources."""
         grid = reference.camera.pixel_grid(torch.float32).to(reference.grey.device)
         x, y = grid.unbind(-1)
         seen = torch.stack([warp(x, y, expected).seen for warp in warps])
@@ -63,13 +61,13 @@ class Visibility(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Samples around those pixels of a window that a source shows, S around each of m.
+    """S samples around each of m pixels that a source shows.
 
     Attributes:
-        which: (m,) of the window's n pixels.
-        x: column (m,) of the middle of the pixel.
-        y: row (m,) of the middle of the pixel.
-        weights: weights (S, m) of the samples, whose sum is one.
+        which: indices (m,) into the window's n pixels.
+        x: column (m,) of the pixel's centre.
+        y: row (m,) of the pixel's centre.
+        weights: weights (S, m) of the samples, which sum to one.
         correlator: factors (S, m). The sum of their products with another window is the
             covariance of both windows over the standard deviation of this one.
     """
@@ -82,12 +80,12 @@ class Samples(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Surroundings of n pixels of the reference view.
+    """Windows around n pixels of the reference view.
 
     Attributes:
         rows: row (n,) of the pixel.
         columns: column (n,) of the pixel.
-        samples: for each source, of the pixels that it shows.
+        samples: samples for each source, around the pixels that it shows.
     """
 
     rows: Tensor
@@ -96,10 +94,10 @@ class Window(NamedTuple):
 
 
 class PlaneCosts(Protocol):
-    """Costs of planes at pixels of one reference view. Each implementation has its own windows.
+    """Interface of plane costs. Each implementation has its own type of window.
 
     Attributes:
-        torch_threads: threads of torch that are of use between the calls.
+        torch_threads: number of torch threads to use between calls.
     """
 
     torch_threads: int
@@ -111,10 +109,10 @@ class PlaneCosts(Protocol):
         """Return the cost of a plane at each pixel, the mean over the better half of its sources.
 
         Args:
-            window: around n pixels.
+            window: windows around n pixels.
             planes: (3, n).
-            below: costs (n,) below which the cost is asked for. Where it is not below, any number
-                that is not, either, may be returned.
+            below: upper bounds (n,). Where the cost is not below its bound, any value not below
+                the bound may be returned.
         """
 
 
@@ -124,9 +122,8 @@ class Photometry:
     Args:
         reference: the view whose planes are sought.
         sources: the source views.
-        expected: inverse depths (H, W) by which each pixel is or is not in the picture of a source.
-            A plane that leaves the picture of such a source is penalised; a source that never
-            shows the pixel is ignored.
+        expected: inverse depths (H, W) that decide which sources show a pixel. A plane that leaves
+            the picture of such a source is penalised; other sources are ignored.
         inverse_depths: inverse depth maps (H, W) of the sources, 0 where unknown. With them, a
             plane costs more where a source's map contradicts it.
     """
@@ -173,7 +170,7 @@ class Photometry:
         return Window(rows, columns, tuple(samples))
 
     def cost(self, window: Window, planes: Tensor, below: Tensor | None = None) -> Tensor:
-        """Return the cost of a plane at each pixel; see ``PlaneCosts``. Nothing is left out."""
+        """Return the exact cost of a plane at each pixel; see ``PlaneCosts``."""
         each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
             each[k, samples.which] = self._cost_in(
@@ -192,8 +189,8 @@ class Photometry:
         warp = self._there[k]
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, -1 and 1 are the edges of the picture. It reads x and y of many
-        # samples at once where each lies in one piece.
+        # In grid_sample's units, -1 and 1 are the edges of the picture. It is faster where x and y
+        # of many samples are contiguous.
         side = len(STEPS)
         grid = torch.empty(2, side, side, len(w), device=w.device)
         step = self._steps[:, None]
@@ -203,7 +200,7 @@ class Photometry:
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
             torch.add(rows[:, None], columns[None], out=grid[axis])
-        # A batch, because torch parallelises over batches and not within single pictures.
+        # Torch parallelises over a batch, and not within a picture.
         grey = grid_sample(
             self._sources[k].expand(side, -1, -1, -1),
             grid.permute(1, 2, 3, 0),
@@ -223,7 +220,7 @@ class Photometry:
 
 
 def _ascending(each: Tensor) -> Tensor:
-    """Sort costs (K, n) over K sources, nine times as fast as ``sort`` does for so few."""
+    """Sort costs (K, n) over K sources, nine times as fast as ``torch.sort`` for small K."""
     rows = list(each)
     for last in range(len(rows) - 1, 0, -1):
         for k in range(last):

@@ -1,4 +1,4 @@
-"""Pictures of a dense reconstruction for people."""
+"""Draw overview pictures of a dense reconstruction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
 
 _DPI = 110
-# The cloud from the side: the camera looks down by so many degrees, from the south-west.
+# Oblique view of the cloud from the south-west, degrees.
 _ELEVATION, _BEARING = 35.0, 45.0
 # Side of the cloud's pictures, pixels.
 _SIDE = 900
@@ -95,10 +95,10 @@ def _splat(
     low, high = np.percentile(flat, [0.5, 99.5], axis=0)
     scale = (_SIDE - 1) / max(float((high - low).max()), 1e-9)
     order = np.argsort(-(xyz @ ahead), kind="stable")  # farthest first, nearer on top
-    place = np.round((flat - 0.5 * (low + high)) * scale + 0.5 * _SIDE).astype(int)[order]
+    pixels = np.round((flat - 0.5 * (low + high)) * scale + 0.5 * _SIDE).astype(int)[order]
     for dx in range(2):
         for dy in range(2):
-            x, y = place[:, 0] + dx, place[:, 1] + dy
+            x, y = pixels[:, 0] + dx, pixels[:, 1] + dy
             inside = (x >= 0) & (x < _SIDE) & (y >= 0) & (y < _SIDE)
             picture[y[inside], x[inside]] = rgb[order][inside]
     return picture

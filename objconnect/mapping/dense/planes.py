@@ -1,4 +1,4 @@
-"""Slanted planes of PatchMatch, represented by the inverse depth at a pixel and its slope.
+"""Slanted planes of PatchMatch, parametrised by the inverse depth at a pixel and its slope.
 
 On a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. A plane is
 therefore three numbers (w in 1/m, gx and gy in 1/m per pixel). Moving it to a neighbouring pixel
@@ -17,8 +17,7 @@ from torch import Tensor
 
 from objconnect.scene.geometry.camera import Camera
 
-# Number of nearest seeds through which the first guess of a plane is fitted. Fewer do not
-# determine a slope.
+# Number of nearest seeds through which an initial plane is fitted.
 _NEIGHBOURS = 8
 # Regularisation of the slope, for seeds that lie on a line.
 _RIDGE = 1e-2
@@ -50,7 +49,7 @@ def normals_of(planes: Tensor, camera: Camera) -> Tensor:
 
 
 def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
-    """Return the planes of depths (H, W) > 0 and normals (3, H, W) as those of ``normals_of``."""
+    """Return planes from depths (H, W) > 0 and normals (3, H, W), as those of ``normals_of``."""
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     x, y = camera.pixel_grid(depth.dtype).to(depth.device).unbind(-1)
     nx, ny, nz = normals
@@ -96,9 +95,9 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tenso
     )
     pixels = torch.stack([x, y], -1).reshape(-1, 2)
     count = min(_NEIGHBOURS, len(points))
-    # A list of ranks, so that one neighbour has an axis too.
-    found = KDTree(seeds[:, :2]).query(pixels.numpy(), list(range(1, count + 1)))
-    distance, which = (torch.from_numpy(each) for each in found)
+    # A list of ranks keeps the axis of neighbours also for a single one.
+    neighbours = KDTree(seeds[:, :2]).query(pixels.numpy(), list(range(1, count + 1)))
+    distance, which = (torch.from_numpy(each) for each in neighbours)
     near = points[which]
     offset = near[..., :2] - pixels[:, None]
     scale = distance.mean(1)[:, None, None] + 1e-9

@@ -1,4 +1,4 @@
-"""The report on depth maps: their errors against the truth of the scene."""
+"""The report of ``dense``: errors of depth maps against the truth of the scene."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 
 WITHIN = 0.005
-"""A depth this close to the truth (relative) is right."""
+"""Maximum relative error of a depth that counts as right."""
 
-# A pixel is evaluated when at least this many photographs, including its own, see its surface.
+# A pixel is evaluated if at least this many photographs, including its own, see its surface.
 _VIEWS = 3
-# Another photograph sees a point when its depth there differs by less than this (relative).
+# A photograph sees a point if its depth there differs by less than this (relative).
 _SAME = 0.01
 GROUPS = ("all", "ground", "small", "medium", "large")
-"""The groups of pixels of which accuracy is reported: all pixels, and parts of them."""
+"""Groups of pixels for which accuracy is reported."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Rendered truth as the camera of a depth map sees it.
+    """Rendered ground truth in the camera of a depth map.
 
     Attributes:
         depth: depth (H, W), metres, 0 where there is no surface.
@@ -43,7 +43,7 @@ class Truth:
 
     @property
     def evaluable(self) -> NDArray[np.bool_]:
-        """Return which pixels are evaluated: those whose surface enough photographs see."""
+        """Return the mask of evaluated pixels, whose surface enough photographs see."""
         return (self.depth > 0) & (self.views >= _VIEWS)
 
 
@@ -158,13 +158,12 @@ def _views(
 
 
 @dataclass(frozen=True)
-class Fused:
-    """Depth maps and the cloud that was fused from them.
+class DenseCloud:
+    """Depth maps and the cloud fused from them.
 
     Attributes:
-        workspace: folder of the depth maps.
         names: photographs that have a depth map.
-        points: number of points of the fused cloud.
+        points: number of points of the cloud.
         cpu_seconds: processor time for 512 x 512 pixels of depth maps, or None.
     """
 
@@ -174,16 +173,18 @@ class Fused:
     cpu_seconds: float | None
 
 
-def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Truth]) -> DenseReport:
+def report(
+    scene: Scene, photographs: int, cloud: DenseCloud, truth: Mapping[str, Truth]
+) -> DenseReport:
     """Measure depth maps.
 
     Args:
         scene: scene whose objects have size classes.
         photographs: number of photographs of the map.
-        fused: the depth maps and their cloud.
+        cloud: the depth maps and their cloud.
         truth: truth by photograph, empty where there is none.
     """
-    workspace, names = fused.workspace, fused.names
+    workspace, names = cloud.workspace, cloud.names
     groups = Groups(scene) if truth else None
     parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in GROUPS}
     for name in names:
@@ -201,8 +202,8 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
     return DenseReport(
         photographs=photographs,
         maps=len(names),
-        points=fused.points,
-        cpu_seconds_per_map=fused.cpu_seconds,
+        points=cloud.points,
+        cpu_seconds_per_map=cloud.cpu_seconds,
         accuracy={label: _accuracy(error) for label, error in errors.items() if len(error)},
     )
 

@@ -1,4 +1,4 @@
-"""The choice of source photographs for the depth map of a photograph."""
+"""Choose source photographs for the depth map of a photograph."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from objconnect.mapping.dense.planes import planes_at_nearest
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# Photographs with as many common points of the map see the same surfaces; fewer may be wrong.
+# Minimum number of common map points of a photograph and its source; fewer may be outliers.
 _MIN_COMMON: Final = 5
-# Sources must cover the points of a grid of this many points a side.
+# Sources must cover a grid with this many points per side.
 _GRID: Final = 12
-# The best angle between the rays of two photographs, and the widths of the Gaussian weights on
-# both sides: small angles make the depth inexact, large ones change the appearance.
+# Best triangulation angle, and the widths of the Gaussian weight below and above it. Small angles
+# make depth inexact, large ones change the appearance.
 _BEST_ANGLE_DEG: Final = 12.0
 _NARROWER_DEG: Final = 5.0
 _WIDER_DEG: Final = 15.0
@@ -25,8 +25,8 @@ _WIDER_DEG: Final = 15.0
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
     """Return the map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
 
-    They are the points that it observes, and those that no photograph observes because they were
-    not triangulated but added to the map by other means.
+    They are the points that it observes, and points without observations, which were not
+    triangulated but added to the map.
     """
     image = sparse_map.images[name]
     wanted = sparse_map.track_length == 0

@@ -1,4 +1,4 @@
-"""Undistortion of photographs and maps for stereo."""
+"""Undistort photographs and maps for stereo."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
 
-# Iterations of the search for a pinhole inside the picture, and the difference that ends it.
+# The focal length grows by this factor per step, up to a limit, until the pinhole fits inside.
 _GROWTH = 1.02
 _MOST_GROWTH = 8.0
 # Quality of the JPEG files that COLMAP and other programs read.
@@ -26,14 +26,14 @@ _QUALITY = 98
 
 
 def pinhole_of(camera: Camera, size: int) -> Camera:
-    """Return the PINHOLE camera whose whole picture lies inside that of a camera.
+    """Return a PINHOLE camera whose picture lies completely inside that of a camera.
 
     Args:
         camera: the camera of photographs.
         size: longest side of the picture, pixels; pictures are never enlarged.
 
     Raises:
-        InputError: the camera's view is too wide for a pinhole.
+        InputError: the camera's field of view is too wide for a pinhole.
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     zoom = 1.0
@@ -48,14 +48,14 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
             break
         zoom *= _GROWTH
     else:
-        raise InputError(f"camera {camera} cannot be undistorted: its principal point or its "
-                         "distortion is out of range")  # fmt: skip
+        raise InputError(f"camera {camera} cannot be undistorted: check its principal point and "
+                         "distortion")  # fmt: skip
     scale = min(1.0, size / max(camera.width, camera.height))
     return pinhole.resize(round(camera.width * scale), round(camera.height * scale))
 
 
 def undistort_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> SparseMap:
-    """Return the map for undistorted cameras, which ``cameras`` gives by the distorted ones."""
+    """Return the map with undistorted cameras; ``cameras`` maps distorted to undistorted ones."""
 
     def undistort_image(image: MapImage) -> MapImage:
         camera = cameras[image.camera]
@@ -69,7 +69,7 @@ def undistort_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> Sp
 
 
 def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Path) -> None:
-    """Write a photograph as the pinhole sees it. Without distortion, it is copied.
+    """Undistort a photograph and write it. A photograph without distortion is copied.
 
     Raises:
         InputError: it is missing, damaged or not of its camera's size, or cannot be written.
@@ -85,7 +85,7 @@ def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Pa
 
 
 def _remap(rgb: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:
-    """Resample a photograph at its own resolution first, and average it to a smaller size then."""
+    """Undistort a photograph at its own resolution, then reduce it by averaging."""
     full = pinhole.resize(camera.width, camera.height)
     rays, _ = full.unproject(full.pixel_grid())
     # OpenCV counts pixels from the centre of the first pixel.

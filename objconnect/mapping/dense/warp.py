@@ -18,7 +18,7 @@ MIN_DEPTH = 1e-6
 
 @dataclass(frozen=True)
 class StereoView:
-    """A photograph without distortion.
+    """An undistorted photograph with its pose.
 
     Attributes:
         grey: grey values (H, W) float32 in 0..1.
@@ -37,10 +37,10 @@ class StereoView:
 
 
 class Warped(NamedTuple):
-    """Pixels ``u``, ``v`` of another view and the ratio ``z`` of depths, there over here.
+    """Pixels ``u``, ``v`` in another view, and the ratio ``z`` of the depths there and here.
 
-    ``z`` is at least a millionth. The last field tells whether the point is in front of the other
-    view and in its picture.
+    ``z`` is at least a millionth. ``seen`` is whether the point is in front of the other view and
+    inside its picture.
     """
 
     u: Tensor
@@ -89,7 +89,7 @@ class Warp:
         return Warped(u, v, z, inside & (c > MIN_DEPTH))
 
     def slopes(self, at: Warped, gx: Tensor, gy: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return du/dx, du/dy, dv/dx, dv/dy on a plane whose inverse depth has the slope gx, gy."""
+        """Return du/dx, du/dy, dv/dx, dv/dy on a plane with inverse-depth slopes gx, gy."""
         (a0, a1, _), (b0, b1, _), (c0, c1, _) = self.rotation
         ta, tb, tc = self.translation
         zx, zy = c0 + tc * gx, c1 + tc * gy
@@ -115,8 +115,9 @@ def round_trip(
         w: inverse depths of the pixels here.
 
     Returns:
-        The distance in pixels between start and end, and the warped depth over the map's depth
-        minus one. Both are infinite where the other view does not show the point or has no depth.
+        The distance in pixels after the round trip, and the relative difference of the warped depth
+        from the map's depth. Both are infinite where the other view does not show the point or has
+        no depth.
     """
     at = there(x, y, w)
     column = at.u.long().clamp(0, there.width - 1)

@@ -27,11 +27,7 @@ _VERTEX = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 
 @dataclass(frozen=True)
 class Workspace:
-    """Paths and arrays of one workspace.
-
-    Attributes:
-        path: the folder.
-    """
+    """Paths and arrays of the workspace in a folder."""
 
     path: Path
 
@@ -51,7 +47,7 @@ class Workspace:
         return self.path / "fused.ply"
 
     def names(self) -> list[str]:
-        """Return the photographs with a finished or begun depth map, in alphabetical order."""
+        """Return the photographs with a complete or partial depth map, in alphabetical order."""
         names = set()
         for kind in KINDS:
             folder = self.path / "stereo" / kind
@@ -61,7 +57,7 @@ class Workspace:
         return sorted(names - {""})
 
     def has(self, name: str, stage: Stage) -> bool:
-        """Return whether a depth map is finished. It is written after its normals."""
+        """Return whether a depth map is finished; it is written after its normals."""
         return self._file(name, stage, "depth_maps").is_file()
 
     def write(
@@ -110,7 +106,7 @@ class Workspace:
         return table["xyz"].astype(np.float64), table["rgb"].copy()
 
     def write_lists(self, sources: dict[str, list[str]]) -> None:
-        """Write the lists of sources of each photograph and of the photographs to fuse."""
+        """Write the sources of each photograph, and the list of photographs to fuse."""
         stereo = self.path / "stereo"
         pairs = "".join(f"{name}\n{', '.join(others)}\n" for name, others in sources.items())
         write_text(stereo / "patch-match.cfg", pairs)

@@ -1,7 +1,7 @@
-"""The command ``diagnose``, which measures what structure from motion misses.
+"""The command ``diagnose``: measure coverage, drift and uniformity of a map's points.
 
 The paper claims that structure from motion misses small objects, covers the ground unevenly and has
-points that drift. The figures test this claim on a map.
+points that drift. These figures test the claim on a map.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Figures:
         points: number of points.
         objects: coverage of the objects in the map's photographs, by size class.
         small_objects: coverage of the small objects, by class.
-        masks: coverage of given masks, by the size class of what they show.
+        masks: coverage of the user's masks, by the size class of the objects.
         drift: distances from the true surface of all points, of points on the ground, and of points
-            on objects by size class; empty where the truth is not known.
+            on objects by size class; empty without truth.
         uniformity: how evenly the points cover the ground; None where no ground is seen twice.
     """
 
@@ -63,15 +63,15 @@ class Figures:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Figures of a map, and of the points that were added to it.
+    """Figures of a map, with and without the points that ``supplement`` added.
 
     Attributes:
         reprojection_error_px: mean reprojection error over all observations, pixels.
         track_length: mean number of photographs that observe a point.
         map: figures of all points.
-        before: figures without the added points; None where no points were added.
-        added: distances of added points from the surface of the object on which they lie, infinite
-            where they lie on none; None where no points were added or the truth is not known.
+        before: figures without added points; None if there are none.
+        added: distances of added points from the surface of their object, infinite for points on no
+            object; None without added points or truth.
         picture: file of the picture of the points over a photograph.
     """
 
@@ -101,14 +101,14 @@ class Diagnosis:
 
 
 def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diagnosis:
-    """Measure which objects of a scene have points in its map, and draw the points over a picture.
+    """Measure which objects of a scene have points in its map, and draw the points.
 
-    Rendered scenes know their objects and surfaces. For other scenes, masks can be given; without
+    Rendered scenes know their objects and surfaces. Other scenes need masks of objects; without
     masks, only the uniformity of the points is measured.
 
     Args:
         path: finished scene with a map.
-        masks: masks of photographs of the map, as ``read_masks`` takes them. They replace the true
+        masks: masks of map photographs, as ``read_masks`` takes them. They replace the true
             objects.
         cell_m: side of the cells over which uniformity is measured, metres.
 

@@ -1,4 +1,4 @@
-"""Distances of map points from the true surfaces of rendered scenes."""
+"""Measure distances of map points from the true surfaces of rendered scenes."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from objconnect.scene.runtime.progress import progress_bar
 CLOSE_M = 0.5
 """A point closer than this to a surface lies on it."""
 
-# The surface is searched in this many pixels to each side of an observation.
+# Search radius (px) for the surface around an observation.
 _REACH = 2
-# Each pixel is a disc in space. Its radius is this share of the pixel's side, so that the disc
-# covers the corners of a pixel that is seen from the front.
+# Each pixel is modelled as a disc in space. Its radius is this share of the pixel's side, so that
+# it covers the corners of a pixel seen from the front.
 _CORNER = float(np.sqrt(0.5))
 _NORMAL_SCALE = 127
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth about the points of a rendered scene's map.
+    """Ground truth of the points of a rendered scene's map.
 
     Attributes:
         owners: id (M,) of the object on which each point lies, 0 for the ground.
@@ -54,7 +54,7 @@ class Drift:
         points: number of points.
         close: share of the points within 0.5 m of the surface.
         median_m: median over the points that have a surface near them; None where there are none.
-        p90_m: 90th percentile over the same points; None where there are none.
+        p90_m: 90th percentile over these points; None where there are none.
     """
 
     points: int
@@ -64,7 +64,7 @@ class Drift:
 
     @staticmethod
     def of(distances: NDArray[np.float64]) -> Drift:
-        """Summarise distances (K,), metres, K > 0; a point without a surface is infinitely far."""
+        """Summarise distances (K,), metres, K > 0; infinite for points without a surface."""
         known = distances[np.isfinite(distances)]
         middle, high = np.percentile(known, [50, 90]).tolist() if len(known) else (None, None)
         return Drift(len(distances), float((distances < CLOSE_M).mean()), middle, high)
@@ -77,9 +77,9 @@ class Drift:
 
 
 def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
-    """Measure a map's points against the rendered surfaces; None where the scene has none.
+    """Measure a map's points against rendered surfaces; None for a scene without them.
 
-    The distance of a point is that to the nearest surface patch of its object, over the pixels
+    The distance of a point is that to the nearest surface patch of its object, among the pixels
     around all its observations.
 
     Raises:

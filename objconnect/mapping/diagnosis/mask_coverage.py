@@ -1,4 +1,4 @@
-"""Coverage of given masks by points, for scenes whose true objects are not known."""
+"""Measure the coverage of masks by points, for scenes without true objects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from objconnect.scene.bundle.object_points import ObjectCoverage
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# Number of observations around a mask from which its distance is taken.
+# Number of observations around a mask that estimate its depth.
 _AROUND = 8
 
 
@@ -23,8 +23,8 @@ def mask_coverage(
 ) -> dict[str, ObjectCoverage]:
     """Count masks with and without a point, by the size class of the objects that they show.
 
-    Every mask of every photograph counts separately. Its points are those observed inside it. Its
-    size is the longer side of its bounding box at the median depth of the observations around it.
+    Each mask of each photograph counts once. Its points are those observed inside it. Its size is
+    the longer side of its bounding box at the median depth of the observations around it.
 
     Args:
         sparse_map: map of the photographs.
@@ -32,7 +32,7 @@ def mask_coverage(
         kept: (M,) bool, which points are counted.
 
     Raises:
-        InputError: masks have not the size of their photograph.
+        InputError: the size of a mask differs from that of its photograph.
     """
     counts: dict[str, list[int]] = {}
     for name, labels in masks.items():
@@ -72,11 +72,11 @@ def check_size(labels: Labels, image: MapImage) -> None:
     """Check that masks have the size of their photograph.
 
     Raises:
-        InputError: they have not.
+        InputError: the sizes differ.
     """
     expected = (image.camera.height, image.camera.width)
     if labels.shape != expected:
         raise InputError(
             f"the masks of {image.name} are {labels.shape[1]} x {labels.shape[0]} pixels, the "
-            f"photograph {expected[1]} x {expected[0]}: resize them, without interpolation"
+            f"photograph {expected[1]} x {expected[0]}: resize them by nearest neighbour"
         )

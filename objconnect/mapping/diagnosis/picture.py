@@ -1,4 +1,4 @@
-"""A picture of the map's points and of objects without points, as the paper's Fig. 1."""
+"""Draw map points and objects without points over a photograph, as in the paper's Fig. 1."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ class Panel:
     """One state of the map.
 
     Attributes:
-        title: title above the panel.
         kept: (M,) bool, the points of this state.
         has_points: whether each object of the photograph has a point, by label.
     """
@@ -52,8 +51,8 @@ def draw(
         photograph: the photograph (H, W, 3).
         image: the photograph's image in the map.
         labels: label map (H, W) of the objects to outline.
-        drift: distance (M,) of each point from the true surface, metres; None where not known.
-        panels: states of the map, which are drawn side by side.
+        drift: distance (M,) of each point from the true surface, metres; None if unknown.
+        panels: states of the map, drawn side by side.
         path: file of the picture.
 
     Raises:
@@ -91,7 +90,7 @@ def draw(
 def _outline(ax: Axes, labels: Labels, has_points: Mapping[int, bool]) -> None:
     for label in np.unique(labels[labels != NOTHING]).tolist():
         mask = (labels == label).astype(np.uint8)
-        # The outline is outside the object, so that objects one pixel wide are visible.
+        # The outline runs around the object, so that objects one pixel wide stay visible.
         wider = cv2.dilate(mask, np.ones((5, 5), np.uint8))
         colour = _WITH if has_points[label] else _WITHOUT
         for ring in cv2.findContours(wider, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:

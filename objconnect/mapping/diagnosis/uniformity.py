@@ -1,4 +1,4 @@
-"""Uniformity: how evenly the points of a map cover the ground that its photographs see."""
+"""Measure how evenly the points of a map cover the ground that its photographs see."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from objconnect.scene.bundle.covisibility import surface_points
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# A cell counts as seen when at least this many photographs see it, which is what a point needs.
-# Each
-# photograph is sampled on a grid of this many pixels a side.
+# Minimum number of photographs that see a cell, as a point needs two to be triangulated.
 _VIEWS = 2
+# Each photograph is sampled on a grid with this many pixels per side.
 _PER_SIDE = 64
-# Rays that meet the ground plane farther away than this many times the camera's height are left
-# out, because they are near the horizon.
+# Rays that meet the ground plane beyond this many camera heights are near the horizon and ignored.
 _FARTHEST = 5.0
 
 
@@ -31,8 +29,8 @@ class Uniformity:
         cell_m: side of a cell, metres.
         cells: number of cells that two or more photographs of the map see.
         empty: share of these cells without a point.
-        entropy: entropy of the distribution of points over the cells, divided by the largest
-            possible: 1 when all cells have equally many points, 0 when one cell has all.
+        entropy: normalised entropy of the points over the cells: 1 when all cells have the same
+            number of points, 0 when one cell has all.
     """
 
     cell_m: float
@@ -51,8 +49,8 @@ class Uniformity:
 def visible_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np.int64]:
     """Return the cells that at least two photographs of the map see, (C, 2).
 
-    Cells are counted east and north in units of their side. The surface is the scene's depth; where
-    a photograph has none, it is the horizontal plane at the median height of the observed points.
+    Cells are indices east and north. The surface is the scene's depth; for a photograph without
+    depth it is the horizontal plane at the median height of the observed points.
 
     Raises:
         InputError: a file of the scene is damaged.
@@ -76,7 +74,7 @@ def visible_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray
 def uniformity(
     xyz: NDArray[np.float64], cells: NDArray[np.int64], cell_m: float
 ) -> Uniformity | None:
-    """Measure how evenly points (M, 3) cover ``cells`` (C, 2); None where none is seen twice."""
+    """Measure how evenly points (M, 3) cover ``cells`` (C, 2); None without cells."""
     if not len(cells):
         return None
     points = Counter(_cells(xyz, cell_m))
@@ -91,7 +89,7 @@ def _cells(points: NDArray[np.float64], cell_m: float) -> list[tuple[int, int]]:
 
 
 def _on_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where rays of a photograph meet the plane at its points' median height, (K, 3)."""
+    """Intersect rays of a photograph with the plane at its points' median height, (K, 3)."""
     rows = image.point_rows[image.point_rows >= 0]
     if not len(rows):
         return np.zeros((0, 3))

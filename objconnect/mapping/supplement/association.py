@@ -1,4 +1,4 @@
-"""Association of detections in different photographs that may show the same object."""
+"""Associate detections of the same object across photographs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 @dataclass(frozen=True)
 class Detections:
-    """Centres of objects found in one photograph.
+    """Detected centres of objects in one photograph.
 
     Attributes:
         xy: positions (K, 2), COLMAP pixels.
@@ -30,7 +30,7 @@ class Detections:
 
 @dataclass(frozen=True)
 class Pairs:
-    """E pairs of detections in two photographs that are mutually the most similar.
+    """E mutually most similar pairs of detections in two photographs.
 
     Attributes:
         views: rows (E, 2) of the photographs, in the order of the map's names.
@@ -47,10 +47,9 @@ class Pairs:
 def associate(
     sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
 ) -> Pairs:
-    """Pair the detections of photographs that share points of the map.
+    """Pair the detections of photographs that share map points.
 
-    Two detections are paired when they are near each other's epipolar lines and mutually the most
-    similar.
+    A pair lies near each other's epipolar lines and is mutually the most similar.
 
     Args:
         sparse_map: map with the poses.
@@ -78,7 +77,7 @@ def associate(
 
 
 def _neighbours(sparse_map: SparseMap, count: int) -> list[tuple[int, int]]:
-    """Return pairs of photographs, each with those that share the most points with it."""
+    """Pair each photograph with those that share the most map points with it."""
     observed = [
         np.unique(image.point_rows[image.point_rows >= 0])
         for image in (sparse_map.images[name] for name in sparse_map.names)

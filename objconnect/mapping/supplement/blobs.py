@@ -1,4 +1,4 @@
-"""Detection of blobs, which differ from their surroundings and may show small objects."""
+"""Detect blobs that differ from their surroundings and may be small objects."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from objconnect.network.objects import Objects
 from objconnect.network.segmentation import NOTHING, Labels, at_pixels
 
 SIGMAS: Final = (0.8, 1.3, 2.1)
-"""Radii of blobs (px). The classifier was trained with the appearance at each of them."""
+"""Radii of blobs (px). The classifier takes the appearance at each of them."""
 
-# Radius of the surroundings a blob is compared with, in its own, as the classifier was trained.
+# Radius of the surroundings of a blob, in blob radii. The classifier was trained with this value.
 _SURROUND_RATIO: Final = 2.5
-# Least difference from the surroundings (CIE L*a*b*): less is noise of the photograph.
+# Minimum difference from the surroundings (CIE L*a*b*), above the noise of photographs.
 _MIN_CONTRAST: Final = 5.0
-# Most blobs of a photograph, the strongest: what takes time grows with them.
+# Maximum number of blobs per photograph, the strongest, which bounds the run time.
 _MAX_COUNT: Final = 12000
-# Pixels at the edge in which no blob counts, because its surroundings are cut.
+# Width (px) of the border without blobs, whose surroundings would be cut.
 _BORDER_PX: Final = 8
 # Blur (px) before the colour of a blob is read.
 _COLOUR_SIGMA_PX: Final = 0.7
@@ -36,10 +36,10 @@ class Blobs:
     """The N blobs of one photograph.
 
     Attributes:
-        detections: pixels, confidences and descriptors, which are a network's or the appearance.
+        detections: pixels, confidences and descriptors, from a network or from the appearance.
         look: appearance (N, 9), the difference from the surroundings (L*, a*, b*) at each radius.
         radius: index (N,) of the radius at which each blob was detected.
-        strength: length (N,) of the difference at that radius.
+        strength: norm (N,) of the difference at that radius.
         colour: colour (N, 3), L*, a*, b*.
     """
 
@@ -62,21 +62,21 @@ def in_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 @torch.inference_mode()
-def find(
+def find_blobs(
     rgb: NDArray[np.uint8],
     network: ObjConnectNet | None = None,
     masks: Labels | None = None,
 ) -> Blobs:
-    """Detect the blobs of a photograph: local maxima of the difference of Gaussians of its colours.
+    """Detect blobs as local maxima of the difference of Gaussians (Lowe, IJCV 2004) of colours.
 
-    The method is that of Lowe (IJCV 2004), at a few small radii and without orientation.
+    Only a few small radii are used, and no orientation.
 
     Args:
         rgb: the photograph (H, W, 3).
-        network: network whose centres of objects become blobs too. One with object blocks gives
-            each blob a confidence and a descriptor; of one with a detector the centres are those of
-            the learned objects. Without either, all blobs are equally confident.
-        masks: label map (H, W) of objects; blobs outside them are left out.
+        network: network whose object centres are added to the blobs. A network with object blocks
+            also gives each blob a confidence and a descriptor; with a learned detector, its
+            detections are added. Without a network, all blobs have confidence 1.
+        masks: label map (H, W) of objects; blobs outside all objects are dropped.
     """
     lab = in_lab(rgb)
     contrast = np.stack([_contrast(lab, sigma) for sigma in SIGMAS])

@@ -1,9 +1,8 @@
-"""A classifier that decides whether a place is on an object or on the ground.
+"""Classify 3D points as lying on an object or on the ground.
 
-It is a small network, trained on rendered towns, whose objects are known. Its input is figures that
-are measured in the photographs. An object of 4 pixels is only one or two pixels away from the
-ground behind it, so no single figure distinguishes it from a mark on the ground, but many together
-do.
+The classifier is a small network, trained on rendered towns with known objects. Its inputs are
+figures measured in the photographs. An object of 4 pixels has a parallax of only one or two pixels
+against the ground, so no single figure distinguishes it from a mark on the ground.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from torch import Tensor, nn
 from objconnect.learning.checkpoint import load_into, read_weights, shipped_path
 from objconnect.mapping.supplement.blobs import Blobs
 from objconnect.mapping.supplement.ground_plane import Ground
-from objconnect.mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
+from objconnect.mapping.supplement.photoconsistency import HEIGHTS, compare_with_ground
 from objconnect.mapping.supplement.tracks import Tracks
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import MapImage
@@ -28,16 +27,16 @@ from objconnect.scene.maps.sparse_map import MapImage
 SHIPPED: Final = Path(__file__).with_name("supplement.safetensors")
 """The weights that come with the project."""
 
-# What the trained classifier is made of and takes: other values need other weights.
+# Architecture and inputs of the trained classifier. Other values need other weights.
 _WIDTHS: Final = (64, 32)
-_OF_TRACKS: Final = 15
+_TRACK_FIGURES: Final = 15
 _LOOK: Final = 9
-FIGURES: Final = _OF_TRACKS + len(HEIGHTS) + _LOOK
-"""Number of figures of a place."""
+FIGURES: Final = _TRACK_FIGURES + len(HEIGHTS) + _LOOK
+"""Number of figures of a point."""
 
-# Figures are clipped at these values.
-_MOST_SHARE, _MOST_OFF, _MOST_COST = 1.5, 3.0, 3.0
-_SURE_M: Final = 1e-3
+# Upper bounds of figures.
+_MAX_SHARE, _MAX_OFF, _MAX_COST = 1.5, 3.0, 3.0
+_MIN_SIGMA_M: Final = 1e-3
 
 
 def measure(
@@ -45,21 +44,22 @@ def measure(
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
-    place_costs: NDArray[np.float64],
+    costs: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Compute the figures of places that the classifier takes, (T, ``FIGURES``).
+    """Compute the classifier's inputs for the points of tracks, (T, ``FIGURES``).
 
     They are the height above the ground (m), its standard deviation (log) and their ratio; the
-    reprojection error; the numbers of photographs that show a blob at the place and that have it in
-    view; the colour differences at several heights relative to that at the ground; the strength,
-    size and contrast of the blobs, but not their colours; and the spread of viewing directions.
+    reprojection error; the number of photographs with a blob at the point, and of those that have
+    it in view; the photoconsistency costs at several heights relative to that at the ground; the
+    strength, size and contrast of the blobs, but not their colours; and the spread of viewing
+    directions.
 
     Args:
         images: photographs of the map.
         blobs: blobs of each photograph.
-        ground: the ground below the places.
-        tracks: T places.
-        place_costs: result (T, H) of ``photoconsistency.costs``.
+        ground: the ground below the points.
+        tracks: T tracks.
+        costs: result (T, H) of ``photoconsistency.compute_costs``.
     """
     count = len(tracks.xyz)
     views = tracks.views.clip(1)
@@ -67,7 +67,7 @@ def measure(
     blob = first[tracks.view] + tracks.row if len(tracks.view) else tracks.view
 
     def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the mean over the observations (O,) of each place, (T,)."""
+        """Return the mean over the observations (O,) of each track, (T,)."""
         return np.asarray(np.bincount(tracks.track, values, count) / views)
 
     def deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -87,31 +87,31 @@ def measure(
     crossing = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
     sigma = tracks.error_px * pixel / crossing
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    beside = costs_beside_ground(place_costs, above)
+    beside = compare_with_ground(costs, above)
     strength, look = look_up("strength"), look_up("look")
     figures = [
         above,
-        np.log(sigma + _SURE_M),
+        np.log(sigma + _MIN_SIGMA_M),
         above / (sigma + 0.05),
         tracks.error_px,
         views,
         tracks.visible,
         views / tracks.visible.clip(1),
-        beside.share.clip(0, _MOST_SHARE),
-        beside.off.clip(0, _MOST_OFF),
+        beside.share.clip(0, _MAX_SHARE),
+        beside.off.clip(0, _MAX_OFF),
         mean(strength),
         deviation(strength) / mean(strength).clip(1),
         *spread,
         beside.on_ground,
         mean(look_up("radius")),
-        *beside.curve.clip(0, _MOST_COST).T,
+        *beside.curve.clip(0, _MAX_COST).T,
         *(mean(look[:, k]) for k in range(_LOOK)),
     ]
     return np.asarray(np.stack(figures, 1), np.float32)
 
 
-class PlaceClassifier(nn.Module):
-    """A perceptron of two layers that returns the logits of places (T, F) being on an object.
+class PointClassifier(nn.Module):
+    """A multilayer perceptron that maps figures (T, F) to logits (T,) of being on an object.
 
     Figures are normalised to mean 0 and deviation 1.
     """
@@ -137,13 +137,13 @@ class PlaceClassifier(nn.Module):
         return logits
 
     @torch.inference_mode()
-    def likely(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the probability of each place being on an object, (T,)."""
+    def predict(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the probability of each point being on an object, (T,)."""
         probabilities = torch.sigmoid(self(torch.from_numpy(figures)))
         return np.asarray(probabilities.numpy(), np.float64)
 
 
-def read_classifier(path: Path | None = None) -> PlaceClassifier:
+def read_classifier(path: Path | None = None) -> PointClassifier:
     """Read the shipped classifier, or one from a file.
 
     Raises:
@@ -152,7 +152,9 @@ def read_classifier(path: Path | None = None) -> PlaceClassifier:
     path = path or shipped_path(SHIPPED)
     weights = read_weights(path)
     if weights.config.get("figures") != FIGURES:
-        raise InputError(f"{path} does not judge places by the {FIGURES} figures of this version")
-    classifier = PlaceClassifier()
+        raise InputError(
+            f"{path} is no classifier of this version, with {FIGURES} figures: train it again"
+        )
+    classifier = PointClassifier()
     load_into(classifier, weights.tensors, path)
     return classifier.eval()

@@ -1,4 +1,4 @@
-"""The command ``supplement``, which adds points on small objects that a map misses."""
+"""The command ``supplement``: add points on small objects that a map misses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from objconnect.scene.bundle.scene import Scene
 
 @dataclass(frozen=True)
 class SupplementReport:
-    """The result of supplementing a map.
+    """The added points of a map.
 
     Attributes:
         points: number of added points.
@@ -45,13 +45,12 @@ def supplement(
 ) -> SupplementReport:
     """Add points on small objects that have no point in a scene's map.
 
-    Points that an earlier call added are replaced. ``map.remove_from_map``
-    removes them.
+    Points of an earlier call are replaced. ``map.remove_from_map`` removes them.
 
     Args:
         path: finished scene with a map.
-        weights: weights of an object-connect network, whose centres become candidates too; None
-            takes blobs alone.
+        weights: weights of an object-connect network, whose object centres are added to the blobs;
+            None uses blobs alone.
         masks: masks of objects in the map's photographs, as ``read_masks`` takes them.
 
     Returns:
@@ -60,18 +59,18 @@ def supplement(
 
     Raises:
         InputError: the scene is not finished, has no map or a damaged file, or none of its
-            photographs looks down; the map is unchanged.
+            photographs looks down. The map is unchanged then.
     """
     scene = Scene.open(path)
     scene.require_lists()
     sparse_map = scene.sparse_map()
     before = sparse_map.without(scene.is_added_point(sparse_map))
     network = None if weights is None else read_network(weights)[0]
-    given = None if masks is None else dict(read_masks(masks, before.names))
+    labels = None if masks is None else dict(read_masks(masks, before.names))
     config = SupplementConfig()
     classifier = read_classifier()
     points, detections = supplement_points(
-        before, scene.images_root, config, classifier, network, given
+        before, scene.images_root, config, classifier, network, labels
     )
     add_to_map(path, points, detections, sparse_map.sha256)
     observations = sum(len(point.rows) for point in points)

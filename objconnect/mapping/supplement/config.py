@@ -1,4 +1,4 @@
-"""Options of the map supplement: association and triangulation of detections."""
+"""Options of ``supplement``: association and triangulation of detections."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ class SupplementConfig(Config):
     neighbours: int = Field(
         12,
         ge=1,
-        description="Photographs that each is compared with: those that share most map points.",
+        description="Number of photographs with which each one is compared, those that share the "
+        "most map points.",
     )
     epipolar_px: float = Field(
         2.0,
         gt=0,
-        description="Two detections may be of one object when each lies closer than this to the "
-        "other's epipolar line.",
+        description="Maximum epipolar error of two detections of one object, px.",
     )
     similarity: float = Field(
-        0.8, ge=-1, le=1, description="Least cosine of their descriptors for that."
+        0.8,
+        ge=-1,
+        le=1,
+        description="Minimum cosine similarity of descriptors of one object, -1 to 1.",
     )
     reprojection_px: float = Field(
-        2.0, gt=0, description="A detection belongs to a point that projects this close to it."
+        2.0, gt=0, description="Maximum reprojection error of a point's detection, px."
     )
-    views: int = Field(3, ge=2, description="Photographs that must agree on a point.")
+    views: int = Field(3, ge=2, description="Minimum number of photographs that observe a point.")
     angle_deg: float = Field(
-        3.0, gt=0, lt=90, description="Least angle between two of the rays that made a point."
+        3.0, gt=0, lt=90, description="Minimum triangulation angle of a point, deg."
     )

@@ -1,4 +1,4 @@
-"""Adding triangulated centres of objects to a scene's map as points, and removing them."""
+"""Add triangulated centres of objects to a scene's map as points, and remove them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from objconnect.mapping.supplement.association import Detections
-from objconnect.mapping.supplement.triangulation import Lifted
+from objconnect.mapping.supplement.triangulation import LiftedPoint
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.bundle.scene import MAP_FILES, Scene, finish_scene
 from objconnect.scene.bundle.supplement import (
@@ -31,32 +31,32 @@ from objconnect.scene.storage.locks import write_lock
 
 def add_to_map(
     path: Path,
-    points: Sequence[Lifted],
+    points: Sequence[LiftedPoint],
     detections: Mapping[str, Detections],
     map_sha256: str | None = None,
 ) -> Supplement:
-    """Add points to the map of a scene; they replace those that were added before.
+    """Add points to the map of a scene; they replace points that were added before.
 
     Poses, points and keypoints of the map keep their values and identifiers. The added points are
-    listed in ``map/supplement.json``, and their descriptors are in ``map/supplement.h5``.
+    listed in ``map/supplement.json``; their descriptors are stored in ``map/supplement.h5``.
 
     Args:
         path: finished scene with a map.
         points: results of ``triangulation.lift``; each becomes one object.
         detections: detections from which the points were lifted.
-        map_sha256: digest of the map that they are of; None for the one that is there.
+        map_sha256: digest of the map to which the points belong; None skips the check.
 
     Raises:
-        InputError: the scene is not finished, is being written by another run, has no map or a
-            damaged one, or another map than the points are of.
+        InputError: the scene is not finished, is being written by another run, has no map, a
+            damaged one, or one with another digest.
     """
     scene = Scene.open(path)
     with write_lock(path):
-        scene = Scene.open(path)  # another run may have finished it meanwhile
+        scene = Scene.open(path)  # another run may have changed it before the lock
         remove_partial(path)
-        now = scene.sparse_map()  # raises if something is missing or damaged
-        if map_sha256 not in (None, now.sha256):
-            raise InputError(f"the map of {path} was changed meanwhile: supplement it again")
+        current = scene.sparse_map()  # raises if something is missing or damaged
+        if map_sha256 not in (None, current.sha256):
+            raise InputError(f"another run changed the map of {path}: run supplement again")
         new = [_new_point(scene, point, detections) for point in points]
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
@@ -80,13 +80,13 @@ def remove_from_map(path: Path) -> int:
         The number of removed points.
 
     Raises:
-        InputError: as ``add_to_map``, no point was added, or the map was changed since.
+        InputError: as ``add_to_map``, or no point was added.
     """
     scene = Scene.open(path)
     with write_lock(path):
         supplement = read_supplement(scene.map_path)
         if supplement is None:
-            raise InputError(f"nothing was added to the map of {path}")
+            raise InputError(f"the map of {path} has no added points: there is nothing to remove")
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
         finish_scene(path, scene.manifest)
@@ -94,7 +94,7 @@ def remove_from_map(path: Path) -> int:
 
 
 def _copy_before(scene: Scene, folder: Path) -> None:
-    """Copy the map without added points."""
+    """Copy the map into a folder, without its added points."""
     for file in scene.map_path.iterdir():
         if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)
@@ -103,7 +103,7 @@ def _copy_before(scene: Scene, folder: Path) -> None:
         remove_points(folder, [point.id for point in supplement.points], folder)
 
 
-def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]) -> NewPoint:
+def _new_point(scene: Scene, point: LiftedPoint, detections: Mapping[str, Detections]) -> NewPoint:
     """Make a map point with its colour in the photograph of highest confidence."""
     xy = {name: detections[name].xy[row] for name, row in point.rows.items()}
     surest = max(point.rows, key=lambda name: detections[name].confidence[point.rows[name]])
@@ -115,9 +115,9 @@ def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]
 
 
 def _features(
-    points: Sequence[Lifted], detections: Mapping[str, Detections]
+    points: Sequence[LiftedPoint], detections: Mapping[str, Detections]
 ) -> dict[str, Features]:
-    """Return the detections that became observations, by photograph, in order of their points."""
+    """Return the observations of the points as features, by photograph, in order of the points."""
     rows: dict[str, list[int]] = {}
     for point in points:
         for name, row in point.rows.items():

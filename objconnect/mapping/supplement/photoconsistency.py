@@ -1,8 +1,8 @@
-"""Photoconsistency: colour differences between photographs at a place and at the ground below it.
+"""Photoconsistency of a point: colour differences between photographs at several heights.
 
 Photographs agree on the colours at the height of the surface. Most pixels around a thin object show
-the ground, so an unweighted window would measure the ground. Therefore each pixel is weighted by
-the similarity of its colour to that of the place (Yoon and Kweon, "Adaptive support-weight approach
+the ground, so an unweighted window would measure the ground. Each pixel is therefore weighted by
+the similarity of its colour to that of the point (Yoon and Kweon, "Adaptive support-weight approach
 for correspondence search", PAMI 2006).
 """
 
@@ -30,58 +30,57 @@ HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
 """Heights above the ground that are compared (m). The classifier takes one figure for each."""
 
 _GROUND: Final = np.abs(HEIGHTS) < 0.16
-# The value for an unknown difference. The classifier was trained with it, so that another value
-# needs other weights.
+# Value of an unknown difference. The classifier was trained with it.
 _UNKNOWN: Final = 15.0
-# Radius (px) of the window that is compared.
+# Radius (px) of the compared window.
 _RADIUS_PX: Final = 2
 # Weights of pixels fall by e over this squared distance (px^2), and over this difference from the
-# middle's colour (CIE L*a*b*).
+# colour of the centre (CIE L*a*b*).
 _DISTANCE_SCALE: Final = 6.0
 _COLOUR_SCALE: Final = 8.0
-# Colour difference from which on a pixel does not match at all.
+# Upper bound of the colour difference of a pixel.
 _MAX_DIFFERENCE: Final = 15.0
-# Blur (px) of the photographs beforehand, because windows lie between pixels.
+# Blur (px) of the photographs, because windows are sampled between pixels.
 _BLUR_PX: Final = 0.5
-# Number of photographs of the largest size for which the cache has room.
+# Capacity of the cache, in photographs of the largest size.
 _CACHED: Final = 16
-# The most rows per call that OpenCV's remap accepts.
+# Maximum number of rows per call of OpenCV's remap.
 _ROWS: Final = 30000
 
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one photograph around N places.
+    """Windows of one photograph around N points.
 
     Attributes:
         colours: colours (N, P, 3) of the P pixels, CIE L*a*b*.
-        weights: weights (N, P) of the pixels, whose sum is one.
-        places: points (N, H, P, 3) of the pixels' rays at each height, world metres.
+        weights: weights (N, P) of the pixels, which sum to one.
+        xyz: points (N, H, P, 3) on the pixels' rays at each height, world metres.
     """
 
     colours: NDArray[np.float32]
     weights: NDArray[np.float64]
-    places: NDArray[np.float64]
+    xyz: NDArray[np.float64]
 
 
-def costs(
+def compute_costs(
     images: Sequence[MapImage],
     folder: Path,
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
 ) -> NDArray[np.float64]:
-    """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
+    """Return the mean colour difference around points at each of ``HEIGHTS``, (T, H).
 
-    The window in the photograph that is nearest in plan is compared with all other photographs
-    that show the place. The result is NaN where no other photograph does.
+    The window in the horizontally nearest photograph is compared with all other photographs that
+    show the point. The result is NaN where no other photograph does.
 
     Args:
         images: photographs of the map.
         folder: folder of their files.
         blobs: blobs of each photograph.
-        ground: the ground below the places.
-        tracks: the places.
+        ground: the ground below the points.
+        tracks: tracks of the points.
 
     Raises:
         InputError: a photograph is missing or damaged.
@@ -95,11 +94,11 @@ def costs(
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
     photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    steepest, row = _nearest_in_plan(images, tracks)
+    nearest, row = _find_nearest_views(images, tracks)
     result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
     with progress_bar("compared with the ground", len(images)) as advance:
         for view in range(len(images)):
-            at = np.flatnonzero(steepest == view)
+            at = np.flatnonzero(nearest == view)
             if len(at):
                 xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
                 z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
@@ -115,7 +114,7 @@ def _windows(
     xy: NDArray[np.float64],
     z: NDArray[np.float64],
 ) -> _Windows:
-    """Cut windows around pixels (N, 2) of a photograph and follow their rays to heights (N, H)."""
+    """Cut windows around pixels (N, 2) of a photograph, and cast their rays to heights (N, H)."""
     radius = _RADIUS_PX
     unit = np.arange(-radius, radius + 1)
     window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
@@ -138,7 +137,7 @@ def _mean_difference(
     windows: _Windows,
     xyz: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the mean difference (N, H) over the other photographs that show each place."""
+    """Return the mean difference (N, H) over the other photographs that show each point."""
     total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
     for other, image in enumerate(images):
         if other == view:
@@ -146,9 +145,9 @@ def _mean_difference(
         seen = np.flatnonzero(project(image, xyz)[1])
         if not len(seen):
             continue
-        places = windows.places[seen]
-        xy, _ = project(image, places.reshape(-1, 3))
-        theirs = _sample(photograph(other), xy.reshape(*places.shape[:3], 2))
+        points = windows.xyz[seen]
+        xy, _ = project(image, points.reshape(-1, 3))
+        theirs = _sample(photograph(other), xy.reshape(*points.shape[:3], 2))
         off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
         off = off.clip(max=_MAX_DIFFERENCE)
         total[seen] += (off * windows.weights[seen][:, None]).sum(2)
@@ -156,23 +155,23 @@ def _mean_difference(
     return np.where(views > 0, total / views.clip(1), np.nan)
 
 
-def _nearest_in_plan(
+def _find_nearest_views(
     images: Sequence[MapImage], tracks: Tracks
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return, for each place, the photograph that is nearest in plan, and its blob there."""
+    """Return the horizontally nearest photograph of each point, and its blob there."""
     centres = np.array([image.centre for image in images])
-    beside = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
-    order = np.lexsort((beside, tracks.track))
+    distance = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
+    order = np.lexsort((distance, tracks.track))
     _, first = np.unique(tracks.track[order], return_index=True)
     return tracks.view[order[first]], tracks.row[order[first]]
 
 
-class BesideGround(NamedTuple):
-    """Costs of T places relative to those at the ground below them.
+class RelativeCosts(NamedTuple):
+    """Costs of T points relative to those at the ground below them.
 
     Attributes:
-        share: least cost (T,) as a share of the cost at the ground; infinite where unknown.
-        off: distance (T,) between the height of the least cost and that of the place, metres.
+        share: minimum cost (T,) as a share of the cost at the ground; infinite where unknown.
+        off: distance (T,) between the height of the minimum cost and that of the point, metres.
         on_ground: cost (T,) at the ground.
         curve: costs (T, H) at ``HEIGHTS``, as shares of the cost at the ground.
     """
@@ -183,25 +182,23 @@ class BesideGround(NamedTuple):
     curve: NDArray[np.float64]
 
 
-def costs_beside_ground(
-    place_costs: NDArray[np.float64], height: NDArray[np.float64]
-) -> BesideGround:
-    """Compare the costs of places with those at the ground below them.
+def compare_with_ground(costs: NDArray[np.float64], height: NDArray[np.float64]) -> RelativeCosts:
+    """Compare the costs of points with those at the ground below them.
 
     Args:
-        place_costs: result (T, H) of ``costs``.
-        height: heights (T,) of the places above the ground, metres.
+        costs: result (T, H) of ``compute_costs``.
+        height: heights (T,) of the points above the ground, metres.
     """
-    known = np.where(np.isnan(place_costs), _UNKNOWN, place_costs)
+    known = np.where(np.isnan(costs), _UNKNOWN, costs)
     on_ground = known[:, _GROUND].min(1)
     curve = known / np.maximum(on_ground, 1e-9)[:, None]
-    share = np.where(np.isnan(place_costs).all(1), np.inf, curve.min(1))
-    return BesideGround(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
+    share = np.where(np.isnan(costs).all(1), np.inf, curve.min(1))
+    return RelativeCosts(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
 
 
 def _sample(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Sample a picture at pixels (..., 2); returns colours (..., 3)."""
-    # OpenCV counts from the first pixel's centre.
+    """Sample a picture at pixels (..., 2), and return colours (..., 3)."""
+    # OpenCV's origin is the centre of the first pixel.
     flat = (xy.reshape(-1, 2) - 0.5).astype(np.float32)
     parts = [
         cv2.remap(picture, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)

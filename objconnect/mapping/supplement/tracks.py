@@ -1,4 +1,4 @@
-"""Tracks: blobs of several photographs that show one place a little above the ground."""
+"""Build tracks: blobs of several photographs that show one point a little above the ground."""
 
 from __future__ import annotations
 
@@ -15,43 +15,45 @@ from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.runtime.progress import progress_bar
 
-# Heights above the ground that are tried (m): from below a slope to the roof of a van.
+# Tested heights above the ground (m), from below a slope to the roof of a van.
 _LOWEST_M: Final = -0.75
 _HIGHEST_M: Final = 3.3
 _HEIGHT_STEP_M: Final = 0.25
-# Most photographs that each photograph is compared with, and the least share of the same ground
-# that they must show.
+# Maximum number of photographs with which each one is compared, and their minimum overlap.
 _MAX_PHOTOGRAPHS: Final = 24
 _MIN_OVERLAP: Final = 0.05
-# Blobs match within these limits: distance (px) from the projection of a place, cosine of the
+# Blobs match within these limits: distance (px) from the projection of a point, cosine of the
 # appearances, ratio of the weaker to the stronger contrast, difference of colours (CIE L*a*b*).
-# The classifier was trained with places that they let through.
+# The classifier was trained with these limits.
 _MAX_OFFSET_PX: Final = 1.3
 _MIN_COSINE: Final = 0.75
 _MIN_STRENGTH_RATIO: Final = 0.4
 _MAX_COLOUR_DIFFERENCE: Final = 15.0
-# Gauss-Newton steps that refine the places, and those before outliers are dropped.
+# Gauss-Newton steps that refine points, and the number of steps before outliers are dropped.
 _STEPS: Final = 4
-_SETTLING: Final = 2
-# Observations with a larger reprojection error (px) leave a place.
+_STEPS_WITH_OUTLIERS: Final = 2
+# Observations with a larger reprojection error (px) are dropped.
 _MAX_ERROR_PX: Final = 1.5
-# Pixels at the edge in which a place does not count as visible: a blob there has no surroundings.
+# Width (px) of the border in which a point does not count as visible, because blobs need
+# surroundings.
 _BORDER_PX: Final = 4.0
-# Least share of its blobs that no better place has taken, for a place to stay.
+# Minimum share of a track's blobs that better tracks leave to it.
 _MIN_FREE_SHARE: Final = 0.7
-# Cells per pixel of the table in which the nearest blob is looked up.
+# Cells per pixel of the lookup table of the nearest blob.
 _CELLS: Final = 2
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """T places, with O observations.
+    """T tracks with O observations.
 
     Attributes:
-        xyz: positions (T, 3), world metres.
-        visible: number (T,) of compared photographs whose picture contains the place.
+        xyz: points (T, 3), world metres.
+        visible: number (T,) of compared photographs whose picture contains the point.
         error_px: mean reprojection error (T,); infinite before refinement.
-        track, view, row: place, photograph and blob of each observation, (O,).
+        track: track of each observation, (O,).
+        view: photograph of each observation, (O,).
+        row: blob of each observation, (O,).
     """
 
     xyz: NDArray[np.float64]
@@ -63,11 +65,11 @@ class Tracks:
 
     @property
     def views(self) -> NDArray[np.int64]:
-        """Count the observations of each place, (T,)."""
+        """Return the number of observations of each track, (T,)."""
         return np.bincount(self.track, minlength=len(self.xyz))
 
-    def only(self, kept: NDArray[np.bool_]) -> Tracks:
-        """Select places by a mask (T,)."""
+    def select(self, kept: NDArray[np.bool_]) -> Tracks:
+        """Select tracks by a mask (T,)."""
         number = np.cumsum(kept) - 1
         mine = kept[self.track]
         return Tracks(
@@ -81,13 +83,13 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class _Compared:
-    """The photographs that are compared.
+class _Photographs:
+    """The photographs to compare.
 
     Attributes:
         images: photographs.
         blobs: blobs of each photograph.
-        tables: result of ``_nearest_blobs`` for each photograph.
+        tables: result of ``_tabulate_blobs`` for each photograph.
         ground: the ground under them.
     """
 
@@ -97,7 +99,7 @@ class _Compared:
     ground: Ground
 
 
-def follow(
+def follow_blobs(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     ground: Ground,
@@ -109,15 +111,15 @@ def follow(
         images: photographs of the map.
         blobs: blobs of each photograph.
         ground: the ground.
-        views: least number of photographs that show a place, including its own.
+        views: minimum number of observations of a track, including the blob itself.
     """
     shapes = [(image.camera.height, image.camera.width) for image in images]
-    tables = [_nearest_blobs(each, shape) for each, shape in zip(blobs, shapes, strict=True)]
-    compared = _Compared(images, blobs, tables, ground)
+    tables = [_tabulate_blobs(each, shape) for each, shape in zip(blobs, shapes, strict=True)]
+    photographs = _Photographs(images, blobs, tables, ground)
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_follow_one(view, compared, views))
+            parts.append(_follow_one(view, photographs, views))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -130,8 +132,8 @@ def follow(
     )
 
 
-def _nearest_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Tabulate the nearest blob within reach of each cell, -1 for none, by radius, row and column.
+def _tabulate_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Tabulate the nearest blob within reach of each cell, by radius, row and column; -1 is none.
 
     Args:
         blobs: blobs of one photograph.
@@ -151,30 +153,30 @@ def _nearest_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
 def project(
     image: MapImage, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Project places to pixels (N, 2); also return which lie inside the border, (N,)."""
+    """Project points (N, 3) to pixels (N, 2); also return which lie inside the border, (N,)."""
     seen = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
     return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, _BORDER_PX)).numpy()
 
 
-def _follow_one(view: int, compared: _Compared, views: int) -> Tracks:
-    """Follow the blobs of one photograph, given by its row, into the others; see ``follow``."""
-    images, blobs, ground = compared.images, compared.blobs, compared.ground
+def _follow_one(view: int, photographs: _Photographs, views: int) -> Tracks:
+    """Follow the blobs of photograph ``view`` into the others; see ``follow_blobs``."""
+    images, blobs, ground = photographs.images, photographs.blobs, photographs.ground
     own = blobs[view]
     heights = np.arange(_LOWEST_M, _HIGHEST_M, _HEIGHT_STEP_M)
     low = ground.under(images[view], own.xy, 0.0)
     up = ground.under(images[view], own.xy, 1.0) - low
-    places = (low[:, None] + up[:, None] * heights[:, None]).reshape(-1, 3)
+    points = (low[:, None] + up[:, None] * heights[:, None]).reshape(-1, 3)
     owner = np.repeat(np.arange(len(low)), len(heights))
-    others = _overlapping(view, images, low)
-    score = np.zeros(len(places))
-    visible = np.zeros(len(places), np.int64)
-    members = np.full((len(others), len(places)), -1, np.int32)
+    others = _find_overlapping(view, images, low)
+    score = np.zeros(len(points))
+    visible = np.zeros(len(points), np.int64)
+    members = np.full((len(others), len(points)), -1, np.int32)
     for k, other in enumerate(others):
-        xy, inside = project(images[other], places)
+        xy, inside = project(images[other], points)
         visible += inside
         at = np.flatnonzero(inside)
         at, blob, match_score = _match(
-            own, owner[at], blobs[other], compared.tables[other], (at, xy[at])
+            own, owner[at], blobs[other], photographs.tables[other], (at, xy[at])
         )
         score[at] += match_score
         members[k, at] = blob
@@ -185,7 +187,7 @@ def _follow_one(view: int, compared: _Compared, views: int) -> Tracks:
     which, track = np.nonzero(chosen >= 0)
     number = np.arange(len(best))
     return Tracks(
-        places[best],
+        points[best],
         visible[best] + 1,
         np.full(len(best), np.inf),
         np.concatenate([number, track]),
@@ -194,7 +196,9 @@ def _follow_one(view: int, compared: _Compared, views: int) -> Tracks:
     )
 
 
-def _overlapping(view: int, images: Sequence[MapImage], ground: NDArray[np.float64]) -> list[int]:
+def _find_overlapping(
+    view: int, images: Sequence[MapImage], ground: NDArray[np.float64]
+) -> list[int]:
     """Return the photographs that show most of the ground (N, 3) under a photograph's blobs."""
     overlap = [
         0.0 if k == view or not len(ground) else float(project(image, ground[::50])[1].mean())
@@ -211,17 +215,17 @@ def _match(
     table: NDArray[np.int32],
     projected: tuple[NDArray[np.int64], NDArray[np.float64]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
-    """Match places of a photograph's blobs to the nearest blobs of another.
+    """Match points on the rays of a photograph's blobs to the nearest blobs of another.
 
     Args:
         own: blobs of the photograph.
-        rows: row (P,) of the blob of each place.
+        rows: row (P,) of the blob of each point.
         theirs: blobs of the other photograph.
-        table: result of ``_nearest_blobs`` for the other photograph.
-        projected: numbers (P,) of the places, and pixels (P, 2) of the other photograph.
+        table: result of ``_tabulate_blobs`` for the other photograph.
+        projected: numbers (P,) of the points, and their pixels (P, 2) in the other photograph.
 
     Returns:
-        The numbers of the places that match, the rows of their blobs, and the scores.
+        The numbers of the points that match, the rows of their blobs, and the scores.
     """
     at, xy = projected
     column, row = (xy * _CELLS).astype(int).T
@@ -230,18 +234,18 @@ def _match(
     offset = np.linalg.norm(theirs.xy[blob[some]] - xy[some], axis=1)
     near = offset < _MAX_OFFSET_PX
     some, offset = some[near], offset[near]
-    cosine, similar = _similar(own, rows[some], theirs, blob[some])
+    cosine, similar = _compare(own, rows[some], theirs, blob[some])
     some, cosine, offset = some[similar], cosine[similar], offset[similar]
     return at[some], blob[some], cosine * (1 - 0.5 * (offset / _MAX_OFFSET_PX) ** 2)
 
 
-def _similar(
+def _compare(
     a: Blobs,
     rows_a: NDArray[np.int64],
     b: Blobs,
     rows_b: NDArray[np.int32],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the cosine of the appearances of pairs of blobs, and which pairs match, (P,)."""
+    """Return the cosine of the appearances of P pairs of blobs, and the mask of matches."""
     look_a, look_b = a.look[rows_a], b.look[rows_b]
     lengths = np.linalg.norm(look_a, axis=1) * np.linalg.norm(look_b, axis=1)
     cosine = (look_a * look_b).sum(1) / lengths.clip(1e-6)
@@ -252,15 +256,15 @@ def _similar(
     return cosine, (cosine > _MIN_COSINE) & same
 
 
-def solve(
+def refine_tracks(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     tracks: Tracks,
     views: int,
 ) -> Tracks:
-    """Move places to their least reprojection error by Gauss-Newton with Cauchy's weights.
+    """Minimise the reprojection errors of points by Gauss-Newton with Cauchy weights.
 
-    Observations with too large an error are dropped, and places with fewer than ``views`` of them.
+    Observations with too large an error are dropped, and tracks with fewer than ``views`` of them.
     """
     for round_ in range(_STEPS + 1):
         count = len(tracks.xyz)
@@ -284,7 +288,7 @@ def solve(
         if round_ < _STEPS:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
-        if round_ >= _SETTLING:
+        if round_ >= _STEPS_WITH_OUTLIERS:
             good = error < _MAX_ERROR_PX
             tracks = replace(
                 tracks, track=tracks.track[good], view=tracks.view[good], row=tracks.row[good]
@@ -292,14 +296,14 @@ def solve(
             error = error[good]
     mean = np.bincount(tracks.track, error, len(tracks.xyz)) / tracks.views.clip(1)
     tracks = replace(tracks, error_px=mean)
-    return tracks.only(tracks.views >= views)
+    return tracks.select(tracks.views >= views)
 
 
-def distinct(tracks: Tracks, views: int) -> Tracks:
-    """Assign each blob to one place, first to places with most photographs and least error.
+def drop_overlapping(tracks: Tracks, views: int) -> Tracks:
+    """Assign each blob to one track; tracks with more observations and less error go first.
 
-    Places that lose too large a share of their blobs to others are dropped, and places with fewer
-    than ``views`` of them.
+    Tracks that lose too large a share of their blobs to others are dropped, and tracks with fewer
+    than ``views`` blobs.
     """
     order = np.argsort(-(tracks.views - tracks.error_px), kind="stable")
     by_track = np.argsort(tracks.track, kind="stable")
@@ -314,4 +318,4 @@ def distinct(tracks: Tracks, views: int) -> Tracks:
             kept[track] = free[left] = True
             taken.update(keys[k] for k in left)
     tracks = replace(tracks, track=tracks.track[free], view=tracks.view[free], row=tracks.row[free])
-    return tracks.only(kept)
+    return tracks.select(kept)

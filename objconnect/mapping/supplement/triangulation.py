@@ -1,4 +1,4 @@
-"""Triangulation of points from detections in several photographs."""
+"""Triangulate points from detections in several photographs."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 
-# Numerical guards. Iterations of Gauss-Newton; two or three are enough from a linear solution.
+# Maximum iterations of Gauss-Newton; two or three are enough from a linear solution.
 _ROUNDS = 10
 _CONVERGED_M = 1e-6
-# Least number of photographs of a point, because one ray has no intersection.
+# Minimum number of rays of a point.
 _LEAST = 2
-# Proposals that are compared with the detections of a photograph at once.
+# Number of proposals compared with the detections of a photograph at once.
 _CHUNK = 4096
 
 
 @dataclass(frozen=True)
-class Lifted:
-    """An object's centre in space.
+class LiftedPoint:
+    """A triangulated centre of an object.
 
     Attributes:
         xyz: position (3,), world metres.
         rows: row of the detection, by name of the photograph.
         error_px: mean reprojection error.
-        angle_deg: largest angle between two of the rays.
+        angle_deg: largest angle between two rays.
         confidence: mean confidence of the detections.
     """
 
@@ -44,15 +44,15 @@ class Lifted:
 
 def lift(
     sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
-) -> list[Lifted]:
-    """Associate detections across photographs and triangulate them with the known poses.
+) -> list[LiftedPoint]:
+    """Associate detections across photographs and triangulate them with known poses.
 
-    Every pair of detections proposes a point. It is supported by the detections of all photographs
-    that are near its projection and similar to the pair. Points are accepted in the order of their
-    support and triangulated again from all their detections. Each detection is used once.
+    Every pair of detections proposes a point. Detections near its projection and similar to the
+    pair support it. Points are accepted in descending order of support, and triangulated again from
+    all their detections. Each detection is used once.
 
     Args:
-        sparse_map: map with the poses, which stay unchanged.
+        sparse_map: map with the poses, which are not changed.
         detections: detections by name of the photograph.
         config: thresholds.
 
@@ -82,7 +82,7 @@ def lift(
 def _propose(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float64]:
-    """Return the point (E, 3) where the rays of each pair meet."""
+    """Triangulate each pair of detections, (E, 3)."""
     rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
     for view, name in enumerate(sparse_map.names):
         here = pairs.views == view
@@ -90,16 +90,22 @@ def _propose(
             image = sparse_map.images[name]
             rows[here] = _normalise(image, detections[name].xy)[pairs.rows[here]]
             poses[here] = image.cam_from_world[:3]
-    return linear_points(rows, poses)
+    return triangulate_linearly(rows, poses)
 
 
-def linear_points(
+def triangulate_linearly(
     normalised: NDArray[np.float64], cam_from_world: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Triangulate points (T, 3) by the direct linear transform.
 
-    They are seen at x/z, y/z (T, V, 2) from poses (T, V, 3, 4). Points at infinity are not finite.
     Source: Hartley and Zisserman, Multiple View Geometry, 12.2.
+
+    Args:
+        normalised: observations x/z, y/z (T, V, 2).
+        cam_from_world: poses (T, V, 3, 4).
+
+    Returns:
+        The points; those at infinity are not finite.
     """
     x, y = normalised[..., :1], normalised[..., 1:]
     first, second, third = (cam_from_world[..., k, :] for k in range(3))
@@ -157,8 +163,8 @@ def triangulate(
     detections: Mapping[str, Detections],
     rows: Mapping[str, int],
     config: SupplementConfig,
-) -> Lifted | None:
-    """Triangulate a point from detections, without those that are far from its projection.
+) -> LiftedPoint | None:
+    """Triangulate a point from detections, and drop outliers.
 
     Args:
         sparse_map: map with the poses.
@@ -182,7 +188,7 @@ def triangulate(
             if angle < config.angle_deg:
                 return None
             sure = [detections[name].confidence[row] for name, row in rows.items()]
-            return Lifted(xyz, rows, float(error.mean()), angle, float(np.mean(sure)))
+            return LiftedPoint(xyz, rows, float(error.mean()), angle, float(np.mean(sure)))
         rows = {name: row for (name, row), kept in zip(rows.items(), good, strict=True) if kept}
     return None
 
@@ -191,7 +197,7 @@ def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.flo
     """Return the point (3,) of least reprojection error, by Gauss-Newton from a linear solution."""
     seen = np.concatenate([_normalise(i, p[None]) for i, p in zip(images, xy, strict=True)])
     poses = np.stack([image.cam_from_world[:3] for image in images])
-    xyz: NDArray[np.float64] = linear_points(seen[None], poses[None])[0]
+    xyz: NDArray[np.float64] = triangulate_linearly(seen[None], poses[None])[0]
     for _ in range(_ROUNDS):
         off, slope = _residuals(images, xy, xyz)
         known = np.isfinite(off).all(1)

@@ -86,7 +86,7 @@ def test_other_flights_are_flown_as_queries_are(scene: Scene, twin: Scene) -> No
     ("most", "flight", "said"),
     [
         (3, "plan", "waypoints, about .* trigger less often"),
-        (300, "far", "lies .* m from the place's middle"),
+        (300, "far", "lies .* m from the centre of the place"),
         (300, "wide", "photograph .* lie outside the map's square of 120 m"),
         (300, "empty", "it has no waypoints"),
         (300, "missing", "mission plan .*nowhere.plan"),

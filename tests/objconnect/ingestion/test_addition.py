@@ -16,7 +16,7 @@ import objconnect.scene.colmap.database
 from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
 from objconnect.ingestion.command import ingest
-from objconnect.ingestion.neighbours import alike
+from objconnect.ingestion.neighbours import choose_similar
 from objconnect.ingestion.options import IngestOptions
 from objconnect.ingestion.report import IngestReport
 from objconnect.localization.cache.map_cache import MapCache
@@ -298,7 +298,10 @@ def test_one_of_another_camera_and_one_of_elsewhere(
     [
         ({"mapper": "global"}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
         ({"checks": ("A",)}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
-        ({"camera": Camera("PINHOLE", 400, 100, (300.0, 300.0, 200.0, 50.0))}, "of its shape"),
+        (
+            {"camera": Camera("PINHOLE", 400, 100, (300.0, 300.0, 200.0, 50.0))},
+            "of the same aspect ratio",
+        ),
     ],
 )
 def test_options_that_do_not_go_with_it(
@@ -314,9 +317,9 @@ def test_scenes_that_cannot_be_added_to(rendered: Scene, old: Path, tmp_path: Pa
     photos = new_ones(rendered, tmp_path / "photos")
     with pytest.raises(InputError, match="does not exist"):
         ingest(photos, tmp_path / "both", add=tmp_path / "none")
-    with pytest.raises(InputError, match="stays as it is"):
+    with pytest.raises(InputError, match="choose a folder outside it"):
         ingest(photos, old, add=old)
-    with pytest.raises(InputError, match="stays as it is"):
+    with pytest.raises(InputError, match="choose a folder outside it"):
         ingest(photos, old / "more", add=old)
     copy = Path(shutil.copytree(old, tmp_path / "copy"))
     picture = copy / "sessions" / "flight" / "images" / "000001.jpg"
@@ -364,9 +367,10 @@ def test_photographs_look_alike_by_their_largest_features() -> None:
         "c": features(ground[30:]),
         "new": features(ground),
     }
-    chosen = alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=2))
+    chosen = choose_similar(["new"], ["a", "b", "c"], found, IngestOptions(nearest=2))
     assert chosen == [("a", "new"), ("c", "new")]
-    assert alike(["new"], ["a", "b", "c"], found, IngestOptions(nearest=1)) == [("a", "new")]
+    nearest = choose_similar(["new"], ["a", "b", "c"], found, IngestOptions(nearest=1))
+    assert nearest == [("a", "new")]
 
 
 def aligned(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, float]:

@@ -17,7 +17,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import Adjusted
+from objconnect.ingestion.adjustment import AdjustedModel
 from objconnect.ingestion.command import ingest
 from objconnect.ingestion.control import control_text, fit_to_control, triangulate_marks
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
@@ -92,7 +92,7 @@ def survey(model: SparseMap, moved: Mapping[str, Array], checks: set[str]) -> li
     return points
 
 
-def by_gps(model: SparseMap, folder: Path) -> Adjusted:
+def by_gps(model: SparseMap, folder: Path) -> AdjustedModel:
     """The model as GPS of metres would place it."""
     turn = so3_exp(torch.tensor([0.01, -0.015, 0.02], dtype=torch.float64)).numpy()
     wrong = np.column_stack([1.004 * turn, [1.5, -2.0, 3.0]])
@@ -101,12 +101,12 @@ def by_gps(model: SparseMap, folder: Path) -> Adjusted:
     folder.mkdir()
     write_with_poses(posed, moved, folder)
     placed = Georegistration(np.eye(4)[:3], "gps", (), np.ones(3))
-    return Adjusted(read_model(folder), placed, RefinedLenses(()), 0.0, {}, folder)
+    return AdjustedModel(read_model(folder), placed, RefinedLenses(()), 0.0, {}, folder)
 
 
 def fitted(
     tmp_path: Path, moved: Mapping[str, Array], checks: set[str], sigma: float = 0.02
-) -> tuple[SparseMap, Adjusted, dict[str, Any], list[str]]:
+) -> tuple[SparseMap, AdjustedModel, dict[str, Any], list[str]]:
     (tmp_path / "true").mkdir()
     model = true_model(tmp_path / "true")
     points = survey(model, moved, checks)
@@ -118,7 +118,7 @@ def fitted(
     return model, adjusted, {r.name: r for r in residuals}, control_text(residuals)
 
 
-def worst_centre(model: SparseMap, adjusted: Adjusted) -> float:
+def worst_centre(model: SparseMap, adjusted: AdjustedModel) -> float:
     return float(np.linalg.norm(adjusted.model.centres - model.centres, axis=1).max())
 
 
@@ -174,7 +174,7 @@ def test_a_check_point_is_reported_and_not_used(tmp_path: Path) -> None:
     assert worst_centre(model, adjusted) < 1e-3
     np.testing.assert_allclose(points["E"].off, -planted, atol=1e-2)
     assert (
-        "1 ground control points only compared: horizontal 0.300 m rms, vertical 0.400 m rms"
+        "1 ground control points as check points: horizontal 0.300 m rms, vertical 0.400 m rms"
         in text
     )
 
@@ -230,7 +230,7 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
     )
     to_degrees = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True)
     longitude, latitude = to_degrees.transform(500000, 5200000)
-    np.testing.assert_allclose(first.place, [latitude, longitude, 431.5], atol=1e-9)
+    np.testing.assert_allclose(first.geodetic, [latitude, longitude, 431.5], atol=1e-9)
     # A quarter of the size; the middle of the first pixel is (0, 0) there and (0.5, 0.5) here.
     one, two = (f"{SESSION}/images/line/DJI_{k}.JPG" for k in (1, 2))
     np.testing.assert_allclose(first.marks[one], [100.5 / 4, 200.5 / 4])
@@ -243,22 +243,22 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
     [
         ("", "gcp.txt:1: .*is no coordinate reference system"),
         ("1 2 3 4 5 DJI_1.JPG a\n", "gcp.txt:1: .*is no coordinate reference system"),
-        ("EPSG:32632\n", "has none of the photographs: its first is ''"),
+        ("EPSG:32632\n", "names none of the photographs: its first name is ''"),
         ("EPSG:32632\n1 2 3 4 DJI_1.JPG\n", "gcp.txt:2: expected x y z px py photograph"),
         ("EPSG:32632\n5e5 52e5 nan 4 5 DJI_1.JPG\n", "gcp.txt:2: expected x y z px py photograph"),
         (
             "EPSG:32632\n5e5 52e5 3 4 5 DJI_9.JPG a\n",
-            "its first is 'DJI_9.JPG', that of the folder",
+            "its first name is 'DJI_9.JPG', the first of the folder",
         ),
         (
             "EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n5e5 53e5 3 4 5 DJI_2.JPG a\n",
-            "gcp.txt:3: 'a' has other coordinates than before",
+            "gcp.txt:3: 'a' has other coordinates than in an earlier line",
         ),
         (
             "EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n5e5 52e5 3 9 9 DJI_1.JPG a\n",
             "gcp.txt:3: 'a' is marked twice in DJI_1.JPG",
         ),
-        ("EPSG:4326\n8 97 3 4 5 DJI_1.JPG a\n", "is no place on earth|is no position in"),
+        ("EPSG:4326\n8 97 3 4 5 DJI_1.JPG a\n", "are not on earth|is no position in"),
         ("EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n", "has no point 'B' for --gcp-check; it has a"),
     ],
 )
@@ -389,15 +389,15 @@ def list_of_one(path: Path, header: str, system: str, unit: float, turned: bool 
 def test_a_list_in_feet(tmp_path: Path, header: str, system: str, unit: float) -> None:
     path = list_of_one(tmp_path / "gcp.txt", header, system or header, unit)
     (point,) = read_control_points(path, placed_flight(46.85, -91.99), 1000)
-    np.testing.assert_allclose(point.place[:2], _PLACE[:2], atol=3e-8)
-    assert point.place.altitude == pytest.approx(160.0, abs=1e-3)
+    np.testing.assert_allclose(point.geodetic[:2], _PLACE[:2], atol=3e-8)
+    assert point.geodetic.altitude == pytest.approx(160.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("header", "system", "turned", "message"),
     [
         ("EPSG:26849", "EPSG:26849", False, "the unit of heights is unknown .*US survey foot"),
-        ("EPSG:4326", "EPSG:4326", True, "is no place on earth|is no position|exchanged"),
+        ("EPSG:4326", "EPSG:4326", True, "are not on earth|is no position|exchanged"),
         ("EPSG:32615", "EPSG:32615", True, "x and y are exchanged: give east|is no position"),
         ("EPSG:32615", "EPSG:26849", False, "km from the photographs' GPS positions: check the"),
         ("EPSG:32614", "EPSG:32615", False, "km from the photographs' GPS positions: check the"),
@@ -423,8 +423,13 @@ def test_exchanged_coordinates_are_named(tmp_path: Path) -> None:
     ("level", "across", "up", "remark"),
     [
         ("control", 3.0, 364.0, "GPS contradicts ground control points by 364 m in height"),
-        ("given", 250.0, 2.0, "GPS contradicts the given poses by 250 m across"),
-        ("control", 90.0, 48.0, "by 90 m across and 48 m in height: check the system, the unit"),
+        ("given", 250.0, 2.0, "GPS contradicts the imported poses by 250 m horizontally"),
+        (
+            "control",
+            90.0,
+            48.0,
+            "by 90 m horizontally and 48 m in height: check the coordinate system, the unit",
+        ),
         ("control", 5.0, 9.0, None),
         ("gps", 5.0, 99.0, None),
     ],

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from objconnect.ingestion.photographs import photographs_of, read_flight, warn_of_doubts
-from objconnect.ingestion.positions import with_positions
+from objconnect.ingestion.photographs import make_photographs, read_flight, warn_of_doubts
+from objconnect.ingestion.positions import replace_positions
 from objconnect.ingestion.report import lenses_of
 from objconnect.scene.geometry.camera import Camera
 from tests.objconnect.localization.pipeline.test_doubts import CONTRADICTION, FIELDS
@@ -37,7 +37,7 @@ def test_a_table_leaves_nothing_to_doubt_of_positions(
     caplog.clear()
     table = folder / "gps.csv"
     table.write_text("name,lat,lon,alt\n" + "".join(f"{name},47,8,500\n" for name in NAMES))
-    placed = with_positions(flight, table)
+    placed = replace_positions(flight, table)
     warn_of_doubts(placed, with_lenses=True)
     assert "GPS" not in caplog.text and FIELDS[0] in caplog.text
     caplog.clear()
@@ -56,7 +56,7 @@ class _Adjusted:
 
 
 def test_the_report_names_fields_that_contradict_each_other(folder: Path) -> None:
-    taken = photographs_of(read_flight(folder).images, 96, None)
+    taken = make_photographs(read_flight(folder).images, 96, None)
     assert not any(photograph.focal_known for photograph in taken)
     adjusted = _Adjusted({photograph.name: photograph.camera for photograph in taken})
     (lens,) = lenses_of(taken, adjusted)  # type: ignore[arg-type]

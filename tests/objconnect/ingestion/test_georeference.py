@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from objconnect.ingestion.control import ControlResidual, Role
-from objconnect.ingestion.georeference import Receiver, georeference_of
+from objconnect.ingestion.georeference import Receiver, estimate_georeference
 from objconnect.ingestion.georegister import Georegistration
 from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.bundle.georeference import Georeference
@@ -37,7 +37,7 @@ def measured(
 ) -> Georeference | None:
     placed = Georegistration(np.eye(4)[:3], "gps", blunders, np.array(sigma))
     receiver = Receiver({name: FIXES[name] for name in NAMES[:fixes]}, stated or {})
-    return georeference_of(model(), placed, receiver, control, OPTIONS)
+    return estimate_georeference(model(), placed, receiver, control, OPTIONS)
 
 
 def point(role: Role, *off: float) -> ControlResidual:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from objconnect.ingestion.gps_delay import find_delay, motions, undo_delay
+from objconnect.ingestion.gps_delay import estimate_motions, find_delay, undo_delay
 from objconnect.scene.flights.textfiles import read_gps, read_poses
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.storage.images import read_exif
@@ -34,7 +34,7 @@ def survey(lines: int = LINES) -> Placed:
 def received(centres: Placed, lag: float, drift: float) -> Placed:
     """Fixes of a receiver that lags, is off by a constant, and drifts from line to line."""
     rng = np.random.default_rng(3)
-    moving = motions(sorted(centres), centres, TIMES)
+    moving = estimate_motions(sorted(centres), centres, TIMES)
     per_line = rng.normal(0, drift, (LINES, 3))
     noise = {name: rng.normal(0, 0.3, 3) for name in centres}
     return {
@@ -48,7 +48,7 @@ def received(centres: Placed, lag: float, drift: float) -> Placed:
 
 
 def lag_of(centres: Placed, fixes: Placed) -> float:
-    return find_delay(motions(sorted(centres), centres, TIMES), centres, fixes)
+    return find_delay(estimate_motions(sorted(centres), centres, TIMES), centres, fixes)
 
 
 @pytest.mark.parametrize("lag", [1.7, -0.6])
@@ -58,14 +58,15 @@ def test_a_known_lag_is_found(lag: float) -> None:
     assert lag_of(centres, fixes) == pytest.approx(lag, abs=0.15)
     # Whole seconds, as most cameras write them, change little.
     coarse = {name: float(round(time / 2.13 * 2.0)) for name, time in TIMES.items()}
-    moving = motions(sorted(centres), centres, coarse)
+    moving = estimate_motions(sorted(centres), centres, coarse)
     assert find_delay(moving, centres, fixes) == pytest.approx(lag * 2.0 / 2.13, abs=0.3)
 
 
 def test_positions_without_the_lag_are_better() -> None:
     centres = survey()
     fixes = received(centres, 1.7, drift=0.5)
-    undone = undo_delay(fixes, motions(sorted(centres), centres, TIMES), lag_of(centres, fixes))
+    motions = estimate_motions(sorted(centres), centres, TIMES)
+    undone = undo_delay(fixes, motions, lag_of(centres, fixes))
 
     def spread(places: Placed) -> float:
         off = np.array([places[name] - centres[name] for name in centres])
@@ -86,9 +87,9 @@ def test_nothing_is_said_where_nothing_can_be_told() -> None:
     straight = {name: np.array([0, SPEED * TIMES[name], 40.0]) for name in NAMES}
     assert lag_of(straight, received(straight, 1.7, drift=0.1)) == 0
     centres = survey()
-    assert find_delay(motions(sorted(centres), centres, {}), centres, centres) == 0
+    assert find_delay(estimate_motions(sorted(centres), centres, {}), centres, centres) == 0
     at_once = dict.fromkeys(NAMES, 5.0)
-    assert motions(sorted(centres), centres, at_once) == {}
+    assert estimate_motions(sorted(centres), centres, at_once) == {}
 
 
 def test_a_real_receiver_that_lags(flights: Path) -> None:
@@ -104,5 +105,5 @@ def test_a_real_receiver_that_lags(flights: Path) -> None:
         time = read_exif(path / "photos" / name).time
         assert time is not None
         times[name] = time.timestamp()
-    lag = find_delay(motions(sorted(centres), centres, times), centres, fixes)
+    lag = find_delay(estimate_motions(sorted(centres), centres, times), centres, fixes)
     assert lag == pytest.approx(2.1, abs=0.3)

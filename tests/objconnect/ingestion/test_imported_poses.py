@@ -53,7 +53,7 @@ def test_given_poses_stay_as_they_are(
     assert report.map_points > 200
     assert report.gps is not None
     assert 0.3 < report.gps.horizontal_rms < 5
-    assert "poses are as given" in report.text()
+    assert "poses as imported" in report.text()
     made, truth = geocentric(Scene.open(out), "flight"), geocentric(rendered, SESSION)
     assert set(made) == set(truth)
     for name, pose in truth.items():
@@ -117,8 +117,8 @@ def test_photographs_need_no_gps(rendered: Scene, tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("name,e,n,u\na.jpg,1,2,3\n", "positions without attitudes: give it as --gps"),
-        ("1.5 0 0 0 0 0 0 1\n", "has none of the photographs: its first name is '1.5'"),
-        ("000000 0 0 0 0 0 0 1\n", "tells no camera of 000000.jpg: give --camera"),
+        ("1.5 0 0 0 0 0 0 1\n", "names none of the photographs: its first name is '1.5'"),
+        ("000000 0 0 0 0 0 0 1\n", "has no camera of 000000.jpg: give --camera"),
     ],
 )
 def test_poses_that_do_not_do(rendered: Scene, tmp_path: Path, text: str, message: str) -> None:
@@ -131,7 +131,7 @@ def test_poses_that_do_not_do(rendered: Scene, tmp_path: Path, text: str, messag
 
 def test_a_frame_is_of_a_file_of_poses(rendered: Scene, tmp_path: Path) -> None:
     export(rendered.path, "opensfm", tmp_path / "given", [SESSION])
-    with pytest.raises(InputError, match="--poses-frame states the frame of a file of poses"):
+    with pytest.raises(InputError, match="--poses-frame needs a file of poses"):
         ingest(photographs_of(rendered), tmp_path / "scene", poses_frame="projected")
     poses = tmp_path / "given" / "reconstruction.json"
     with pytest.raises(InputError, match="topocentric by its field frame, but projected by"):

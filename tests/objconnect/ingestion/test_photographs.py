@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from objconnect.ingestion.photographs import photographs_of, read_flight
+from objconnect.ingestion.photographs import make_photographs, read_flight
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 
@@ -60,7 +60,7 @@ def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
     for name in truth:
         path = min((flights / name / "photos").iterdir())
         shutil.copy(path, tmp_path / path.name)
-    taken = photographs_of(read_flight(tmp_path).images, 1024, None)
+    taken = make_photographs(read_flight(tmp_path).images, 1024, None)
     assert len({photograph.lens for photograph in taken}) == 2
     for photograph in taken:
         expected = truth["brighton_beach" if "DJI" in photograph.name else "caliterra"]
@@ -72,11 +72,11 @@ def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
 def test_a_given_camera_is_scaled_to_the_photographs(photographs: Path) -> None:
     flight = read_flight(photographs)
     calibration = Camera("SIMPLE_RADIAL", 4000, 2250, (2330.0, 2000.0, 1125.0, 0.004))
-    (first, *_) = photographs_of(flight.images, 400, calibration)
+    (first, *_) = make_photographs(flight.images, 400, calibration)
     assert first.calibrated
     assert first.camera.focal[0] == pytest.approx(233.0)
     assert (first.camera.width, first.camera.height) == (400, 225)
-    with pytest.raises(InputError, match="give a calibration of its shape"):
-        photographs_of(
+    with pytest.raises(InputError, match="give a calibration of the same aspect ratio"):
+        make_photographs(
             flight.images, 400, Camera("PINHOLE", 400, 300, (300.0, 300.0, 200.0, 150.0))
         )

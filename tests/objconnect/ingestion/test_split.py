@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from objconnect.ingestion.neighbours import choose_pairs
-from objconnect.ingestion.split import flight_lines, queries_of
+from objconnect.ingestion.split import choose_queries, flight_lines
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_gps
 
@@ -27,11 +27,11 @@ def test_a_photograph_without_a_fix_belongs_to_the_line_before(beach: Path) -> N
 def test_queries_by_photograph_and_by_line(beach: Path) -> None:
     fixes = read_gps(beach / "gps.csv")
     names = sorted(fixes)
-    assert queries_of(names, fixes, "photo", 4) == set(names[2::4])
-    assert queries_of(names, fixes, "line", 3) == set(names[6:12])
-    assert queries_of(names, fixes, "none", 4) == set()
+    assert choose_queries(names, fixes, "photo", 4) == set(names[2::4])
+    assert choose_queries(names, fixes, "line", 3) == set(names[6:12])
+    assert choose_queries(names, fixes, "none", 4) == set()
     with pytest.raises(InputError, match="3 lines, too few for a query line among every 8"):
-        queries_of(names, fixes, "line", 8)
+        choose_queries(names, fixes, "line", 8)
 
 
 def test_pairs_are_near_or_follow_each_other(beach: Path) -> None:

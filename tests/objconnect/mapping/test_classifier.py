@@ -14,56 +14,61 @@ from objconnect.learning.checkpoint import read_weights, write_weights
 from objconnect.mapping.supplement.classifier import (
     FIGURES,
     SHIPPED,
-    PlaceClassifier,
+    PointClassifier,
     read_classifier,
 )
-from objconnect.mapping.supplement.learning import Lessons, learn, lessons, report
+from objconnect.mapping.supplement.learning import (
+    TrainingData,
+    read_training_data,
+    report,
+    train_classifier,
+)
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 
 
-def made(seed: int, count: int = 3000) -> Lessons:
+def made(seed: int, count: int = 3000) -> TrainingData:
     """Return places that are on objects where two figures together say so."""
     rng = np.random.default_rng(seed)
     figures = rng.normal(3, 5, (count, FIGURES)).astype(np.float32)
     on_object = (figures[:, 0] - 3) * (figures[:, 4] - 3) > 0
     small = np.where(on_object, rng.integers(1, 9, count), 0)
-    return Lessons(figures, on_object, small, frozenset(range(1, 9)))
+    return TrainingData(figures, on_object, small, frozenset(range(1, 9)))
 
 
 def test_it_learns_what_only_figures_together_say() -> None:
-    judge = learn([made(seed) for seed in range(5)], steps=1000)
+    judge = train_classifier([made(seed) for seed in range(5)], steps=1000)
     other = made(2)
-    right = (judge.likely(other.figures) > 0.5) == other.on_object
+    right = (judge.predict(other.figures) > 0.5) == other.on_object
     assert right.mean() > 0.85
     assert "8 of 8 small objects" in report(judge, other)[-1]
-    blind = report(PlaceClassifier().eval(), other._replace(on_object=np.zeros(3000, bool)))
-    assert blind[0].startswith("95% of 0 places") and "0 of 8" in blind[0]
+    blind = report(PointClassifier().eval(), other._replace(on_object=np.zeros(3000, bool)))
+    assert blind[0].startswith("95% of 0 points") and "0 of 8" in blind[0]
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    first, second = (learn([made(0)], steps=20, seed=3).state_dict() for _ in range(2))
+    first, second = (train_classifier([made(0)], steps=20, seed=3).state_dict() for _ in range(2))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
 def test_a_rendered_town_teaches(rendered: Scene) -> None:
-    found = lessons(rendered.path)
+    found = read_training_data(rendered.path)
     assert found.figures.shape == (len(found.on_object), FIGURES)
     assert np.isfinite(found.figures).all()
     assert found.on_object.any() and not found.on_object.all()
     assert found.on_object[found.small > 0].all()
     # A classifier that was trained elsewhere recognises objects here.
-    likely = read_classifier().likely(found.figures)
+    likely = read_classifier().predict(found.figures)
     assert likely[found.on_object].mean() > likely[~found.on_object].mean() + 0.3
 
 
 def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "judge.safetensors"
-    write_weights(path, PlaceClassifier(), {"figures": 3})
-    with pytest.raises(InputError, match="does not judge places by the"):
+    write_weights(path, PointClassifier(), {"figures": 3})
+    with pytest.raises(InputError, match="is no classifier of this version"):
         read_classifier(path)
-    with pytest.raises(InputError, match="no place to learn from"):
-        learn([made(0, 0)])
+    with pytest.raises(InputError, match="no points to train on"):
+        train_classifier([made(0, 0)])
     assert read_weights(SHIPPED).config == {"figures": FIGURES}
 
 

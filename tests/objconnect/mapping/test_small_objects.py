@@ -13,11 +13,11 @@ import torch
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from objconnect.mapping.supplement.blobs import find
+from objconnect.mapping.supplement.blobs import find_blobs
 from objconnect.mapping.supplement.classifier import read_classifier
 from objconnect.mapping.supplement.config import SupplementConfig
-from objconnect.mapping.supplement.ground_plane import Ground, heights, nearest
-from objconnect.mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
+from objconnect.mapping.supplement.ground_plane import Ground, find_nearest, heights_above_ground
+from objconnect.mapping.supplement.photoconsistency import HEIGHTS, compare_with_ground
 from objconnect.mapping.supplement.small_objects import supplement_points
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import SHIPPED
@@ -35,15 +35,15 @@ def test_heights_are_above_the_plane_of_most_points() -> None:
     cloud[::5, 2] += 2.0
     feet = rng.uniform(5, 35, (50, 2))
     ground = 0.1 * feet[:, 0] - 0.05 * feet[:, 1]
-    above = heights(np.column_stack([feet, ground + 1]), cloud)
+    above = heights_above_ground(np.column_stack([feet, ground + 1]), cloud)
     np.testing.assert_allclose(above, 1, atol=0.1)
-    assert np.isinf(heights(cloud[:3], cloud[:5])).all()
+    assert np.isinf(heights_above_ground(cloud[:3], cloud[:5])).all()
 
 
 def test_the_nearest_are_the_nearest() -> None:
     rng = np.random.default_rng(1)
     cloud, query = rng.uniform(0, 9, (500, 3)), rng.uniform(0, 9, (20, 3))
-    _, off = nearest(query, cloud, 4)
+    _, off = find_nearest(query, cloud, 4)
     every = np.linalg.norm(query[:, None] - cloud, axis=2)
     np.testing.assert_allclose(off, np.sort(every, axis=1)[:, :4], atol=1e-5)
 
@@ -66,7 +66,7 @@ def test_spots_are_where_they_are_and_differ_from_what_is_around() -> None:
     rgb = np.full((80, 120, 3), 90, np.uint8)
     rgb[30:33, 50:53] = [200, 40, 40]
     rgb[60:62, 100:102] = [240, 240, 240]
-    found = find(rgb)
+    found = find_blobs(rgb)
     for place, lighter in ((51.5, 31.5), False), ((101.0, 61.0), True):
         off = np.linalg.norm(found.xy - place, axis=1)
         nearest_spot = off.argmin()
@@ -82,7 +82,7 @@ def test_costs_are_held_against_those_of_the_ground() -> None:
     above = 1.0 + np.abs(HEIGHTS - 0.9)
     on_it = 1.0 + np.abs(HEIGHTS)
     costs = np.stack([above, on_it, np.full(len(above), np.nan)])
-    found = costs_beside_ground(costs, np.full(3, 1.0))
+    found = compare_with_ground(costs, np.full(3, 1.0))
     assert found.share[0] < 0.65
     assert found.off[0] < 0.15
     assert found.share[1] == 1
@@ -98,7 +98,7 @@ def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Sce
     network = ObjConnectNet(config).eval()
     name = rendered.splits.map[0]
     rgb = read_rgb(rendered.images_root / name)
-    plain, seen = find(rgb).detections, find(rgb, network).detections
+    plain, seen = find_blobs(rgb).detections, find_blobs(rgb, network).detections
     assert len(plain.xy) > 200
     assert len(seen.xy) > len(plain.xy)
     lengths = np.linalg.norm(seen.descriptors, axis=1)
@@ -107,7 +107,7 @@ def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Sce
     assert (seen.confidence < 1).all()
     masks = np.full(rgb.shape[:2], -1, np.int64)
     masks[100:140, 50:120] = 0
-    inside = find(rgb, masks=masks).xy
+    inside = find_blobs(rgb, masks=masks).xy
     assert len(inside) > 0
     assert ((inside >= [50, 100]) & (inside <= [120, 140])).all()
 
@@ -115,7 +115,7 @@ def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Sce
 def test_centres_of_learned_objects_are_spots_too(rendered: Scene) -> None:
     network, _ = read_network(SHIPPED)
     rgb = read_rgb(rendered.images_root / rendered.splits.map[0])
-    plain, seen = find(rgb), find(rgb, network)
+    plain, seen = find_blobs(rgb), find_blobs(rgb, network)
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
     centres = network.detect_objects(image)[0].xy.double().numpy()
     assert len(centres) > 0
@@ -148,7 +148,7 @@ def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) ->
     assert {file.name: sha256_of(file) for file in folder.iterdir()} == files
     refused = CliRunner().invoke(app, ["supplement", str(rendered_copy), "--remove"])
     assert refused.exit_code == 2
-    assert "nothing was added" in refused.output
+    assert "has no added points" in refused.output
 
 
 def test_views_along_the_ground_are_refused(rendered: Scene) -> None:

@@ -12,7 +12,7 @@ import pytest
 from objconnect.mapping.diagnosis.command import diagnose
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.map import add_to_map, remove_from_map
-from objconnect.mapping.supplement.triangulation import Lifted, lift, linear_points
+from objconnect.mapping.supplement.triangulation import LiftedPoint, lift, triangulate_linearly
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, read_supplement
 from objconnect.scene.errors import InputError
@@ -29,7 +29,7 @@ def centres_of(scene: Scene) -> np.ndarray:
     return np.array([o.centre for o in scene.objects.objects if o.size_class == "small"])
 
 
-def distances(scene: Scene, points: list[Lifted]) -> np.ndarray:
+def distances(scene: Scene, points: list[LiftedPoint]) -> np.ndarray:
     """From each point to the nearest true centre, metres."""
     xyz = np.array([point.xyz for point in points]).reshape(-1, 3)
     return np.linalg.norm(xyz[:, None] - centres_of(scene), axis=2).min(1)
@@ -42,7 +42,7 @@ def test_linear_points_are_exact() -> None:
     poses[:, :, :, 3] = rng.uniform([-10, -10, 50], [10, 10, 70], (50, 3, 3))
     local = xyz[:, None] + poses[..., 3]
     normalised = local[..., :2] / local[..., 2:]
-    np.testing.assert_allclose(linear_points(normalised, poses), xyz, atol=1e-8)
+    np.testing.assert_allclose(triangulate_linearly(normalised, poses), xyz, atol=1e-8)
 
 
 def test_exact_detections_are_lifted_to_their_centres(rendered: Scene) -> None:
@@ -102,7 +102,7 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
     before, files = scene.sparse_map(), digests(scene.map_path)
     found = detections(scene, noise_px=0.3, blur=0.2)
     points = lift(before, found, CONFIG)
-    with pytest.raises(InputError, match="was changed meanwhile"):
+    with pytest.raises(InputError, match="another run changed the map"):
         add_to_map(rendered_copy, points, found, "0" * 64)
     add_to_map(rendered_copy, points, found, before.sha256)
     supplement = add_to_map(rendered_copy, points, found)  # in place of the first
@@ -131,7 +131,7 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
     remove_from_map(rendered_copy)
     assert digests(scene.map_path) == files
     assert Scene.open(rendered_copy).find_changed_files() == []
-    with pytest.raises(InputError, match="nothing was added"):
+    with pytest.raises(InputError, match="has no added points"):
         remove_from_map(rendered_copy)
 
 

@@ -28,7 +28,7 @@ from benchmark.tracks.description import Track
 from benchmark.tracks.queries import read_queries
 from benchmark.tracks.renders import Render, RenderedFrame, read_render, write_render
 from objconnect.ingestion.control_points import read_control_points
-from objconnect.ingestion.photographs import Flight, FlightImage, _look_at
+from objconnect.ingestion.photographs import Flight, FlightImage, _read_image
 from objconnect.ingestion.positions import _read as read_positions
 from objconnect.ingestion.telemetry import read_telemetry
 from objconnect.learning import pixloc_net as pixloc
@@ -517,7 +517,7 @@ READERS: dict[str, Reader] = {
         _photographs,
         {
             "photos/a.jpg": ("jpeg", lambda f: read_rgb(f / "photos/a.jpg")),
-            "photos/b.jpg": ("jpeg", lambda f: _look_at(f, "photos/b.jpg", "")),
+            "photos/b.jpg": ("jpeg", lambda f: _read_image(f, "photos/b.jpg", "")),
         },
         6,
     ),

@@ -162,7 +162,7 @@ def test_a_file_of_the_user_stays_and_one_of_ours_is_replaced(
 def test_answers_lie_outside_of_the_photographs(
     flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer, more: tuple[object, ...]
 ) -> None:
-    said = "lies in the folder of photographs: choose one outside it"
+    said = "lies in the folder of photographs: choose a folder outside it"
     for out in (photographs / "poses.txt", photographs / "out" / "poses.txt"):
         line = refused(tmp_path, *localizing(flight, photographs, out, *more))
         assert line == f"objconnect: error: {out} {said}"

@@ -30,7 +30,7 @@ import objconnect.scene.storage.files
 from benchmark.cli import app
 from benchmark.evaluation.starts import parse_start
 from objconnect.ingestion.photographs import Flight, FlightImage, read_flight
-from objconnect.ingestion.positions import local, with_positions
+from objconnect.ingestion.positions import local_positions, replace_positions
 from objconnect.learning.checkpoint import load_into, read_weights, write_weights
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.features import map_features
@@ -140,7 +140,7 @@ def test_an_ingest_that_fails_removes_what_it_wrote_and_nothing_else(
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text(name)
     said = refused(lambda: objconnect.ingestion.command.ingest(photographs, out))
-    assert "hang together" in said
+    assert "could be registered together" in said
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert left == set(kept)
 
@@ -266,7 +266,7 @@ def shot(file: str, place: Geodetic | None = None) -> FlightImage:
 def test_photographs_on_both_sides_of_longitude_180() -> None:
     longitudes = (179.9995, -179.9995, -179.9990, 179.9990)
     shots = [shot(f"{k}.jpg", Geodetic(-17.0, lon, 80.0)) for k, lon in enumerate(longitudes)]
-    origin, fixes = local(shots)
+    origin, fixes = local_positions(shots)
     assert abs(abs(origin.longitude) - 180) < 0.001
     assert max(float(np.abs(fix).max()) for fix in fixes.values()) < 250
 
@@ -281,7 +281,7 @@ def placed(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float |
     """Latitude of each photograph."""
     table = tmp_path / "gps.csv"
     table.write_text(text)
-    found = with_positions(roll, table).images
+    found = replace_positions(roll, table).images
     return {s.file: s.exif.position.latitude if s.exif.position else None for s in found}
 
 
@@ -481,7 +481,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "queries": read_cameras,
     "features": read_features,
     "weights": read_weights,
-    "positions": lambda path: with_positions(CARDS, path),
+    "positions": lambda path: replace_positions(CARDS, path),
 }
 
 

@@ -14,7 +14,7 @@ from simulate.twin.photographs import (
     Photograph,
     covered_square,
     map_photographs,
-    sample_colours,
+    sample_photographs,
 )
 
 CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (100.0, 50.0, 50.0))
@@ -53,8 +53,8 @@ def test_colours_are_those_of_the_photographs(rendered: Scene) -> None:
     points = (rays * depth[rows, columns][:, None] - pose[:3, 3]) @ pose[:3, :3]
     rgb = read_rgb(rendered.images_root / frames.names[4])[rows, columns]
     own = [p for p in photographs if p.path.samefile(rendered.images_root / frames.names[4])]
-    np.testing.assert_allclose(sample_colours(own, points), rgb, atol=1)
-    every = sample_colours(photographs, points)
+    np.testing.assert_allclose(sample_photographs(own, points), rgb, atol=1)
+    every = sample_photographs(photographs, points)
     assert np.abs(every - rgb).mean() < 12
     hidden = points + np.array([1000.0, 0.0, 0.0])
-    assert np.isnan(sample_colours(photographs, hidden)).all()
+    assert np.isnan(sample_photographs(photographs, hidden)).all()

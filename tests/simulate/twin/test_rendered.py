@@ -172,5 +172,5 @@ def test_an_interrupted_twin_goes_on_from_its_own_place(
 
 
 def test_a_cluster_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="leave --cluster out"):
+    with pytest.raises(InputError, match="cluster cannot render a site"):
         simulate(config(tmp_path), tmp_path / "out", cluster="local")

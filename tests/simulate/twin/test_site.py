@@ -26,9 +26,9 @@ from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW, PAVED, classify
 from simulate.twin.options import SiteConfig
 from simulate.twin.report import SiteReport
-from simulate.twin.sampling import Cells, colours, heights
-from simulate.twin.source import extent
-from simulate.twin.terrain import close_holes, drop_islands, ground_below, sunlit
+from simulate.twin.sampling import Cells, sample_colours, sample_heights
+from simulate.twin.source import measure_extent
+from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below
 from tests.simulate.twin.made_site import (
     HOUSE,
     ORIGIN,
@@ -77,8 +77,8 @@ def test_what_is_sampled_lies_where_proj_says(tmp_path: Path, crs: str) -> None:
     files = rasters(tmp_path, crs)
     axis = np.linspace(-65, 65, 261)  # finer than two pixels, of which means are read
     cells = Cells(axis, 3.0)
-    z = heights(Raster.open(files[1], "surface model"), ORIGIN, cells, 0.0)
-    rgb = colours(Raster.open(files[0], "orthophoto"), ORIGIN, cells)
+    z = sample_heights(Raster.open(files[1], "surface model"), ORIGIN, cells, 0.0)
+    rgb = sample_colours(Raster.open(files[0], "orthophoto"), ORIGIN, cells)
     projection = Projection(crs)
     with rasterio.open(files[1]) as file:
         model, box = file.read(1).astype(float), file.bounds
@@ -204,14 +204,14 @@ def test_islands_are_dropped() -> None:
 def test_rasters_that_do_not_overlap(tmp_path: Path) -> None:
     ortho, dsm = rasters(tmp_path, east_m=500.0)
     with pytest.raises(InputError, match="do not overlap"):
-        extent(SiteConfig(ortho=ortho, dsm=dsm))
+        measure_extent(SiteConfig(ortho=ortho, dsm=dsm))
     with pytest.raises(InputError, match="do not both show the origin"):
         built(tmp_path, rasters=(ortho, dsm))
 
 
 def test_the_extent_is_the_square_that_both_show(tmp_path: Path) -> None:
     ortho, dsm = rasters(tmp_path, east_m=10.0)
-    found = extent(SiteConfig(ortho=ortho, dsm=dsm))
+    found = measure_extent(SiteConfig(ortho=ortho, dsm=dsm))
     # 141.8 m a side in the grid, which is turned by 0.73 degrees against the world.
     assert found.side_m == pytest.approx(130, abs=2)
     assert found.origin.longitude > ORIGIN.longitude
@@ -220,13 +220,13 @@ def test_the_extent_is_the_square_that_both_show(tmp_path: Path) -> None:
     assert (config.area, config.origin) == (found.side_m, found.origin)
     small = rasters(tmp_path / "small", half_m=18.0)
     with pytest.raises(InputError, match="a square of 3. m in common"):
-        extent(SiteConfig(ortho=small[0], dsm=small[1]))
+        measure_extent(SiteConfig(ortho=small[0], dsm=small[1]))
 
 
 def test_shadows_fall_as_the_sun_stands() -> None:
     surface = np.zeros((200, 200), np.float32)
     surface[98:102, 98:102] = 10.0
-    lit = sunlit(surface, 0.5, azimuth=90.0, elevation=45.0)  # from the east
+    lit = find_sunlit(surface, 0.5, azimuth=90.0, elevation=45.0)  # from the east
     assert not lit[100, 80:97].any(), "10 m to the west lie in the shade"
     assert lit[100, :76].all() and lit[100, 102:].all()
     assert lit[:96].all() and lit[104:].all()
@@ -361,11 +361,11 @@ def test_configurations_of_sites(tmp_path: Path) -> None:
         SimulateConfig.load(None, {"preset": "site"})
     with pytest.raises(InputError, match="either an orthophoto with a surface model, or a scene"):
         SimulateConfig.load(None, {"preset": "site", "site.ortho": ortho})
-    with pytest.raises(InputError, match="files of a site are for the preset site"):
+    with pytest.raises(InputError, match="files of a site need --preset site"):
         SimulateConfig.load(None, {"preset": "town", "site.ortho": ortho, "site.dsm": dsm})
-    with pytest.raises(ValidationError, match="needs its zone"):
+    with pytest.raises(ValidationError, match="needs a time zone"):
         SiteConfig.model_validate({"ortho": ortho, "dsm": dsm, "taken": "2026-07-01T10:00:00"})
     site = SiteConfig(ortho=ortho, dsm=dsm)
     rasters(tmp_path, hole=(0, 1, 0, 1))
-    with pytest.raises(InputError, match="no longer the scene's"):
+    with pytest.raises(InputError, match="has changed since"):
         build_site(site, AREA, ORIGIN, 0, tmp_path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulate.twin.classes import LOW, PAVED, ROOF
-from simulate.twin.snow import snow_that_stays, where_snow_lies
+from simulate.twin.snow import snow_by_slope, snow_share
 
 TEXEL_M, N = 0.25, 240
 
@@ -25,7 +25,7 @@ def middle(snow: np.ndarray, west_m: float, east_m: float) -> float:
 def stays(found: np.ndarray, albedo: np.ndarray, above: np.ndarray | None = None) -> np.ndarray:
     level = np.zeros((N + 1, N + 1), np.float32)
     standing = np.zeros((N, N), np.float32) if above is None else above
-    return snow_that_stays(level, TEXEL_M, found, standing, albedo, TEXEL_M)
+    return snow_share(level, TEXEL_M, found, standing, albedo, TEXEL_M)
 
 
 def test_roads_are_cleared_and_lots_and_paths_keep_more() -> None:
@@ -64,12 +64,12 @@ def test_cars_keep_their_snow_on_a_road() -> None:
 def test_walls_are_bare_and_the_ground_beside_them_is_not() -> None:
     surface = np.zeros((N + 1, N + 1), np.float32)
     surface[80:160, 80:160] = 8.0
-    lies = where_snow_lies(surface, TEXEL_M, N)
+    lies = snow_by_slope(surface, TEXEL_M, N)
     assert lies[100:140, 79].max() < 0.05, "the cell of the wall"
     assert lies[100:140, 76].min() > 0.9, "a metre before it"
     assert lies[100:140, 84].min() > 0.9, "on the roof"
     found = np.where(surface[:-1, :-1] > 0, ROOF, LOW).astype(np.uint8)
-    snow = snow_that_stays(
+    snow = snow_share(
         surface, TEXEL_M, found, surface[:-1, :-1], np.full((N, N, 3), 0.1, np.float32), TEXEL_M
     )
     assert snow[100:140, 100:140].min() > 0.95
@@ -78,5 +78,5 @@ def test_walls_are_bare_and_the_ground_beside_them_is_not() -> None:
 def test_low_sides_hold_most_of_their_snow() -> None:
     surface = np.zeros((N + 1, N + 1), np.float32)
     surface[:, 100:108] = 1.0  # a hedge
-    lies = where_snow_lies(surface, TEXEL_M, N)
+    lies = snow_by_slope(surface, TEXEL_M, N)
     assert lies[50:190].min() > 0.6

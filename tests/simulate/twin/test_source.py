@@ -14,7 +14,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.twin.build import build_site
 from simulate.twin.options import SiteConfig
-from simulate.twin.source import extent, open_rasters
+from simulate.twin.source import measure_extent, open_rasters
 
 
 def with_map(path: Path, names: tuple[str, ...]) -> Path:
@@ -26,7 +26,7 @@ def with_map(path: Path, names: tuple[str, ...]) -> Path:
 
 
 def test_the_world_of_a_scene_stays(rendered: Scene) -> None:
-    found = extent(SiteConfig(scene=rendered.path))
+    found = measure_extent(SiteConfig(scene=rendered.path))
     assert found == (rendered.manifest.origin, 120.0)
     config = SimulateConfig.load(None, {"preset": "site", "site.scene": rendered.path})
     assert (config.origin, config.area) == found
@@ -62,7 +62,7 @@ def test_a_twin_does_not_lie_in_its_scene(rendered: Scene) -> None:
 def test_few_photographs_are_refused(rendered_copy: Path, tmp_path: Path) -> None:
     names = Scene.open(rendered_copy).splits.map[:5]
     site = SiteConfig(scene=with_map(rendered_copy, names))
-    with pytest.raises(InputError, match="has 5 photographs in its map, 8 are the fewest"):
+    with pytest.raises(InputError, match="has 5 photographs in its map, a site needs 8"):
         build_site(site, 120.0, Scene.open(rendered_copy).manifest.origin, 0, tmp_path)
 
 

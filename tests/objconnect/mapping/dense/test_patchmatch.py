@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from objconnect.mapping.dense.consistency import agreeing
+from objconnect.mapping.dense.consistency import count_agreeing
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.mapping.dense.photometry import Photometry
 from tests.objconnect.mapping.dense.made_views import (
@@ -71,11 +71,11 @@ def test_maps_of_the_sources_pull_and_confirm() -> None:
     off = torch.rand(w.shape, generator=generator) < 0.1
     start = torch.stack([torch.where(off, 1.3 * w, w), *slopes])
     maps = [inverse_depth_at(source).float() for source in SOURCES]
-    before = agreeing(REFERENCE, SOURCES, start[0], maps)
+    before = count_agreeing(REFERENCE, SOURCES, start[0], maps)
     assert before[off].max() == 0
     estimate = consistent_estimate(REFERENCE, SOURCES, start, maps, generator)
     assert right(estimate.planes) > 0.95
-    after = agreeing(REFERENCE, SOURCES, estimate.planes[0], maps)
+    after = count_agreeing(REFERENCE, SOURCES, estimate.planes[0], maps)
     assert (after >= 2).double().mean() > 0.9
 
 

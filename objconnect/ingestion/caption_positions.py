@@ -1,4 +1,4 @@
-"""Positions that subtitles tell, by the names of their fields, by letters, or by checks."""
+"""Positions of a drone's subtitles, by field names, by letters, or by plausibility checks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from objconnect.ingestion.captions import Caption, angle, parts_of, quantity, split_letter
+from objconnect.ingestion.captions import (
+    Caption,
+    parse_angle,
+    parse_quantity,
+    split_letter,
+    split_tuple,
+)
 from objconnect.scene.quantities.angles import LATITUDE, LONGITUDE, Axis, parse_coordinate
 from objconnect.scene.quantities.coordinate_order import (
     Order,
@@ -19,75 +25,76 @@ from objconnect.scene.quantities.coordinate_order import (
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 
 LATITUDES: Final = ("latitude", "lat")
-"""Names of the field of a latitude."""
+"""Field names of the latitude."""
 LONGITUDES: Final = ("longitude", "longtitude", "lon", "lng", "long")
-"""Names of the field of a longitude; a drone misspells it."""
-# The better fix comes first.
+"""Field names of the longitude; one drone misspells it."""
+# Tuples with a position, the more accurate first.
 _PAIRS: Final = ("rtk", "gps")
 _SIGNS: Final = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
 _LARGEST: Final = 180.0
 
 
 @dataclass(frozen=True)
-class Places:
+class Positions:
     """Positions of the subtitles of a file.
 
     Attributes:
-        places: Latitude and longitude of each subtitle, degrees; None where it is not known.
-        doubts: Why positions are unknown or left out, a phrase each.
-        of_each: Why the position of a subtitle is unknown or left out, by its row.
+        values: Latitude and longitude of each subtitle, degrees; None where unknown.
+        doubts: Reasons why positions are unknown or dropped, a phrase each.
+        doubt_of: Reason why the position of a subtitle is unknown or dropped, by row.
     """
 
-    places: Sequence[Pair | None]
+    values: Sequence[Pair | None]
     doubts: tuple[str, ...]
-    of_each: Mapping[int, str]
+    doubt_of: Mapping[int, str]
 
 
 @dataclass(frozen=True)
 class _Fix:
-    """Two numbers of a subtitle: a place, or a pair whose order is not written."""
+    """Two numbers of a subtitle: latitude and longitude, or a pair of unknown order."""
 
-    place: Pair | None = None
+    lat_lon: Pair | None = None
     pair: Pair | None = None
     doubt: str = ""
 
 
-def places_of(captions: Sequence[Caption], marks: DecimalMarks, near: Pair | None) -> Places:
-    """Return the positions of a file's subtitles.
+def parse_positions(
+    captions: Sequence[Caption], marks: DecimalMarks, near: Pair | None
+) -> Positions:
+    """Parse the positions of a file's subtitles.
 
-    Latitude 0 and longitude 0 together mean that there was no fix. A place to which no drone can
-    have flown from those before and after is left out.
+    Latitude 0 with longitude 0 means no fix. Positions that a drone cannot have reached from those
+    before and after are dropped.
 
     Args:
-        captions: Subtitles in the order of their times.
+        captions: Subtitles sorted by time.
         marks: Decimal marks of the file.
-        near: Latitude and longitude of the map, degrees; None where that is not known.
+        near: Latitude and longitude of the map, degrees; None where unknown.
     """
     seconds = [caption.subtitle.start_s for caption in captions]
-    fixes = [_fix_of(caption, marks) for caption in captions]
-    of_each = {row: fix.doubt for row, fix in enumerate(fixes) if fix.doubt}
-    doubts = dict.fromkeys(of_each.values())
+    fixes = [_parse_fix(caption, marks) for caption in captions]
+    doubt_of = {row: fix.doubt for row, fix in enumerate(fixes) if fix.doubt}
+    doubts = dict.fromkeys(doubt_of.values())
     rows = [row for row, fix in enumerate(fixes) if fix.pair is not None]
-    places = [fix.place for fix in fixes]
+    positions = [fix.lat_lon for fix in fixes]
     if rows:
-        order = order_of(_track(captions, fixes, rows, marks), near)
+        order = order_of(_gather_pairs(captions, fixes, rows, marks), near)
         doubts |= dict.fromkeys(order.doubts)
-        of_each |= dict.fromkeys(rows if order.doubts else (), order.why)
+        doubt_of |= dict.fromkeys(rows if order.doubts else (), order.why)
         for row in rows:
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
-                places[row] = to_lat_lon(pair, order.value)
-    kept = without_jumps(seconds, places)
-    lost = [row for row, place in enumerate(places) if place is not None and kept[row] is None]
-    of_each |= dict.fromkeys(lost, "its position is where no drone can have flown")
+                positions[row] = to_lat_lon(pair, order.value)
+    kept = without_jumps(seconds, positions)
+    lost = [row for row, fix in enumerate(positions) if fix is not None and kept[row] is None]
+    doubt_of |= dict.fromkeys(lost, "its position is out of a drone's reach")
     if lost:
-        jumps = f"{len(lost)} positions jump to where no drone can have flown, and are left out"
-        doubts[jumps] = None
-    # One phrase of a kind is enough for a person.
-    return Places(kept, tuple(doubts)[:3], of_each)
+        doubts[f"{len(lost)} positions jump out of a drone's reach, and are left out"] = None
+    # Show three phrases at most.
+    return Positions(kept, tuple(doubts)[:3], doubt_of)
 
 
-def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
+def _parse_fix(caption: Caption, marks: DecimalMarks) -> _Fix:
     fields = caption.fields
     latitude = next((fields[name] for name in LATITUDES if name in fields), None)
     longitude = next((fields[name] for name in LONGITUDES if name in fields), None)
@@ -103,48 +110,48 @@ def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
 
 
 def _fix_by_names(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
-    place = tuple(
-        _parse_coordinate(text, axis)
-        if (number := _coordinate(text, letters, marks)) is None
+    coordinates = tuple(
+        _parse_spelled(text, axis)
+        if (number := _parse_coordinate(text, letters, marks)) is None
         else number
         for text, letters, axis in ((latitude, "NS", LATITUDE), (longitude, "EW", LONGITUDE))
     )
     for name, text, number in zip(
-        ("latitude", "longitude"), (latitude, longitude), place, strict=True
+        ("latitude", "longitude"), (latitude, longitude), coordinates, strict=True
     ):
         if number is None:
             return _Fix(doubt=_describe_unknown(name, text, marks))
-    here = _on_earth(place[0], place[1])
-    if here is None and any(place):
+    lat_lon = _valid_position(*coordinates)
+    if lat_lon is None and any(coordinates):
         return _Fix(doubt=f"latitude {latitude[:40]}, longitude {longitude[:40]} is not on earth")
-    return _Fix(place=here)
+    return _Fix(lat_lon)
 
 
-def _parse_coordinate(text: str, axis: Axis) -> float | None:
+def _parse_spelled(text: str, axis: Axis) -> float | None:
     """Return a coordinate with a word for its direction, or with minutes and seconds."""
-    # A comma divides numbers in some spellings and is a decimal mark in others.
+    # A comma separates numbers in some spellings and is a decimal mark in others.
     return None if "," in text else parse_coordinate(text, axis, axis.tag, signed=True).value
 
 
-def _coordinate(text: str, letters: str, marks: DecimalMarks) -> float | None:
-    """Return a coordinate with its sign; None where letter or number are not understood."""
+def _parse_coordinate(text: str, letters: str, marks: DecimalMarks) -> float | None:
+    """Return a coordinate with its sign; None where letter or number cannot be parsed."""
     letter, rest = split_letter(text)
-    number = angle(rest, marks)
+    number = parse_angle(rest, marks)
     if number is None or not letter:
         return number
-    # A letter and a sign would tell the direction twice.
+    # A letter with a negative sign is ambiguous.
     return _SIGNS[letter] * number if letter in letters and number >= 0 else None
 
 
 def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     doubt = _describe_unknown(name.upper(), f"({inner})", marks)
-    parts = parts_of(inner)
+    parts = split_tuple(inner)
     if not 2 <= len(parts) <= 3:
         return _Fix(doubt=doubt)
     letters = [split_letter(part)[0] for part in parts[:2]]
     kinds = ["".join(kind for kind in ("NS", "EW") if letter in kind) for letter in letters]
     if letters == ["", ""]:
-        first, second = (angle(part, marks) for part in parts[:2])
+        first, second = (parse_angle(part, marks) for part in parts[:2])
         if first is None or second is None:
             return _Fix(doubt=doubt)
         if first == second == 0 or max(abs(first), abs(second)) > _LARGEST:
@@ -153,15 +160,12 @@ def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     if "" in letters or set(kinds) != {"NS", "EW"}:
         return _Fix(doubt=doubt)
     first, second = (
-        _coordinate(part, kind, marks) for part, kind in zip(parts, kinds, strict=False)
+        _parse_coordinate(part, kind, marks) for part, kind in zip(parts, kinds, strict=False)
     )
     if first is None or second is None:
         return _Fix(doubt=doubt)
-    return _Fix(place=_on_earth(*to_lat_lon((first, second), _first_is(kinds[0]))))
-
-
-def _first_is(kind: str) -> Order:
-    return "latitude" if kind == "NS" else "longitude"
+    order: Order = "latitude" if kinds[0] == "NS" else "longitude"
+    return _Fix(_valid_position(*to_lat_lon((first, second), order)))
 
 
 def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
@@ -169,16 +173,17 @@ def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
     return f"{name} {text[:40]} is not understood{why}"
 
 
-def _on_earth(latitude: float | None, longitude: float | None) -> Pair | None:
+def _valid_position(latitude: float | None, longitude: float | None) -> Pair | None:
+    """Return the coordinates; None where one is missing or out of range, or both are 0."""
     if latitude is None or longitude is None or abs(latitude) > 90 or abs(longitude) > _LARGEST:
         return None
     return None if latitude == longitude == 0 else (latitude, longitude)
 
 
-def _track(
+def _gather_pairs(
     captions: Sequence[Caption], fixes: Sequence[_Fix], rows: Sequence[int], marks: DecimalMarks
 ) -> PairedTrack:
-    """Return what the subtitles tell of the order of their pairs."""
+    """Gather the values of the subtitles that decide the order of their pairs."""
     homes = {
         _fix_by_pair("home", captions[row].tuples["home"], marks): None
         for row in rows
@@ -194,7 +199,7 @@ def _track(
         seconds=[captions[row].subtitle.start_s for row in rows],
         pairs=[pair for row in rows if (pair := fixes[row].pair) is not None],
         homes=[home.pair for home in homes if home.pair is not None],
-        home_places=[home.place for home in homes if home.place is not None],
+        home_places=[home.lat_lon for home in homes if home.lat_lon is not None],
         distances=distances,
         speeds=speeds if len(speeds) == len(rows) else (),
     )
@@ -203,5 +208,5 @@ def _track(
 def _read_metres(
     fields: Mapping[str, str], name: str, unit: str, marks: DecimalMarks
 ) -> float | None:
-    number, written = quantity(fields.get(name), marks)
+    number, written = parse_quantity(fields.get(name), marks)
     return number if number is not None and written == unit and number >= 0 else None
