@@ -12,7 +12,7 @@ from objconnect.scene.quantities.coordinate_order import (
     Order,
     Pair,
     PairedTrack,
-    order_of,
+    infer_order,
     to_lat_lon,
     without_jumps,
 )
@@ -70,7 +70,7 @@ def places_of(captions: Sequence[Caption], marks: DecimalMarks, near: Pair | Non
     rows = [row for row, fix in enumerate(fixes) if fix.pair is not None]
     places = [fix.place for fix in fixes]
     if rows:
-        order = order_of(_track(captions, fixes, rows, marks), near)
+        order = infer_order(_track(captions, fixes, rows, marks), near)
         doubts |= dict.fromkeys(order.doubts)
         of_each |= dict.fromkeys(rows if order.doubts else (), order.why)
         for row in rows:

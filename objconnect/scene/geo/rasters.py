@@ -34,7 +34,7 @@ from objconnect.scene.geo.headers import (
 )
 from objconnect.scene.geo.headers import Kind as Kind
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.quantities.holes import HIGHEST_M, LOWEST_M, ground_of
+from objconnect.scene.quantities.holes import HIGHEST_M, LOWEST_M, find_ground
 from objconnect.scene.runtime.extras import import_extra
 from objconnect.scene.storage.files import require_readable
 
@@ -251,7 +251,7 @@ def _check_heights(raster: Raster, declared: bool) -> Raster:
 
     every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SURVEYED)
     pixel_m = max(raster.grid.ground_pixel)
-    ground = ground_of(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
+    ground = find_ground(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
     return replace(
         raster,
         lowest=ground.lowest,

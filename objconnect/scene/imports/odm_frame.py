@@ -25,7 +25,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geo.named_systems import NamedSystem, parse_system
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
 from objconnect.scene.imports.poses import Frame
-from objconnect.scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
+from objconnect.scene.quantities.horizontal_axes import Axes, convergence, infer_axes, utm_zone
 from objconnect.scene.quantities.reading import Reading, known, unknown
 from objconnect.scene.storage.files import read_text
 
@@ -256,7 +256,7 @@ def _frame(
     Raises:
         InputError: nothing tells the frame, or two things contradict each other.
     """
-    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], turn)
+    axes = infer_axes(shots.centres[:, :2], shots.measured[:, :2], turn)
     why, seen = axes.why, None
     if axes.value is not None and abs(turn) > _SMALL_TURN:
         seen = _FRAMES[axes.value]
