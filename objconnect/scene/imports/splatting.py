@@ -1,8 +1,8 @@
-"""Poses of 3D Gaussian splatting: the ``cameras.json`` that its training writes.
+"""Reader of poses from ``cameras.json`` of 3D Gaussian splatting.
 
-``rotation`` is that of world_from_cam, row by row, and ``position`` the camera's centre; camera
-axes are OpenCV's (``camera_to_JSON`` in its ``utils/camera_utils.py``). The world is that of the
-COLMAP model it was trained on. The file leaves principal points out, so that it tells no camera.
+``rotation`` is the rotation of world_from_cam, row by row, and ``position`` the camera centre;
+camera axes are OpenCV's (``camera_to_JSON`` in its ``utils/camera_utils.py``). The world is that of
+the COLMAP model it was trained on. Cameras are not read: the file lacks principal points.
 """
 
 from __future__ import annotations

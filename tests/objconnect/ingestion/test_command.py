@@ -247,7 +247,7 @@ def test_a_folder_with_everything_wrong_in_it(
     assert np.isnan(frames.time).sum() == 1
     assert len(list((scene.path / "sessions" / "flight" / "images").iterdir())) == 9
     assert validate(scene.path).ok
-    with pytest.raises(InputError, match="tell no time"):
+    with pytest.raises(InputError, match="have no time"):
         export(scene.path, "tum", tmp_path / "tum")
 
 
