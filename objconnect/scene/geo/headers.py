@@ -92,9 +92,7 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
     if not all(math.isfinite(x) for x in numbers) or place.b or place.d:
         raise InputError(f"{kind} {path} is rotated against north: gdalwarp makes it north-up")
     if place.a <= 0 or place.e >= 0:
-        raise InputError(
-            f"{kind} {path} does not have north at the top: gdalwarp makes it north-up"
-        )
+        raise InputError(f"{kind} {path} is mirrored or upside down: gdalwarp makes it north-up")
     grid = Grid(projection, place.c, place.f, (place.a, -place.e), source.width, source.height)
     try:
         _ = grid.middle

@@ -543,7 +543,7 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
     assert "c.jpg does not exist" in said
     (flight / "images" / "x\\y.jpg").unlink()
     said = refused(lambda: MapCache.of(sparse_map, flight / "images", tmp_path / "cache"))
-    assert "does not exist: the model it is named in was made on Windows" in said
+    assert "does not exist: the model that names it was made on Windows" in said
 
 
 def test_a_text_model_says_how_to_convert_it(tmp_path: Path) -> None:
