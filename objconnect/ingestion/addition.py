@@ -132,7 +132,7 @@ def add_photographs(
         raise InputError(f"{out} lies in the scene {scene}, which stays as it is: choose another")
     base = Scene.open(scene)
     base.require_lists()
-    base.covisibility.of([*base.splits.map, *sum(base.splits.queries.values(), ())])
+    base.covisibility.select([*base.splits.map, *sum(base.splits.queries.values(), ())])
     read_map_features(base)
     session = _free_session(base)
     earlier = _earlier(base)
@@ -220,7 +220,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
         adjusted,
         fixes,
         sparse_map,
-        Findings(wrong, over, georeference=base.manifest.on_earth),
+        Findings(wrong, over, georeference=base.manifest.effective_georeference),
     ).model_copy(
         update={
             "registered": len(images),

@@ -45,7 +45,7 @@ class Covisibility:
         """Return the smaller share of the two frames of each pair, (N, N), symmetric."""
         return np.minimum(self.overlap, self.overlap.T)
 
-    def of(self, names: Sequence[str]) -> Covisibility:
+    def select(self, names: Sequence[str]) -> Covisibility:
         """Return the covisibility of the named frames, in that order.
 
         Raises:

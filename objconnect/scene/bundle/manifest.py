@@ -107,7 +107,8 @@ class Manifest(Record):
         reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
             from motion of all photographs together, accurate to centimetres at best.
         georeference: absolute accuracy of the origin, as ``ingest`` measured it; None if the file
-            has no such key. See ``on_earth``.
+            has no such key. See
+            ``effective_georeference``.
         sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
@@ -142,7 +143,7 @@ class Manifest(Record):
         return values
 
     @property
-    def on_earth(self) -> Georeference | None:
+    def effective_georeference(self) -> Georeference | None:
         """Return the absolute accuracy of the scene; None if unknown.
 
         A simulated world is exact. The accuracy of a world that is modelled on a real site is that
@@ -184,7 +185,7 @@ class Surroundings(Record):
     name: str
     outline: tuple[tuple[FiniteFloat, FiniteFloat], ...]
 
-    def hold(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which points (N, 2 or more; metres) lie inside the outline, (N,) bool."""
         start = np.array(self.outline)
         end = np.roll(start, -1, axis=0)
@@ -214,7 +215,7 @@ class Objects(Record):
         """Return the name of the part that each point (N, 2 or more; metres) lies in, or None."""
         names: list[str | None] = [None] * len(points)
         for part in self.surroundings:
-            for k in np.flatnonzero(part.hold(points)).tolist():
+            for k in np.flatnonzero(part.contains(points)).tolist():
                 names[k] = part.name
         return names
 

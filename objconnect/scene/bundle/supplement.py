@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 
 from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import read_point_ids
+from objconnect.scene.storage.records import Record
 
 SUPPLEMENT = "supplement.json"
 """The file beside a map that lists its added points."""
@@ -21,7 +22,7 @@ ADDED_FEATURES = "supplement.h5"
 """The file with the descriptors of added keypoints, in the order of each photograph."""
 
 
-class AddedPoint(BaseModel):
+class AddedPoint(Record):
     """One point that was added.
 
     Attributes:
@@ -30,14 +31,12 @@ class AddedPoint(BaseModel):
         confidence: 0..1, from the method that found the point.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     id: int = Field(ge=0)
     object: int
     confidence: FiniteFloat
 
 
-class Supplement(BaseModel):
+class Supplement(Record):
     """``supplement.json``: the added points of the map beside it.
 
     Attributes:
@@ -45,7 +44,7 @@ class Supplement(BaseModel):
         map_sha256: ``SparseMap.sha256`` of the map without them.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     points: tuple[AddedPoint, ...]

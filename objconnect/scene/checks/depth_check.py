@@ -77,7 +77,7 @@ class Agreement:
         return float(close.mean()) if len(close) else float("inf")
 
     @property
-    def agreeing(self) -> float:
+    def agreeing_share(self) -> float:
         """Return the share of all sampled pixels that return within one pixel."""
         if not len(self.residuals):
             return 0.0
@@ -90,8 +90,8 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
         return Check(name, True, "not checked: there is only one frame")
     ours = measure(frames, OURS)
     others = [(measure(frames, reading), reading) for reading in READINGS]
-    widest, reading = max(others, key=lambda item: item[0].agreeing)
-    if EXPLAINS * widest.agreeing > ours.agreeing:
+    widest, reading = max(others, key=lambda item: item[0].agreeing_share)
+    if EXPLAINS * widest.agreeing_share > ours.agreeing_share:
         return Check(name, False, reading.fault, _figures(ours))
     if not len(ours.residuals):
         return Check(
@@ -100,7 +100,7 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
             "no two frames see the same surface: they do not overlap, or poses or depths are wrong",
         )
     # A reading that fits only a few pixels explains nothing.
-    candidates = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
+    candidates = [item for item in others if item[0].agreeing_share > 0.9 * ours.agreeing_share]
     closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
     if closest.mean < EXPLAINS * ours.mean:
         return Check(name, False, reading.fault, _figures(ours))
@@ -122,12 +122,12 @@ def _figures(agreement: Agreement) -> dict[str, float]:
     pixels = float(len(agreement.residuals))
     if not pixels:
         return {"pixels": pixels}
-    if not agreement.agreeing:
+    if not agreement.agreeing_share:
         return {"median_px": agreement.median, "agreeing_share": 0.0, "pixels": pixels}
     return {
         "median_px": agreement.median,
         "mean_px": agreement.mean,
-        "agreeing_share": agreement.agreeing,
+        "agreeing_share": agreement.agreeing_share,
         "pixels": pixels,
     }
 

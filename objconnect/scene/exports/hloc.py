@@ -49,7 +49,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     if not queries:
         raise InputError("these sessions have no query: name a session of queries")
     references = scene.splits.map
-    among = scene.covisibility.of([*references, *queries])
+    among = scene.covisibility.select([*references, *queries])
     query_pairs = []
     for k, query in enumerate(queries, len(references)):
         shares = among.overlap[k, : len(references)]

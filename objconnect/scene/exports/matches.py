@@ -53,7 +53,7 @@ def map_pairs(scene: Scene) -> list[tuple[str, str]]:
         InputError: the scene has no covisibility.
     """
     names = scene.splits.map
-    mutual = np.triu(scene.covisibility.of(names).mutual, 1)
+    mutual = np.triu(scene.covisibility.select(names).mutual, 1)
     return [(names[i], names[j]) for i, j in np.argwhere(mutual >= COVISIBLE)]
 
 

@@ -109,7 +109,7 @@ class MapFrame:
 
 
 @dataclass(frozen=True)
-class Assumed:
+class AssumedSigmas:
     """Standard deviations for rows of a table of priors that state none.
 
     Attributes:
@@ -149,7 +149,9 @@ class PriorTable:
             if name in names and row.vertical is not None
         }
 
-    def priors(self, frame: MapFrame, names: Collection[str], assumed: Assumed) -> dict[str, Prior]:
+    def priors(
+        self, frame: MapFrame, names: Collection[str], assumed: AssumedSigmas
+    ) -> dict[str, Prior]:
         """Return the priors of photographs, in the map's frame.
 
         An unknown height has an infinite standard deviation.
@@ -167,7 +169,7 @@ class PriorTable:
         self._warn(list(rows.values()), assumed)
         return {name: _prior(row, frame.position_of(row), assumed) for name, row in rows.items()}
 
-    def _warn(self, rows: Collection[StatedPrior], assumed: Assumed) -> None:
+    def _warn(self, rows: Collection[StatedPrior], assumed: AssumedSigmas) -> None:
         """Warn of unstated heights and standard deviations, one line each."""
         heights = sum(row.vertical is None for row in rows)
         positions = sum(row.sigma_m is None for row in rows)
@@ -183,7 +185,7 @@ class PriorTable:
                 log.warning("%s: %d of %d rows state no %s: %s", *values)
 
 
-def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: Assumed) -> Prior:
+def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: AssumedSigmas) -> Prior:
     """Return the prior of a row."""
     sigma = assumed.sigma_m if row.sigma_m is None else np.full(3, row.sigma_m)
     if sigma is None:

@@ -110,12 +110,6 @@ def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(roll_rotation(north_angle(cam_from_world)) @ cam_from_world)
 
 
-def with_heading(pose: Pose, heading: float) -> Pose:
-    """Return a pose rotated about the optical axis so that ``north_angle`` is ``heading`` (rad)."""
-    rotation = torch.from_numpy(roll_rotation(-heading) @ upright(pose.rotation.numpy()))
-    return Pose(rotation, -rotation @ pose.centre())
-
-
 _Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
@@ -147,7 +141,7 @@ class WarpedImage:
         return np.asarray(inside.reshape(xy.shape[:-1]))
 
     @cached_property
-    def whole(self) -> bool:
+    def is_filled(self) -> bool:
         """Return whether the photograph fills the view."""
         return bool(np.allclose(self.view_from_camera, np.eye(3)))
 

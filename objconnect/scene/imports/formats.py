@@ -51,15 +51,15 @@ def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
     if not path.exists():
         raise InputError(f"file of poses {path} does not exist")
     refuse_unsupported(path)
-    known = []
+    descriptions = []
     for name in FORMATS:
         form = FORMATS.load(name)
         with FORMATS.blame(name, f"cannot read {path}"):
-            if form.is_one(path):
+            if form.matches(path):
                 if frame is None:
                     return form.read(path)
-                if form.read_in is not None:
-                    return form.read_in(path, frame)
+                if form.read_in_frame is not None:
+                    return form.read_in_frame(path, frame)
                 raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
-        known.append(form.holds)
-    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(known)}")
+        descriptions.append(form.description)
+    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(descriptions)}")

@@ -70,7 +70,7 @@ class Intrinsics(BaseModel):
             InputError: the model is not supported, fields contradict each other, or the parameters
                 are invalid.
         """
-        refuse_unknown(self.model_extra or {})
+        _refuse_unsupported(self.model_extra or {})
         model = self._model()
         if self.w is None or self.h is None or self.fl_x is None:
             return None
@@ -129,7 +129,7 @@ class Intrinsics(BaseModel):
         return fl_x, fl_y
 
 
-def refuse_unknown(keys: dict[str, Any]) -> None:
+def _refuse_unsupported(keys: dict[str, Any]) -> None:
     """Refuse unsupported keys that change the lens or the pose.
 
     Raises:

@@ -55,18 +55,18 @@ class Format:
     """A reader of one format.
 
     Attributes:
-        is_one: returns whether a path is of this format, whole or damaged, from its name and first
+        matches: returns whether a path is of this format, whole or damaged, from its name and first
             bytes.
         read: reads a path, and raises InputError for a missing or invalid file.
-        holds: phrase for such a file or folder in error messages.
-        read_in: reads a path with the frame that the user states; None if the format's frame is
-            always known.
+        description: phrase for such a file or folder in error messages.
+        read_in_frame: reads a path with the frame that the user states; None if the frame of the
+            format is always known.
     """
 
-    is_one: Callable[[Path], bool]
+    matches: Callable[[Path], bool]
     read: Callable[[Path], ForeignPoses]
-    holds: str
-    read_in: Callable[[Path, Frame | None], ForeignPoses] | None = None
+    description: str
+    read_in_frame: Callable[[Path, Frame | None], ForeignPoses] | None = None
 
 
 def check_poses(

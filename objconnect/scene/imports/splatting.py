@@ -40,7 +40,7 @@ def _read(path: Path) -> ForeignPoses:
     return check_poses(path, [entry.img_name for entry in entries], [None] * len(entries), matrices)
 
 
-def _is_one(path: Path) -> bool:
+def _matches(path: Path) -> bool:
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
     try:
@@ -50,4 +50,4 @@ def _is_one(path: Path) -> bool:
         return False
 
 
-FORMAT = Format(_is_one, _read, "a cameras.json of 3D Gaussian splatting")
+FORMAT = Format(_matches, _read, "a cameras.json of 3D Gaussian splatting")

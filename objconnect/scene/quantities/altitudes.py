@@ -48,7 +48,7 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     if drone.value is not None:
         stated = [doubt for doubt in exif.doubts if not doubt.endswith("is missing")]
         return drone.with_doubts(*stated)
-    relative = ["RelativeAltitude is above the take-off"] if "RelativeAltitude" in xmp else []
+    relative = ["RelativeAltitude is above the take-off"] if "RelativeAltitude" in xmp else ()
     return exif.with_doubts(*drone.doubts, *relative)
 
 

@@ -82,18 +82,18 @@ class _Source:
     Attributes:
         name: name of the field.
         values: possible focal lengths, one of which is right.
-        alike: values that programs write against the standard.
+        alternatives: values that programs write against the standard.
         sized: whether the field refers to this size of the picture.
     """
 
     name: str
     values: tuple[float, ...]
-    alike: tuple[float, ...] = ()
+    alternatives: tuple[float, ...] = ()
     sized: bool = True
 
     def allows(self, focal: float) -> bool:
         """Return whether the field is compatible with a focal length."""
-        return any(_is_near(focal, value, _AGREE) for value in (*self.values, *self.alike))
+        return any(_is_near(focal, value, _AGREE) for value in (*self.values, *self.alternatives))
 
 
 def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = None) -> FocalLength:
@@ -111,7 +111,7 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
     if crop:
         return FocalLength(unknown(sources[0].name, crop), agrees=False)
     common, zoomed = _common_values(sources), to_number(detail.get("DigitalZoomRatio")) > 1
-    # Fields in pixels depend on the size, which a program may have changed; a zoom looks alike.
+    # Fields in pixels depend on the size, which a program may have changed; a zoom looks the same.
     checked = all(one.sized for one in sources) if zoomed else any(one.sized for one in sources)
     if len(common) == 1 and checked:
         agrees = lens is None or _is_near(lens.focal, common[0], _AGREE)

@@ -44,7 +44,7 @@ Heights = NDArray[np.float32]
 
 
 @dataclass
-class Census:
+class Histogram:
     """A histogram of heights in steps of a metre.
 
     Attributes:
@@ -93,14 +93,14 @@ class Hole:
     remark: bool = False
 
 
-def find_holes(census: Census) -> list[Hole]:
+def find_holes(histogram: Histogram) -> list[Hole]:
     """Return the constant heights of many pixels that lie far below or above all others.
 
     A plain of one height with flat-roofed towers looks the same if most of the raster is plain; it
     is kept. Holes above 0 that fill most of the raster are not sure. Heights of 0 a little below
     all others, or between them, may be the sea and are only reported.
     """
-    counts = census.counts.copy()
+    counts = histogram.counts.copy()
     total = int(counts.sum())
     found: list[Hole] = []
     while len(found) < _MOST_HOLES:
@@ -108,13 +108,13 @@ def find_holes(census: Census) -> list[Hole]:
         if not steps.size:
             break
         first = int(steps[0])
-        height, share = float(census.low[first]), counts[first] / total
+        height, share = float(histogram.low[first]), counts[first] / total
         rest = int(counts.sum() - counts[first])
-        constant = census.low[first] == census.high[first]
+        constant = histogram.low[first] == histogram.high[first]
         enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
         # Water and plains reach the edge too, but no cliff rises from them.
-        placed = height in census.edge or height == 0
-        if not (constant and enough and placed and rest) or _is_flat(census, steps[1:]):
+        placed = height in histogram.edge or height == 0
+        if not (constant and enough and placed and rest) or _is_flat(histogram, steps[1:]):
             break
         if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
             near = counts[first + 1 : first + 1 + _REMARK_M].sum()
@@ -123,37 +123,37 @@ def find_holes(census: Census) -> list[Hole]:
             break
         found.append(Hole(height, float(share), sure=counts[first] <= rest or height <= 0))
         counts[first] = 0
-    found += _find_above(census, counts, total)
+    found += _find_above(histogram, counts, total)
     if total and not any(hole.height == 0 for hole in found):
-        found += _find_zeros(census, counts, total)
+        found += _find_zeros(histogram, counts, total)
     return found
 
 
-def _find_above(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+def _find_above(histogram: Histogram, counts: NDArray[np.int64], total: int) -> list[Hole]:
     """Return the constant far above all other heights, and clear its count."""
     steps = np.flatnonzero(counts)
     if len(steps) < 2:
         return []
     last = int(steps[-1])
-    height, share = float(census.high[last]), counts[last] / total
-    constant = census.low[last] == census.high[last] and height in census.edge
+    height, share = float(histogram.high[last]), counts[last] / total
+    constant = histogram.low[last] == histogram.high[last] and height in histogram.edge
     enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
     near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
-    if not (constant and enough) or near or _is_flat(census, steps[:-1]):
+    if not (constant and enough) or near or _is_flat(histogram, steps[:-1]):
         return []
     sure = bool(2 * counts[last] <= counts.sum())
     counts[last] = 0
     return [Hole(height, float(share), sure, "far above all others")]
 
 
-def _find_zeros(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+def _find_zeros(histogram: Histogram, counts: NDArray[np.int64], total: int) -> list[Hole]:
     """Return many heights of exactly 0 between others, as a remark."""
     zero = round(-LOWEST_M)
     below = np.flatnonzero(counts[:zero])
-    share = census.zeros / total
+    share = histogram.zeros / total
     beside = int(counts[zero - 1 : zero + 1].sum())
-    whole = bool((census.low[below] == census.high[below]).all())
-    if whole or share < _REMARK_SHARE or _CROWD * census.zeros < beside:
+    whole = bool((histogram.low[below] == histogram.high[below]).all())
+    if whole or share < _REMARK_SHARE or _CROWD * histogram.zeros < beside:
         return []
     return [Hole(0.0, float(share), False, "between the others", remark=True)]
 
@@ -190,20 +190,20 @@ def find_ground(
     Raises:
         InputError: most pixels have one height far from all others: no data or a plain.
     """
-    census, unknown, last = Census(), False, None
+    histogram, unknown, last = Histogram(), False, None
     for strip in strips():
         finite = np.isfinite(strip)
         unknown |= not finite.all()
-        census.add(strip[finite])
+        histogram.add(strip[finite])
         sides = np.concatenate(
             [strip[:, 0], strip[:, -1], *([] if last is not None else [strip[0]])]
         )
-        census.add_edge(sides[np.isfinite(sides)])
+        histogram.add_edge(sides[np.isfinite(sides)])
         last = strip[-1]
     if last is not None:
-        census.add_edge(last[np.isfinite(last)])
+        histogram.add_edge(last[np.isfinite(last)])
     doubts, values = [], []
-    for hole in find_holes(census):
+    for hole in find_holes(histogram):
         share = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
         fact = f"{share}, {hole.where}"
         if hole.remark:
@@ -263,12 +263,12 @@ def _dilate(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _is_flat(census: Census, others: NDArray[np.intp]) -> bool:
+def _is_flat(histogram: Histogram, others: NDArray[np.intp]) -> bool:
     """Return whether the other heights are a few constants, as in synthetic surfaces.
 
     Ground in whole metres consists of constants too, but in most steps of its range.
     """
-    if not (census.low[others] == census.high[others]).all():
+    if not (histogram.low[others] == histogram.high[others]).all():
         return False
     span = int(others[-1] - others[0]) + 1 if others.size else 0
     return len(others) < _FEW_STEPS or len(others) < _CROWDED * span

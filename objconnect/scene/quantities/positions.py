@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Final
@@ -15,6 +14,7 @@ from objconnect.scene.quantities.angles import (
     read_coordinate,
     read_degrees,
 )
+from objconnect.scene.quantities.coordinate_order import ground_distance
 from objconnect.scene.quantities.numbers import plain_text
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
@@ -23,7 +23,7 @@ LatLon = tuple[float, float]
 
 # Largest distance of two positions of one photograph, from corrections and rounding (m).
 _LARGEST_DISTANCE_M: Final = 100.0
-_METRES_PER_DEGREE: Final = 111_320.0
+
 # Names of XMP's fields without prefix. GpsLongtitude is a misspelling of DJI's.
 _XMP: Final = (
     ("GpsLatitude", ("GpsLongitude", "GpsLongtitude")),
@@ -54,7 +54,7 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         return drone
     exif = _read_exif(gps)
     if exif.value is not None and drone.value is not None:
-        distance = distance_m(exif.value, drone.value)
+        distance = ground_distance(exif.value, drone.value)
         if distance > _LARGEST_DISTANCE_M:
             return unknown(exif.source, _contradiction(drone.source, distance))
         return exif
@@ -67,19 +67,13 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     unsigned = [
         abs(value) if size is None else size for value, size in zip(drone.value, sizes, strict=True)
     ]
-    distance = distance_m((unsigned[0], unsigned[1]), (abs(drone.value[0]), abs(drone.value[1])))
+    distance = ground_distance(
+        (unsigned[0], unsigned[1]), (abs(drone.value[0]), abs(drone.value[1]))
+    )
     no_fix = sizes == [0, 0]
     if distance > _LARGEST_DISTANCE_M and not no_fix:
         return unknown(exif.source, *exif.doubts, _contradiction(drone.source, distance))
     return known(drone.value, drone.source, *exif.doubts, f"the position is that of {drone.source}")
-
-
-def distance_m(first: LatLon, second: LatLon) -> float:
-    """Return the approximate distance of two positions, metres."""
-    north = first[0] - second[0]
-    east = (first[1] - second[1] + 180) % 360 - 180
-    across = math.cos(math.radians(min(abs(first[0]), abs(second[0]))))
-    return math.hypot(north, east * across) * _METRES_PER_DEGREE
 
 
 def _contradiction(source: str, distance: float) -> str:
@@ -116,7 +110,7 @@ def _read_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
             continue
         one = _pair(xmp, latitude, longitude)
         if one.value is not None and found.value is not None:
-            if distance_m(one.value, found.value) > _LARGEST_DISTANCE_M:
+            if ground_distance(one.value, found.value) > _LARGEST_DISTANCE_M:
                 why = f"{found.source} and {one.source} contradict each other in XMP"
                 return unknown("XMP", why)
         elif one.value is not None or found.value is None:

@@ -69,16 +69,3 @@ def known(value: T, source: str, *doubts: str) -> Reading[T]:
 def unknown(source: str, *doubts: str) -> Reading[T]:
     """Return a reading without a value; ``doubts`` say why."""
     return Reading(None, source, doubts)
-
-
-def choose_first(first: Reading[T], *others: Reading[T]) -> Reading[T]:
-    """Return the first reading that has a value, with the doubts of those before it.
-
-    Where none has a value, the first is returned with the doubts of all.
-    """
-    doubts: list[str] = []
-    for reading in (first, *others):
-        doubts += reading.doubts
-        if reading.is_known:
-            return replace(reading, doubts=tuple(doubts))
-    return replace(first, doubts=tuple(doubts))

@@ -230,7 +230,7 @@ def test_opensfm_without_gps_is_nowhere_on_earth(
     path = tmp_path / "reconstruction.json"
     path.write_text(shots_of(truth, truth.world_from_cam, False))
     assert read_foreign(path).origin is None
-    assert "reference_lla 0, 0 is OpenSfM's without GPS" in caplog.text
+    assert "reference_lla is 0, 0, OpenSfM's value without GPS" in caplog.text
     document = json.loads(path.read_text())
     document[0]["frame"] = "topocentric"
     path.write_text(json.dumps(document))
