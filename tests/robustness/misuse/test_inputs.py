@@ -605,7 +605,7 @@ def test_one_frame_has_nothing_to_be_compared_with() -> None:
     )
     check = check_depth("depth and poses agree", frame)
     assert check.ok
-    assert "nothing to compare" in check.detail
+    assert "only one frame" in check.detail
 
 
 def test_depth_that_agrees_with_no_pose_is_one_line() -> None:
