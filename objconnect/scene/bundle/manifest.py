@@ -249,7 +249,7 @@ def read_json(path: Path, model: type[F], what: str) -> F:
     Args:
         path: file to read.
         model: class of its contents.
-        what: what the file is, for the message.
+        what: noun for the file in the message.
 
     Raises:
         InputError: the file is missing, not JSON, or has an unknown key or a bad value.

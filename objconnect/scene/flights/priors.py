@@ -202,4 +202,4 @@ def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: AssumedSigm
 
 def _sigma_error(row: StatedPrior, what: str, column: str) -> InputError:
     """Return the error for a row without a standard deviation."""
-    return InputError(f"{row.where}: nothing tells how exact the {what} is: add a value {column}")
+    return InputError(f"{row.where}: the accuracy of the {what} is unknown: add a value {column}")

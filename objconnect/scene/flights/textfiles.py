@@ -174,8 +174,7 @@ def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
         raise InputError(f"{path}:1: the attitude lacks the column {missing}")
     if _SIGMA_DEG in header and not attitude:
         raise InputError(
-            f"{path}:1: {_SIGMA_DEG} says how exact an attitude is, but there is none: add "
-            f"{', '.join(_QUATERNION)}"
+            f"{path}:1: {_SIGMA_DEG} is given without an attitude: add {', '.join(_QUATERNION)}"
         )
     return columns
 

@@ -131,8 +131,8 @@ def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) 
         return None
     if not is_same_place(shots.origin, beside.origin, _SAME_M):
         raise InputError(
-            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: move the file that "
-            "is of another reconstruction away"
+            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: remove the file of "
+            "the other reconstruction"
         )
     there = beside.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
@@ -240,8 +240,8 @@ def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
     frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
     if frame.value == "projected":
         raise InputError(
-            f"{path}: its poses are in a projected system by {frame.source}, and nothing tells its "
-            f"offset: {_REMEDY}"
+            f"{path}: its poses are in a projected system by {frame.source}, and its offset is "
+            f"unknown: {_REMEDY}"
         )
     return shots
 
@@ -266,7 +266,7 @@ def _frame(
     if axes.value is not None and abs(turn) > _SMALL_TURN:
         seen = _FRAMES[axes.value]
     elif axes.value is not None:
-        why = f"{axes.source} cannot tell axes that are turned by less than 0.02 degrees"
+        why = f"{axes.source} cannot distinguish axes within 0.02 degrees"
     frame = _agree(
         path,
         {

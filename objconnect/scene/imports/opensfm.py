@@ -196,7 +196,7 @@ def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
     if other is not None and not is_same_place(origin, other.place):
         raise InputError(
             f"{path}: its reference_lla is not that of {file.name} beside it: "
-            "move the file that is of another reconstruction away"
+            "remove the file of the other reconstruction"
         )
     return origin
 

@@ -66,7 +66,7 @@ def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
         return known(metres, source, f"{source}Ref is missing: taken as above, EXIF's default")
     number = _reference(reference)
     if number is None:
-        return unknown(source, f"{source}Ref {plain_text(reference)!r} is none of 0 to 3")
+        return unknown(source, f"{source}Ref {plain_text(reference)!r} is not 0 to 3")
     if number in _BELOW and metres < 0:
         return unknown(source, f"{source} is negative and {source}Ref says below as well")
     metres = -metres if number in _BELOW else metres

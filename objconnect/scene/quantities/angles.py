@@ -107,14 +107,14 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
         if value is None:
             return unknown(source, f"{source} {text!r} is no number of degrees")
         if not signed and text[0] not in "+-":
-            return unknown(source, f"{source} {text!r} tells no hemisphere")
+            return unknown(source, f"{source} {text!r} has no hemisphere")
         if not abs(value) <= axis.limit:
             return unknown(source, f"{source} {text!r} is beyond {axis.limit:.0f} degrees")
         return known(value, source)
     sign = read_hemisphere(lettered[2], axis)
     degrees = _degrees(_split(lettered[1]), axis, source)
     if sign.value is None:
-        return unknown(source, f"{source} {text!r} tells no hemisphere")
+        return unknown(source, f"{source} {text!r} has no hemisphere")
     if degrees.value is None:
         return degrees
     return known(sign.value * degrees.value, source)

@@ -76,7 +76,7 @@ def infer_order(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
         orders = select(track, orders) or orders
     if len(orders) == 1:
         return known(orders[0], source)
-    return unknown(source, "which number of GPS(a, b) is the latitude is not told")
+    return unknown(source, "the order of latitude and longitude in GPS(a, b) is unknown")
 
 
 def to_lat_lon(pair: Pair, order: Order) -> Pair:

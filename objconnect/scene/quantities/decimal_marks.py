@@ -55,7 +55,7 @@ class DecimalMarks:
         return DecimalMarks(
             comma=False,
             point=not sure,
-            doubt=f"whether the comma of {example} is a decimal mark is not told by the file",
+            doubt=f"the comma of {example} may be a decimal mark or separate thousands",
         )
 
     def parse(self, text: str) -> float | None:

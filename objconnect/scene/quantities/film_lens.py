@@ -74,9 +74,7 @@ def millimetres_per_unit(
     if len(fitting) == 1:
         doubt = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, as the map's lens is"
         return known(fitting[0], source, doubt)
-    return unknown(
-        source, f"whether focal_len {number:g} is in millimetres or in tenths is not told"
-    )
+    return unknown(source, f"focal_len {number:g} may be in millimetres or in tenths of them")
 
 
 def focal_on_film(focal_mm: float) -> float | None:
@@ -108,7 +106,7 @@ def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) ->
         if in_ten_thousandths:
             number /= _TEN_THOUSANDTHS
         elif number >= 10:
-            return unknown(name, f"the scale of {name} {text} is not told")
+            return unknown(name, f"the scale of {name} {text} is unknown")
     if 1 <= number <= _MOST_ZOOM:
         return known(number, name)
     return unknown(name, f"{name} {text} is no digital zoom")

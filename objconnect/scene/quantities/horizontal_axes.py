@@ -56,7 +56,7 @@ def infer_axes(
     source = "gps_position"
     there = (np.abs(measured) <= FARTHEST_M).all(1)
     if there.sum() < 3:
-        return unknown(source, f"{source} is there for {there.sum()} photographs")
+        return unknown(source, f"{source} is known for {there.sum()} photographs")
     own, gps = positions[there], measured[there]
     own, gps = own - own.mean(0), gps - gps.mean(0)
     spread = float(np.linalg.norm(gps))

@@ -89,7 +89,7 @@ def test_a_projected_file_alone_is_refused(odm: tuple[Path, Truth], tmp_path: Pa
         read_foreign(alone)
     with pytest.raises(InputError, match=r"by gps_position .*, but topocentric by --poses-frame"):
         read_foreign(alone, "topocentric")
-    with pytest.raises(InputError, match=r"nothing tells its offset: give .*coords\.txt"):
+    with pytest.raises(InputError, match=r"its offset is unknown: give .*coords\.txt"):
         read_foreign(alone, "projected")
 
 
