@@ -64,7 +64,7 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     mutual = away.argmin(0)[nearest] == np.arange(len(away))
     same = np.where(mutual & (away.min(1) < SAME_M), nearest, -1)
 
-    overlap = scene.covisibility.of([name, *scene.splits.map]).mutual[0, 1:]
+    overlap = scene.covisibility.select([name, *scene.splits.map]).mutual[0, 1:]
     mapped = scene.splits.map[int(overlap.argmax())]
     mine = np.array([each == mapped for each in tracks.name])
     figure = Figure(figsize=(14, 7), dpi=80, layout="constrained")

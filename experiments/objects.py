@@ -89,7 +89,7 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
     sizes: dict[str, list[bool]] = {}
     for scene in scenes:
         names = scene.splits.queries[session]
-        overlap = scene.covisibility.of([*names, *scene.splits.map]).mutual
+        overlap = scene.covisibility.select([*names, *scene.splits.map]).mutual
         for row, query in enumerate(names):
             column = int(overlap[row, len(names) :].argmax())
             pair = (scene.splits.map[column], query)

@@ -33,7 +33,7 @@ from benchmark.auditing.positions import FOLLOW, check_positions
 from benchmark.auditing.statements import Stated, centres, sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.imports.poses import Frame
-from objconnect.scene.quantities.doubts import said_of
+from objconnect.scene.quantities.doubts import summarize_doubts
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def audit(
 def _audit_one(stated: Stated) -> Audit:
     photographs = look_at(stated)
     told = zip(stated.names, photographs.exif, strict=True)
-    for line in said_of({name: exif.doubts for name, exif in told if exif is not None}):
+    for line in summarize_doubts({name: exif.doubts for name, exif in told if exif is not None}):
         log.warning("%s", line)
     findings = list(check_files(stated, photographs))
     positions, named, plan = stated.positions, False, np.zeros((0, 4))

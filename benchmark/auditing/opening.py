@@ -21,7 +21,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.imports.formats import FRAMED, read_foreign
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.imports.poses import ForeignPoses, Frame
-from objconnect.scene.imports.unsupported import refuse_stranger
+from objconnect.scene.imports.unsupported import refuse_unsupported
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.storage.images import read_exif
 from objconnect.scene.storage.listing import list_files
@@ -160,7 +160,7 @@ def _pose_file(path: Path) -> Path:
 def _of_foreign(
     path: Path, images: Path | None, camera: Camera | None, frame: Frame | None
 ) -> Stated:
-    refuse_stranger(path)
+    refuse_unsupported(path)
     table = path.suffix.lower() == ".csv" and path.is_file()
     places = _table_places(path) if table else None
     if places is not None and frame is not None:

@@ -14,7 +14,7 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.origin import read_origin
-from objconnect.scene.flights.priors import Assumed, MapFrame, PriorTable
+from objconnect.scene.flights.priors import AssumedSigmas, MapFrame, PriorTable
 from objconnect.scene.flights.textfiles import (
     read_cameras,
     read_conditions,
@@ -181,12 +181,12 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
     return {name: Prior(position, sigma) for name, position in fixes.items()}
 
 
-def _assume_sigmas(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> Assumed:
+def _assume_sigmas(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> AssumedSigmas:
     """Return the standard deviations of priors whose table states none."""
     if stated.states_all_sigmas:
-        return Assumed()
+        return AssumedSigmas()
     sigma = gps_sigma(stated.positions(frame, sparse_map.images), sparse_map)
-    return Assumed(sigma, source_m="they are measured on the photographs of the map")
+    return AssumedSigmas(sigma, source_m="they are measured on the photographs of the map")
 
 
 def gps_sigma(

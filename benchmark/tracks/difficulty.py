@@ -204,7 +204,7 @@ def _depths(
 def _candidates(scene: Scene, asked: Sequence[str]) -> dict[str, dict[str, float]]:
     """Return the map photographs that see most of each query, with their shares of its surface."""
     mapped = scene.splits.map
-    overlap = scene.covisibility.of([*asked, *mapped]).overlap[: len(asked), len(asked) :]
+    overlap = scene.covisibility.select([*asked, *mapped]).overlap[: len(asked), len(asked) :]
     shares = {}
     for name, row in zip(asked, overlap.tolist(), strict=True):
         least = max(row, default=0.0) - _SAME_SHARE

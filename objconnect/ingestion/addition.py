@@ -128,7 +128,7 @@ def add_photographs(
         raise InputError(f"{out} lies in the scene {scene}: choose a folder outside it")
     base = Scene.open(scene)
     base.require_lists()
-    base.covisibility.of([*base.splits.map, *sum(base.splits.queries.values(), ())])
+    base.covisibility.select([*base.splits.map, *sum(base.splits.queries.values(), ())])
     read_map_features(base)
     session = _free_session(base)
     known = _known_photographs(base)
@@ -215,7 +215,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
         adjusted,
         fixes,
         sparse_map,
-        Findings(wrong, rotated_files, georeference=base.manifest.on_earth),
+        Findings(wrong, rotated_files, georeference=base.manifest.effective_georeference),
     ).model_copy(
         update={
             "registered": len(images),

@@ -18,7 +18,7 @@ from objconnect.scene.quantities.coordinate_order import (
     Order,
     Pair,
     PairedTrack,
-    order_of,
+    infer_order,
     to_lat_lon,
     without_jumps,
 )
@@ -78,7 +78,7 @@ def parse_positions(
     rows = [row for row, fix in enumerate(fixes) if fix.pair is not None]
     positions = [fix.lat_lon for fix in fixes]
     if rows:
-        order = order_of(_gather_pairs(captions, fixes, rows, marks), near)
+        order = infer_order(_gather_pairs(captions, fixes, rows, marks), near)
         doubts |= dict.fromkeys(order.doubts)
         doubt_of |= dict.fromkeys(rows if order.doubts else (), order.why)
         for row in rows:

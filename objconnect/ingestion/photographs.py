@@ -12,7 +12,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.photographs import Photograph
-from objconnect.scene.quantities.doubts import said_of
+from objconnect.scene.quantities.doubts import summarize_doubts
 from objconnect.scene.quantities.focal import FILM_LENGTH
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
@@ -146,7 +146,7 @@ def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
         else (*image.exif.place_doubts, *image.exif.other_doubts)
         for image in flight.images
     }
-    for line in said_of(doubts):
+    for line in summarize_doubts(doubts):
         log.warning("%s", line)
 
 

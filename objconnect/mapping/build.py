@@ -76,7 +76,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
     flights = [name.partition("/")[0] for name in names]
-    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights, options)
+    chosen = choose_pairs(scene.covisibility.select(names).mutual, flights, options)
     pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")

@@ -1,4 +1,4 @@
-"""Types that all packages share: cameras, poses, maps, queries, estimates, and their files.
+"""Types and files that all packages share: cameras, poses, maps, scenes, queries, estimates.
 
 No module here imports another package of the project, and none imports ``bpy``. Importing a module
 loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does not load torch.
@@ -6,9 +6,13 @@ loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does 
 - ``geometry``: poses, cameras, projection, world coordinates.
 - ``maps``: sparse maps, features, matching.
 - ``bundle``: a scene as a folder on disk.
-- ``checks``: tests of whether a scene keeps its conventions.
-- ``colmap``: everything that needs COLMAP.
+- ``flights``: text files that describe a flight: poses, priors, cameras, origin.
+- ``quantities``: units, references and contradictions of numbers in files.
+- ``imports``: poses and cameras read from the files of other programs.
 - ``exports``: a scene written in the formats of other programs.
+- ``checks``: the validation of a scene.
+- ``geo``: coordinate reference systems and GeoTIFFs.
+- ``colmap``: everything that needs COLMAP.
 - ``storage``: atomic writes, checked reads, digests, photographs, tables.
 - ``runtime``: worker pools, progress, memory, system packages.
 - ``localizer``: queries, priors, estimates and the protocol of a localizer.

@@ -1,4 +1,4 @@
-"""Configurations: pydantic models read from YAML files and the command line."""
+"""Configurations: pydantic models filled from YAML files and command line options."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ SHIPPED: Final = {
     "": _PACKAGES / "simulate" / "configs",
     "train/": _PACKAGES / "objconnect" / "learning" / "configs",
 }
-"""The folders of the configurations that come with the project, by what their names begin with."""
+"""Folders of the configurations that come with the project, by the prefix of their names."""
 
 LARGEST: Final = 2**31 - 1
-"""The largest absolute value of a number in a configuration: seed, count, pixels, metres, ..."""
+"""Largest absolute value of a number in a configuration."""
 
 
 class Config(Record):
-    """Base class of every configuration: immutable, and an unknown key is an error.
+    """Base class of every configuration; instances are immutable.
 
-    So are infinite numbers and numbers beyond 31 bits and a sign, which libraries would truncate,
-    or fail on after a long run.
+    Unknown keys, infinite numbers and numbers beyond ``LARGEST`` are errors: libraries would
+    truncate such numbers, or fail on them after a long run.
     """
 
     @field_validator("*")
     @classmethod
     def _not_huge(cls, value: Any) -> Any:
         if isinstance(value, int | float) and abs(value) > LARGEST:
-            raise ValueError(f"numbers here are at most {LARGEST}")
+            raise ValueError(f"the number must be at most {LARGEST}")
         if isinstance(value, tuple | list):
             for item in value:
                 cls._not_huge(item)
@@ -45,7 +45,7 @@ class Config(Record):
 
 
 def with_default(model: type[BaseModel], name: str, default: object) -> Any:
-    """Return a field of a configuration with another default, for one that is derived from it.
+    """Return a configuration's field with another default, for a derived class.
 
     Example:
         >>> from pydantic import Field
@@ -65,18 +65,16 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any]) -> M:
-    """Build a configuration from a YAML file and overrides; other options have their defaults.
+    """Build a configuration from a YAML file and overrides; other fields keep their defaults.
 
     Args:
         model: class of the configuration.
-        path: YAML file, or the name of a configuration that comes with the project, for example
-            ``demo`` or ``train/pixloc``; a file of that name has precedence. None for defaults.
-        overrides: values with precedence over the file; ``outer.inner`` names a value of a nested
-            configuration.
+        path: YAML file, or the name of a shipped configuration such as ``demo`` or
+            ``train/pixloc`` if no such file exists. None reads no file.
+        overrides: values that replace those of the file; ``outer.inner`` names a nested field.
 
     Raises:
-        InputError: the file is unreadable or not YAML, a key is unknown or a value is bad; the
-            message names the key.
+        InputError: the file is unreadable or not YAML, a key is unknown or a value is invalid.
 
     Example:
         >>> class Options(Config):
@@ -111,16 +109,16 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
 
 
 def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Take the fields of a configuration from what an earlier version recorded of it.
+    """Return the values of a recorded configuration that the present class still has.
 
-    What has become a constant since is left out. A field of a group that is no more has its own
-    name, or that of the group before it.
+    Fields that the class lacks are dropped. A field of a dissolved group is looked up as
+    ``group_field``, then as ``field``.
 
     Example:
         >>> class Options(Config):
         ...     steps: int = 1000
         ...     loss_share: float = 0.5
-        >>> as_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
+        >>> take_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
         {'steps': 9, 'loss_share': 0.3}
     """
     taken: dict[str, Any] = {}
@@ -138,21 +136,18 @@ def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str
 
 
 def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value by its dotted key, and leave the other values of nested configurations."""
+    """Set a value by its dotted key; sibling values stay."""
     *outer, last = key.split(".")
     for part in outer:
         inner = values.get(part)
-        # Copied, so that dictionaries of the caller stay as they are.
+        # Copy, so that the caller's dictionaries do not change.
         values[part] = dict(inner) if isinstance(inner, Mapping) else {}
         values = values[part]
     values[last] = value
 
 
 def list_configs() -> dict[str, Path]:
-    """Return the configurations that come with the project, by name.
-
-    Those of ``simulate`` are called like their files, those of trainings ``train/NAME``.
-    """
+    """Return the paths of the shipped configurations by name; those of training are ``train/``."""
     return {
         begin + path.stem: path
         for begin, folder in SHIPPED.items()
@@ -161,8 +156,7 @@ def list_configs() -> dict[str, Path]:
 
 
 def _find_config(path: Path) -> Path:
-    """Return the path if it is a file, else the configuration of this name that comes with the
-    project."""
+    """Return the path if it is a file, else the shipped configuration of this name."""
     return path if path.is_file() else list_configs().get(path.as_posix(), path)
 
 
@@ -172,23 +166,23 @@ def _read(path: Path) -> str:
     except InputError as error:
         if path.exists():
             raise
-        raise InputError(f"{error}; by name there are: {', '.join(list_configs())}") from error
+        raise InputError(f"{error}; shipped names are {', '.join(list_configs())}") from error
 
 
 def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
-    """Return the first fault of a validation error as one line that tells what to change."""
+    """Return the first error of a validation as one line that names the key."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or model.__name__
     if first["type"] == "extra_forbidden":
         return f"unknown key '{key}' {where}{_list_keys(model, first['loc'][:-1])}"
     if first["type"] == "missing":
         return f"missing key '{key}' {where}"
-    reason = first["msg"].removeprefix("Value error, ")  # pydantic's prefix of our messages
+    reason = first["msg"].removeprefix("Value error, ")  # pydantic adds this to our messages
     return f"bad value for '{key}' {where}: {reason} (got {reprlib.repr(first['input'])})"
 
 
 def _list_keys(model: type[BaseModel], path: Sequence[int | str]) -> str:
-    """Return the known keys at a path of keys; an empty text where the path leads to no model."""
+    """Return a phrase with the known keys at a path of keys; empty if no model is there."""
     for part in path:
         field = model.model_fields.get(str(part))
         inner = field.annotation if field else None

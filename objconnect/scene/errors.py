@@ -1,27 +1,27 @@
-"""The exceptions whose message a person is meant to read."""
+"""Exceptions whose message is written for the user."""
 
 from typing import Final
 
 
 class InputError(ValueError):
-    """Input or environment is at fault; the message says in one line what, where and what to do.
+    """The input or the environment is wrong; the one-line message says what, where, what to do.
 
     The command line prints the message alone, without a traceback, and exits with code 2.
     """
 
 
 class WriteError(InputError):
-    """A place cannot be written or has no space left; what is finished there stays usable."""
+    """A path cannot be written or its disk is full; results that are finished stay usable."""
 
 
 class PreparationError(Exception):
-    """What a query needed of the map could not be made, through no fault of the input.
+    """The per-map state that a query needs could not be built, although the input is right.
 
-    No other query could be localized either, so it is no failure of one.
+    It concerns every query of the run, so no single query is reported as failed.
     """
 
 
-# h5py has no exception of its own: these are what reading a damaged file may raise.
+# h5py has no exception class of its own: reading a damaged file may raise any of these.
 HDF5_DAMAGE: Final = (
     AttributeError,
     IndexError,

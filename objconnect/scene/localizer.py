@@ -1,6 +1,6 @@
-"""The protocol of a localizer: it takes a query and returns an estimate.
+"""The protocol of a localizer, which takes a query and returns an estimate.
 
-A localizer never sees the reference pose of a query, which is not part of ``Query``.
+``Query`` does not hold the true pose, so no localizer can see it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prior:
-    """The aircraft's knowledge of its pose without the image.
+    """The camera pose that the aircraft measures without the image.
 
     Attributes:
         position: camera centre, (3,) world metres (ENU).
         position_sigma: standard deviation of ``position`` per axis, (3,) metres; None if unknown.
         cam_from_world_rotation: attitude, (3, 3); None if unknown.
         attitude_sigma_deg: standard deviation of the attitude, degrees; None if unknown.
-        heading_sigma_deg: standard deviation of the heading, degrees, where it is not that of the
-            attitude: infinite where a gimbal knows the tilt and no compass the heading.
+        heading_sigma_deg: standard deviation of the heading, degrees; None if it equals
+            ``attitude_sigma_deg``, infinite if a gimbal measures the tilt but no compass the
+            heading.
     """
 
     position: NDArray[np.float64]
@@ -45,19 +46,19 @@ class Prior:
 
     @property
     def has_position(self) -> bool:
-        """Whether the horizontal position was measured."""
+        """Return whether the horizontal position was measured."""
         return self.position_sigma is None or bool(np.isfinite(self.position_sigma[:2]).all())
 
     @property
     def horizontal_sigma(self) -> float | None:
-        """The larger horizontal standard deviation, metres; None if unknown or not measured."""
+        """Return the larger horizontal standard deviation, metres; None if unknown."""
         if self.position_sigma is None or not self.has_position:
             return None
         return float(self.position_sigma[:2].max())
 
     @property
     def has_heading(self) -> bool:
-        """Whether the attitude is given, and its heading with it."""
+        """Return whether the attitude is known including its heading."""
         sigma = self.heading_sigma_deg
         return self.cam_from_world_rotation is not None and (sigma is None or sigma < np.inf)
 
@@ -71,10 +72,10 @@ class Query:
         image: (H, W, 3) uint8 RGB, of the size of ``camera``.
         camera: calibrated camera.
         prior: approximate pose, or None.
-        references: photographs of the map to match with, most similar first, where retrieval is not
-            left to the method; else None. A method that searches begins there.
-        tracked: whether the prior is what the images just before predict, so that a method may
-            look there alone, and search only where that is not confirmed.
+        references: reference images to match with, most similar first; None leaves retrieval to
+            the method. A coarse search begins at these images.
+        tracked: whether the prior is predicted from the preceding images. A method may then refine
+            the prior alone, and search only if that fails.
     """
 
     name: str
@@ -86,9 +87,9 @@ class Query:
 
 
 def query_error(query: Query) -> str:
-    """Return why a query cannot be localized by any method; empty if there is no reason.
+    """Return why a query is invalid for every method; empty if it is valid.
 
-    An infinite sigma is allowed: that axis was not measured.
+    An infinite sigma is allowed; it means that the axis was not measured.
     """
     if query.image.dtype != np.uint8:
         return f"the image is {query.image.dtype}, not uint8"
@@ -101,14 +102,14 @@ def query_error(query: Query) -> str:
     if not np.isfinite(prior.position).all():
         return "the prior's position is not finite"
     if prior.position_sigma is not None and not (prior.position_sigma >= 0).all():
-        return "the prior's position has a sigma that is no standard deviation"
+        return "the prior's position has a sigma that is negative or NaN"
     rotation = prior.cam_from_world_rotation
     if rotation is not None and not np.isfinite(rotation).all():
         return "the prior's attitude is not finite"
     if prior.attitude_sigma_deg is not None and not prior.attitude_sigma_deg >= 0:
-        return "the prior's attitude has a sigma that is no standard deviation"
+        return "the prior's attitude has a sigma that is negative or NaN"
     if prior.heading_sigma_deg is not None and not prior.heading_sigma_deg >= 0:
-        return "the prior's heading has a sigma that is no standard deviation"
+        return "the prior's heading has a sigma that is negative or NaN"
     return ""
 
 
@@ -116,19 +117,19 @@ class Status(StrEnum):
     """The outcome of a localization."""
 
     OK = "ok"
-    FALLBACK = "fallback"  # the pose is only that of the prior or of a reference: counts as wrong
+    FALLBACK = "fallback"  # the pose of the prior or of a reference image: counts as wrong
     FAILED = "failed"
 
 
 class By(StrEnum):
-    """What gave the pose of an answer."""
+    """The step of a method that produced the pose of an estimate."""
 
-    MATCHES = "matches"  # local features, matched to those of the map's photographs
-    ALIGNMENT = "alignment"  # features of the image, aligned to those of the map's points
-    TRACKING = "tracking"  # an alignment where the images before lead, and nowhere else
-    PLACE = "place"  # the place of the map that looks most like the image, unrefined
-    RETRIEVAL = "retrieval"  # a photograph of the map that looks like the image or lies near it
-    PRIOR = "prior"  # the prior, which photographs of the map may have completed
+    MATCHES = "matches"  # local features matched to those of reference images
+    ALIGNMENT = "alignment"  # dense features aligned to those of the map's points
+    TRACKING = "tracking"  # an alignment from the pose that the preceding images predict
+    PLACE = "place"  # the best candidate of the coarse search, not refined
+    RETRIEVAL = "retrieval"  # a reference image that looks like the query or lies near it
+    PRIOR = "prior"  # the prior, completed from reference images if it is partial
 
 
 @dataclass(frozen=True)
@@ -144,9 +145,10 @@ class Estimate:
         iterations: number of iterations of the robust estimator or the optimizer.
         seconds: time per stage.
         reason: why there is no pose, in words.
-        by: what gave the pose; None without one, or where the method does not say.
-        probability: probability that the method's best pose is right, within 5 m and 10 degrees. Of
-            a fallback it is that of the pose that was not believed. None where it does not say.
+        by: step that produced the pose; None if there is no pose or the method does not say.
+        probability: probability that the method's best pose is within 5 m and 10 degrees of the
+            truth; for a fallback, that of the pose that was rejected. None if the method gives
+            none.
     """
 
     status: Status
@@ -161,7 +163,7 @@ class Estimate:
 
     @property
     def is_tracked(self) -> bool:
-        """Whether only the prior of a tracked query was looked at, and confirmed."""
+        """Return whether the pose is the confirmed prior of a tracked query, without a search."""
         return self.by is By.TRACKING
 
     def world_covariance(self) -> NDArray[np.float64] | None:
@@ -190,11 +192,7 @@ class Estimate:
 
 
 class Stopwatch:
-    """The time that each stage of one localization takes.
-
-    Attributes:
-        seconds: seconds by stage.
-    """
+    """A clock that sums the seconds of each stage of one localization in ``seconds``."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -219,12 +217,12 @@ class Localizer(Protocol):
 
     @property
     def config(self) -> BaseModel:
-        """Return everything that changes the result; it is written into the results file."""
+        """Return the options that change the result; the results file records them."""
         ...
 
     @property
     def weights_sha256(self) -> str | None:
-        """Return the digest of the learned weights, None for methods without."""
+        """Return the digest of the learned weights; None for a method without weights."""
         ...
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
@@ -233,8 +231,8 @@ class Localizer(Protocol):
         Args:
             sparse_map: map; its image names are relative to ``images``.
             images: folder of the map's photographs.
-            cache: folder for state that outlives the process, or None to keep none. Entries are
-                keyed by a digest of map, weights and configuration.
+            cache: folder that keeps the state for later runs, keyed by a digest of map, weights
+                and configuration; None keeps nothing.
 
         Raises:
             InputError: the map is empty, or a photograph is missing or damaged.
@@ -242,28 +240,27 @@ class Localizer(Protocol):
         ...
 
     def localize(self, query: Query) -> Estimate:
-        """Find the pose of a query.
+        """Return the pose of a query; a query that cannot be localized is ``FAILED`` with a reason.
 
-        A query that cannot be localized is answered with ``FAILED`` and a reason, never by an
-        exception.
+        It never raises because of the query.
         """
         ...
 
 
 @runtime_checkable
 class PreparesLater(Protocol):
-    """A localizer that can leave what not every query needs until one needs it."""
+    """A localizer that builds part of its per-map state only when a query needs it."""
 
     def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
-        """Build of the per-map state what a query needs first.
+        """Build the part of the per-map state that every query needs.
 
-        The rest is built by the first query that needs it, as its stage ``preparation``, and then
-        is that of ``Localizer.prepare``: answers are the same.
+        The first query that needs the rest builds it, in its stage ``preparation``. The answers
+        equal those after ``Localizer.prepare``.
 
         Args:
             sparse_map: map; its image names are relative to ``images``.
-            images: folder of the map's photographs, there until the last query.
-            cache: folder as for ``Localizer.prepare``, there until the last query.
+            images: folder of the map's photographs; it must exist until the last query.
+            cache: folder as for ``Localizer.prepare``; it must exist until the last query.
 
         Raises:
             InputError: the map is empty, or a photograph is missing or damaged.
@@ -272,10 +269,7 @@ class PreparesLater(Protocol):
 
 
 def prepare_first(localizer: Localizer, sparse_map: SparseMap, images: Path, cache: Path) -> None:
-    """Prepare a method, and leave until a query needs it what the method can leave.
-
-    The arguments and errors are those of ``PreparesLater.prepare_first``.
-    """
+    """Prepare a method lazily if it supports that, else completely; see ``PreparesLater``."""
     if isinstance(localizer, PreparesLater):
         localizer.prepare_first(sparse_map, images, cache)
     else:
@@ -284,11 +278,11 @@ def prepare_first(localizer: Localizer, sparse_map: SparseMap, images: Path, cac
 
 @dataclass(frozen=True)
 class MapPart:
-    """Some photographs of a map, which one of several processes prepares.
+    """The photographs of a map that one of several processes prepares.
 
     Attributes:
-        names: of the photographs.
-        folder: folder in that of the cache, for what is computed of them.
+        names: names of the photographs.
+        folder: folder inside the cache for the results of this process.
     """
 
     names: Sequence[str]
@@ -297,12 +291,12 @@ class MapPart:
 
 @runtime_checkable
 class PreparesParts(Protocol):
-    """A localizer whose ``prepare`` takes what several processes have computed of a map."""
+    """A localizer whose per-map state several processes can compute in parts."""
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
-        """Compute what the cache is to hold of some photographs, unless it holds all already.
+        """Compute the cache entries of some photographs, unless the cache is complete.
 
-        Once all parts are there, ``prepare`` with the same map and cache copies them.
+        When all parts exist, ``prepare`` with the same map and cache merges them.
 
         Args:
             sparse_map: the whole map.

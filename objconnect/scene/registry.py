@@ -1,8 +1,7 @@
-"""Registries of entries that are chosen by name, of the project and of installed packages.
+"""Registries of entries that are chosen by name, built in or added by an installed package.
 
-A registry lists its built-in entries in a fixed order and imports one when it is first used. An
-installed package adds an entry by an entry point of the registry's group in its
-``pyproject.toml``::
+A registry lists its built-in entries in a fixed order and imports an entry when it is first used.
+An installed package adds an entry by an entry point in its ``pyproject.toml``::
 
     [project.entry-points."objconnect.exports"]
     mine = "my_package.my_format:write"
@@ -30,7 +29,7 @@ class Lazy:
 
     Attributes:
         target: "module:attribute".
-        summary: phrase that the help of the command line shows beside the name.
+        summary: phrase beside the name in the command line's help.
     """
 
     target: str
@@ -46,16 +45,14 @@ class Lazy:
 class Registry(Mapping[str, T], Generic[T]):
     """Entries of one kind by name.
 
-    The names are the built-in ones in their order, then those of installed packages, sorted. An
-    entry is imported when it is read.
+    Built-in names come first in their order, then those of installed packages, sorted.
 
     Attributes:
-        kind: what an entry is called in error messages, for example "format".
-        group: group of the entry points by which installed packages add entries.
-        built_in: entries of the project in the order in which they are listed.
-        accepts: tells whether an object that an entry point names can be an entry.
-        unknown: error message for an unknown name, with the fields ``kind``, ``name`` and
-            ``names``.
+        kind: noun for an entry in error messages, for example "format".
+        group: group of the entry points of installed packages.
+        built_in: entries of the project, in listing order.
+        accepts: returns whether the object of an entry point is a valid entry.
+        unknown: error message with the fields ``kind``, ``name`` and ``names``.
     """
 
     kind: str
@@ -88,11 +85,11 @@ class Registry(Mapping[str, T], Generic[T]):
         return next(iter(entry_points(group=self.group, name=name)), None)
 
     def load(self, name: str, failure: str = "cannot be loaded") -> T:
-        """Return an entry and import it where that has not been done yet.
+        """Import and return an entry.
 
         Args:
             name: name of the entry.
-            failure: words of the error message when an entry point cannot be imported.
+            failure: verb phrase of the error message if the import fails.
 
         Raises:
             InputError: the name is unknown, its entry point cannot be imported, or the imported
@@ -115,23 +112,22 @@ class Registry(Mapping[str, T], Generic[T]):
         return cast("T", loaded)
 
     def summaries(self) -> dict[str, str]:
-        """Return the phrases for the help of the built-in entries, by name."""
+        """Return the help phrases of the built-in entries by name."""
         lazy = {name: entry for name, entry in self.built_in.items() if isinstance(entry, Lazy)}
         return {name: entry.summary for name, entry in lazy.items() if entry.summary}
 
     @contextmanager
     def blame(self, name: str, failure: str) -> Iterator[None]:
-        """Report what goes wrong inside a package's entry as one line that names the package.
+        """Turn any exception of an installed package's entry into an InputError that names it.
 
-        Errors of built-in entries pass through: they are faults of this project.
+        Exceptions of built-in entries pass through.
 
         Args:
-            name: name of the entry that is used within the ``with`` block.
-            failure: words of the error message, for example "cannot be loaded".
+            name: name of the entry that the ``with`` block uses.
+            failure: verb phrase of the message, for example "cannot be loaded".
 
         Raises:
-            InputError: the entry is from a package, and the block raised anything but an
-                InputError.
+            InputError: the entry is of an installed package and the block raised.
         """
         try:
             yield

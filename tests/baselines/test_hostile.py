@@ -130,10 +130,13 @@ NAN = np.full(3, np.nan)
 FAULTS = {
     "position": (with_prior(position=NAN), "the prior's position is not finite"),
     "infinite": (with_prior(position=np.array([0, np.inf, 0])), "position is not finite"),
-    "sigma": (with_prior(position_sigma=NAN), "position has a sigma that is no"),
-    "negative": (with_prior(position_sigma=np.full(3, -1.0)), "position has a sigma that is no"),
+    "sigma": (with_prior(position_sigma=NAN), "has a sigma that is negative"),
+    "negative": (
+        with_prior(position_sigma=np.full(3, -1.0)),
+        "has a sigma that is negative",
+    ),
     "attitude": (with_prior(cam_from_world_rotation=np.full((3, 3), np.nan)), "attitude is not"),
-    "angle": (with_prior(attitude_sigma_deg=float("nan")), "attitude has a sigma that is no"),
+    "angle": (with_prior(attitude_sigma_deg=float("nan")), "attitude has a sigma that is negative"),
     "float": (replace(QUERY, image=QUERY.image / 255), "the image is float64, not uint8"),  # type: ignore[arg-type]
     "size": (replace(QUERY, image=QUERY.image[:-1]), "the image has shape"),
     "grey": (replace(QUERY, image=QUERY.image[..., 0]), "the image has shape"),

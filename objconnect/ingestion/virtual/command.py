@@ -29,7 +29,7 @@ from objconnect.scene.geo.local_coordinates import at_height, world_from
 from objconnect.scene.geo.rasters import Grid, Patch, Raster
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
-from objconnect.scene.quantities.collars import collar_of
+from objconnect.scene.quantities.collars import describe_collar
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_folder
 from objconnect.scene.storage.digests import sha256_of
@@ -193,7 +193,9 @@ def _survey(
     origin: Geodetic | None,
 ) -> _Survey:
     """Read both rasters completely, and compute the area that both cover."""
-    collar = collar_of(_strips(colours))  # reads the whole file, so that damage is noticed early
+    collar = describe_collar(_strips(colours))  # reads the whole file: damage is found early
+        _strips(colours)
+    )  # reads the whole file, so that damage is noticed early
     low, high = np.inf, -np.inf
     for known in _valid_rows(heights):
         low, high = min(low, float(known.min())), max(high, float(known.max()))

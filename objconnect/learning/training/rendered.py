@@ -216,7 +216,7 @@ def _pairs(
         Index pairs (a < b) of frames of one condition, and of two conditions.
     """
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
-    overlap = scene.covisibility.of(names).mutual
+    overlap = scene.covisibility.select(names).mutual
     rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))

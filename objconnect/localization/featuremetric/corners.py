@@ -22,7 +22,7 @@ from objconnect.localization.cache.store import Row, Rows
 from objconnect.localization.depth.sweep import BORDER_PX, Sweeper, SweepOptions
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.runtime.threads import in_threads
+from objconnect.scene.runtime.threads import map_in_threads
 from objconnect.scene.storage.digests import digest_of
 
 _FORMAT: Final = 5
@@ -115,7 +115,7 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
             return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
         with progress_bar("corners of the map", len(kept.names)) as advance:
-            found = in_threads(of_photograph, kept.names)
+            found = map_in_threads(of_photograph, kept.names)
             for done, row in enumerate(found, 1):
                 yield row
                 advance(done)

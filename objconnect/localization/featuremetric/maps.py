@@ -167,7 +167,7 @@ class MapExtractor:
         strides = self.network.config.strides
         sides = seen.picture.shape[:2]
         size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in sides)
-        finest = None if seen.whole else _covered_cells(seen, size, strides[-1])
+        finest = None if seen.is_filled else _covered_cells(seen, size, strides[-1])
         made, maps = self._pass(seen, levels, finest), []
         for stride in strides[:levels]:
             features, confidence = made.pop(0)  # what the network made can go once it is converted

@@ -24,7 +24,7 @@ from objconnect.localization.pipeline.photographs import (
 from objconnect.localization.pipeline.place import Place
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
-from objconnect.scene.flights.priors import Assumed, MapFrame
+from objconnect.scene.flights.priors import AssumedSigmas, MapFrame
 from objconnect.scene.flights.textfiles import read_priors, require_same_case
 from objconnect.scene.localizer import Estimate, Prior, Query
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
@@ -178,7 +178,7 @@ def _priors(
     if without:
         log.warning("%s lacks %d of %d photographs", path, len(without), len(paths))
     frame = MapFrame.of(place.sparse_map, place.origin)
-    assumed = Assumed(
+    assumed = AssumedSigmas(
         np.full(3, options.gps_sigma_m),
         options.gimbal_sigma_deg,
         f"--gps-sigma {options.gps_sigma_m:g} (metres) stands for it",

@@ -27,7 +27,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Estimate, Prior, Query
 from objconnect.scene.quantities.coordinate_order import REACH_M
-from objconnect.scene.quantities.doubts import said_of
+from objconnect.scene.quantities.doubts import summarize_doubts
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb
 
@@ -198,7 +198,9 @@ def _read(
 
 def warn_of_doubts(reader: PhotographReader) -> None:
     """Warn of what photographs say of themselves and cannot be believed, a line for each kind."""
-    for line in said_of({path.name: reader.doubts(exif) for path, exif in reader.said.items()}):
+    for line in summarize_doubts(
+        {path.name: reader.doubts(exif) for path, exif in reader.said.items()}
+    ):
         log.warning("%s", line)
 
 

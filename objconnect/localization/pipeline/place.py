@@ -78,7 +78,7 @@ def open_place(path: Path) -> Place:
         scene = Scene.open(path)
         manifest = scene.manifest
         images = scene.images_root
-        return Place(scene.sparse_map(), images, manifest.origin, manifest.on_earth)
+        return Place(scene.sparse_map(), images, manifest.origin, manifest.effective_georeference)
     if (path / "sparse" / "map").is_dir():
         return Place(read_model(path / "sparse" / "map"), path / "images", read_origin(path))
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")

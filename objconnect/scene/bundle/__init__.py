@@ -1,11 +1,12 @@
 """A scene as a folder on disk: manifest, frames, dense annotations, objects and splits.
 
-- ``scene``: ``Scene``, which opens a folder and reads its parts when they are asked for.
+- ``scene``: ``Scene``, which opens a folder and reads its parts on demand.
 - ``manifest``: the JSON files ``scene.json``, ``objects.json`` and ``splits.json``.
 - ``frames``: ``frames.h5``, the poses, cameras, priors and dense annotations of one session.
 - ``covisibility``: ``covisibility.h5``, which frames see the same surface.
-- ``supplement``: ``supplement.json``, the points that were added to a map afterwards.
+- ``georeference``: the absolute accuracy of a map.
+- ``supplement``: ``supplement.json``, the points that were added to a map after it was built.
 - ``object_points``: which object each point of the map lies on.
 - ``labels``: the semantic label of every class.
-- ``pictures``: a contact sheet and a flight plan for people.
+- ``pictures``: figures of a scene: contact sheet and flight plan.
 """

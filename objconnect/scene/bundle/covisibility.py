@@ -29,7 +29,7 @@ _DEPTH_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class Covisibility:
-    """The shares of each other's surface that the N frames of a scene see.
+    """Pairwise covisibility of the N frames of a scene.
 
     Attributes:
         names: image names, in the order of the sessions and of their frames.
@@ -45,8 +45,8 @@ class Covisibility:
         """Return the smaller share of the two frames of each pair, (N, N), symmetric."""
         return np.minimum(self.overlap, self.overlap.T)
 
-    def of(self, names: Sequence[str]) -> Covisibility:
-        """Return the covisibility of some of the frames, in the order given.
+    def select(self, names: Sequence[str]) -> Covisibility:
+        """Return the covisibility of the named frames, in that order.
 
         Raises:
             InputError: a frame is unknown.
@@ -81,7 +81,7 @@ def read_covisibility(path: Path) -> Covisibility:
         InputError: the file is missing or damaged.
     """
     if not path.is_file():
-        raise InputError(f"{path} does not exist: simulate writes it with the scene")
+        raise InputError(f"{path} does not exist: simulate and ingest write it with the scene")
     try:
         with h5py.File(path, "r") as file:
             names = tuple(name.decode() for name in array(file, "names"))
@@ -99,9 +99,9 @@ def surface_points(
     depth: NDArray[np.float32],
     per_side: int = 8,
 ) -> NDArray[np.float64]:
-    """Return the world points seen on a coarse grid of an image, (per_side^2, 3).
+    """Return the surface points on a coarse grid of an image, (per_side^2, 3) world metres.
 
-    Points of pixels without a surface (sky) are NaN.
+    Points of the sky are NaN.
 
     Args:
         camera: camera of the image.

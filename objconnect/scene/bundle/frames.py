@@ -30,15 +30,14 @@ LAYERS: dict[Layer, np.dtype[Any]] = {
     "semantic": np.dtype("u1"),
     "normal": np.dtype("i1"),
 }
-"""The type in which the values of every dense layer are stored."""
+"""The stored data type of every dense layer."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The N frames of one session.
+    """The N frames of one session; values that the flight did not measure are NaN.
 
-    A value that a real flight did not measure is NaN: a time, a position with its sigma, or an
-    attitude with its sigma.
+    A position or an attitude is NaN together with its sigma.
 
     Attributes:
         names: image names, relative to the scene's ``sessions`` folder.
@@ -81,7 +80,7 @@ class Frames:
         return len(self.names)
 
 
-# The arrays of a session, with the shape that each has per frame.
+# Shape of each array per frame.
 _SHAPES: dict[str, tuple[int, ...]] = {
     "cam_from_world": (4, 4),
     "time": (),
@@ -90,7 +89,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "attitude_prior": (4,),
     "attitude_sigma_deg": (),
 }
-# Groups of arrays that a flight measured together, or not at all.
+# Groups of arrays that are measured together or not at all.
 _MEASURED = (("time",), ("gps_prior", "gps_sigma"), ("attitude_prior", "attitude_sigma_deg"))
 
 
@@ -130,7 +129,7 @@ def write_frames(
         path: file to write.
         frames: poses, cameras and priors.
         dense: layers to write.
-        images: one dictionary of layers per frame, in order; consumed one at a time.
+        images: the layers of each frame in order, consumed one at a time.
 
     Raises:
         ValueError: there are fewer images than frames.
@@ -138,7 +137,7 @@ def write_frames(
     """
     cameras = list(dict.fromkeys(frames.cameras))
     with hdf5_file(path) as file:
-        # The HDF5 library can crash on damaged strings of variable length, so these are fixed.
+        # Fixed length, because HDF5 can crash on damaged strings of variable length.
         file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
         file["names"] = np.array([name.encode() for name in frames.names], "S")
         file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
@@ -192,7 +191,7 @@ def read_frames(path: Path) -> Frames:
 
     Raises:
         InputError: the file is missing or damaged, an array has the wrong shape, or a number is not
-            finite or not on earth; the message names the first frame concerned.
+            finite or not on earth.
     """
     with _open(path) as file:
         try:
@@ -208,7 +207,7 @@ def read_frames(path: Path) -> Frames:
     _check_arrays(path, names, arrays)
     for name, count in Counter(names).items():
         if count > 1:
-            raise InputError(f"{path}: frame {name!r} is there twice")
+            raise InputError(f"{path}: frame {name!r} is listed twice")
         if not is_safe_path(name):
             raise InputError(f"{path}: frame {name!r} does not lie in the scene")
     if len(cameras) != len(names):
@@ -219,7 +218,7 @@ def read_frames(path: Path) -> Frames:
 def _check_arrays(
     path: Path, names: tuple[str, ...], arrays: dict[str, NDArray[np.float64]]
 ) -> None:
-    """Refuse arrays of a wrong shape, and values that are neither measured nor wholly absent."""
+    """Refuse arrays of a wrong shape, partly measured values and values not on earth."""
     for key, values in arrays.items():
         if values.shape != (len(names), *_SHAPES[key]):
             raise InputError(
@@ -236,5 +235,5 @@ def _check_arrays(
         near = (np.abs(values) <= FARTHEST_M).all(tuple(range(1, values.ndim))) | absent[key]
         if key != "time" and not near.all():
             raise InputError(
-                f"{path}: {key} of frame {names[int(near.argmin())]} is beyond {FARTHEST_M:g}"
+                f"{path}: {key} of frame {names[int(near.argmin())]} is larger than {FARTHEST_M:g}"
             )

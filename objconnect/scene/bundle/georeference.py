@@ -1,4 +1,4 @@
-"""How exactly the frame of a scene is known on earth."""
+"""The absolute accuracy of a map: the error that all its positions share on earth."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from objconnect.scene.storage.records import Record
 
 
 class Georeference(Record):
-    """The error that all positions of a map share on earth, however exact they are within it.
+    """The common error of all positions of a map on earth.
 
     Attributes:
-        horizontal_m: Standard deviation of the horizontal position, metres: the root of the sum of
-            the variances to the east and to the north. The two are taken to be equal.
-        vertical_m: Standard deviation of the height above the ellipsoid, metres; None if unknown.
-        source: What tells it: the world is invented ("exact"), positions of a receiver ("gps"),
-            surveyed points ("control"), or a person ("stated").
+        horizontal_m: standard deviation of the horizontal position, metres: the root of the sum of
+            the variances to the east and to the north, which are equal.
+        vertical_m: standard deviation of the height above the ellipsoid, metres; None if unknown.
+        source: where the figures come from: a simulated world ("exact"), GNSS positions ("gps"),
+            surveyed points ("control") or the user ("stated").
     """
 
     horizontal_m: float = Field(ge=0)
@@ -27,14 +27,14 @@ class Georeference(Record):
 
     @property
     def axis_m(self) -> float:
-        """Return the standard deviation to the east, which is that to the north, metres."""
+        """Return the standard deviation along each horizontal axis, metres."""
         return self.horizontal_m / math.sqrt(2)
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the figures as text for the user."""
         height = "unknown" if self.vertical_m is None else f"{self.vertical_m:.2f} m"
         return f"horizontal {self.horizontal_m:.2f} m, vertical {height}"
 
 
 EXACT: Final = Georeference(horizontal_m=0.0, vertical_m=0.0, source="exact")
-"""The georeference of an invented world, which is where its origin says."""
+"""The georeference of a simulated world, which lies exactly at its origin."""

@@ -38,18 +38,18 @@ def _name(value: str) -> str:
 
 def _folder(value: str) -> str:
     if value in ("", ".") or "/" in value:
-        raise ValueError("a session is named like a folder")
+        raise ValueError("a session must be the name of a folder, without slashes")
     return _name(value)
 
 
 def _condition(value: str) -> str:
     if value == ALL_CONDITIONS:
-        raise ValueError(f"no condition can be called {value!r}: tables call all of them so")
+        raise ValueError(f"no condition can be called {value!r}: it stands for all conditions")
     return value
 
 
 ALL_CONDITIONS: Final = "all"
-"""The row of result tables that takes all conditions together; no condition may have this name."""
+"""Name of the row of result tables over all conditions; no condition may have it."""
 
 Condition = Annotated[str, AfterValidator(_condition)]
 Name = Annotated[str, AfterValidator(_name)]
@@ -57,16 +57,15 @@ FolderName = Annotated[str, AfterValidator(_folder)]
 
 
 class DeclaredChange(Record):
-    """The differences between a session's objects and those of other sessions, by object id.
+    """The changes of a session's objects against other sessions, by object id.
 
-    An id always means one box of ``objects.json``: an object that moved has another id in its new
-    place.
+    An id denotes one box of ``objects.json``: an object that moves gets a new id.
 
     Attributes:
-        moved: old and new id of each object that stands elsewhere.
-        removed: ids of objects that are gone.
-        added: ids of objects that are new.
-        bare: ids of trees without leaves; their box is the same, but it is less full.
+        moved: old and new id of each moved object.
+        removed: ids of removed objects.
+        added: ids of added objects.
+        bare: ids of trees without leaves, in the same boxes.
     """
 
     moved: tuple[tuple[int, int], ...] = ()
@@ -81,12 +80,12 @@ class Session(Record):
     Attributes:
         condition: season and light, for example "summer-noon".
         flight: kind of flight, for example "nadir".
-        role: whether the frames build the map, are queries, or are split between the two.
+        role: whether the frames build the map, are queries, or both.
         change: how the objects differ from those of the scene's seed.
-        readout_s: seconds between the readout of the top and the bottom row of a photograph. Where
-            it is not zero (a rolling shutter), poses are those of the middle row, the camera moves
-            during the readout with the central difference of its positions, and depth and the other
-            layers of each row belong to the pose of that row.
+        readout_s: seconds between the readout of the top and the bottom row of an image; not zero
+            for a rolling shutter. Poses are then those of the middle row, the velocity is the
+            central difference of the positions, and each row of depth and the other layers belongs
+            to the pose of that row.
     """
 
     condition: Condition
@@ -97,22 +96,23 @@ class Session(Record):
 
 
 class Manifest(Record):
-    """``scene.json``: what the scene is and how it was made. It is the last file to be written.
+    """``scene.json``: what the scene is and how it was made; it is written last.
 
     Attributes:
         versions: versions of generator, renderer and libraries, by name.
-        preset: kind of world, or None for a real flight.
+        preset: kind of site, or None for a real flight.
         seed: random seed of the world, or None for a real flight.
-        config: all other options the scene was made with.
+        config: all other options of the scene.
         origin: geodetic coordinates of the world's origin.
         reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
             from motion of all photographs together, accurate to centimetres at best.
-        georeference: how exactly the origin is known on earth, as ``ingest`` measured it. None in
-            scenes that do not say so, where the file has no such key; see ``on_earth``.
+        georeference: absolute accuracy of the origin, as ``ingest`` measured it; None if the file
+            has no such key. See
+            ``effective_georeference``.
         sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
-        pixels_sha256: by image name, digests of the decoded "image" and of each of its layers, to
-            compare scenes whose files were compressed by different library versions.
+        pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
+            scenes that different library versions compressed.
     """
 
     schema_version: Literal[1] = 1
@@ -136,18 +136,18 @@ class Manifest(Record):
 
     @model_serializer(mode="wrap")
     def _without_unknown(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # Earlier versions refuse a key that they do not know, so it is there only where needed.
+        # Older releases refuse unknown keys, so the key is written only if it has a value.
         values: dict[str, Any] = write(self)
         if self.georeference is None:
             values.pop("georeference", None)
         return values
 
     @property
-    def on_earth(self) -> Georeference | None:
-        """Return how exactly the scene is placed on earth; None if unknown.
+    def effective_georeference(self) -> Georeference | None:
+        """Return the absolute accuracy of the scene; None if unknown.
 
-        A world that was invented is where its origin says. The twin of a real site is where the
-        files of the site are, which is not known.
+        A simulated world is exact. The accuracy of a world that is modelled on a real site is that
+        of the site's files, which is unknown.
         """
         if self.georeference is None and self.preset is not None and self.reference == "exact":
             return EXACT if self.config.get("site") is None else None
@@ -175,7 +175,7 @@ class SceneObject(Record):
 
 
 class Surroundings(Record):
-    """A named part of the place, for example "urban".
+    """A named part of the world, for example "urban".
 
     Attributes:
         name: name of the part.
@@ -185,14 +185,12 @@ class Surroundings(Record):
     name: str
     outline: tuple[tuple[FiniteFloat, FiniteFloat], ...]
 
-    def hold(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which points (N, 2 or more; metres) lie inside the outline, (N,) bool.
-
-        A point is inside when a ray to the east crosses the outline an odd number of times.
-        """
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which points (N, 2 or more; metres) lie inside the outline, (N,) bool."""
         start = np.array(self.outline)
         end = np.roll(start, -1, axis=0)
         step = end - start
+        # A point is inside if a ray to the east crosses the outline an odd number of times.
         east, north = points[:, :1], points[:, 1:2]
         with np.errstate(divide="ignore", invalid="ignore"):
             at = start[:, 0] + (north - start[:, 1]) / step[:, 1] * step[:, 0]
@@ -201,12 +199,12 @@ class Surroundings(Record):
 
 
 class Objects(Record):
-    """``objects.json``: semantic classes, all objects, and the parts of the place.
+    """``objects.json``: semantic classes, objects and parts of the world.
 
     Attributes:
         classes: semantic label by class name.
         objects: every object of the world.
-        surroundings: parts of the place; they cover it without overlap, or there are none.
+        surroundings: parts that cover the world without overlap; empty if it has none.
     """
 
     classes: dict[str, int]
@@ -217,7 +215,7 @@ class Objects(Record):
         """Return the name of the part that each point (N, 2 or more; metres) lies in, or None."""
         names: list[str | None] = [None] * len(points)
         for part in self.surroundings:
-            for k in np.flatnonzero(part.hold(points)).tolist():
+            for k in np.flatnonzero(part.contains(points)).tolist():
                 names[k] = part.name
         return names
 
@@ -251,7 +249,7 @@ def read_json(path: Path, model: type[F], what: str) -> F:
     Args:
         path: file to read.
         model: class of its contents.
-        what: what the file is, for the message.
+        what: noun for the file in the message.
 
     Raises:
         InputError: the file is missing, not JSON, or has an unknown key or a bad value.

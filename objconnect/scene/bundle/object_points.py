@@ -1,4 +1,4 @@
-"""The objects on which map points lie, and the coverage of objects by points."""
+"""Assignment of map points to objects, and the coverage of objects by points."""
 
 from __future__ import annotations
 
@@ -14,20 +14,14 @@ from objconnect.scene.maps.sparse_map import MapImage
 
 @dataclass(frozen=True)
 class ObjectCoverage:
-    """Counts of the objects of one kind.
-
-    Attributes:
-        seen: number of objects seen.
-        with_points: number of those with at least one point.
-        points: number of points on them.
-    """
+    """Counts of the objects of one kind: objects seen, objects with a point, and points."""
 
     seen: int
     with_points: int
     points: int
 
     def text(self) -> str:
-        """Return the counts as one line for a person."""
+        """Return the counts as one line for the user."""
         return (
             f"{self.with_points} of {self.seen} seen have a point "
             f"({self.with_points / self.seen:.0%}), {self.points / self.seen:.2f} points each"
@@ -42,9 +36,9 @@ def coverage(
     """Count objects and their points by kind.
 
     Args:
-        owners: identifier of the object that each point lies on, (M,).
+        owners: object identifier of each point, (M,).
         objects: objects to count.
-        kind: function that returns the kind of an object, for example its size class.
+        kind: returns the kind of an object, for example its size class.
     """
     points: dict[str, list[int]] = {}
     for item in objects:
@@ -58,15 +52,14 @@ def coverage(
 def objects_of_points(
     points: int, seen: Iterable[tuple[MapImage, NDArray[np.uint16]]]
 ) -> NDArray[np.int64]:
-    """Return the object that each point of a map lies on, by majority of the photographs observing
-    it.
+    """Return the object of each map point, by majority vote over the observing photographs.
 
     Args:
         points: number M of points of the map.
         seen: photographs of the map, each with its instance image (H, W).
 
     Returns:
-        Identifiers of objects, (M,); 0 for points on none.
+        Object identifiers, (M,); 0 for points on no object.
     """
     votes = [np.zeros((0, 2), np.int64)]
     for image, instance in seen:

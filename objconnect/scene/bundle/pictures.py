@@ -1,4 +1,4 @@
-"""Figures of a scene for people: a contact sheet and a flight plan."""
+"""Figures of a scene: a contact sheet and a flight plan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from objconnect.scene.storage.images import read_rgb
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Number of frames of each session on the contact sheet, each with its depth and instances.
+# Frames per session on the contact sheet.
 _FRAMES = 2
 _MARKERS = {"map": "o", "query": "^"}
 _FOOTPRINTS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}
@@ -68,7 +68,7 @@ def _contact_sheet(scene: Scene) -> Figure:
 
 
 def _colour(instance: NDArray[Any]) -> NDArray[Any]:
-    """Return colours of instance ids, (H, W, 3): consecutive ids differ in hue, the ground is
+    """Return a colour for each instance id, (H, W, 3); neighbouring ids differ, the ground is
     black."""
     import matplotlib as mpl
 
@@ -86,7 +86,7 @@ def _flight_plan(scene: Scene) -> Figure:
     if scene.map_path.is_dir():
         sparse_map = scene.sparse_map()
         xyz, rgb = sparse_map.xyz, sparse_map.rgb / 255
-        # The size of the dots is chosen so that they cover about the same area in every map.
+        # Dots cover about the same area in every map.
         size = float(np.clip(2e4 / len(xyz), 0.5, 8))
         ax.scatter(xyz[:, 0], xyz[:, 1], s=size, c=rgb, linewidths=0)
         ax.set_title(f"{for_figure(scene.name)}: flights over the map's {len(xyz)} points")
@@ -111,7 +111,7 @@ def _flight_plan(scene: Scene) -> Figure:
             zorder=3,
             label=for_figure(name),
         )
-        # The top of the image (-y of the camera) gives a heading also when looking straight down.
+        # The image's up direction (-y) gives a heading even for a camera that looks straight down.
         top = -rotation[:, 1, :2]
         ax.quiver(*centres[:, :2].T, *top.T, color=colour, width=0.003, scale=30, zorder=3)
     side = 0.62 * float(scene.manifest.config["area"])

@@ -1,6 +1,6 @@
-"""A scene on disk: a folder whose parts are read when they are asked for.
+"""A scene on disk: a folder whose parts are read on demand.
 
-``scene.json`` is written last, so a folder without it is an unfinished scene.
+``scene.json`` is written last: a folder without it is unfinished.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from objconnect.scene.storage.digests import sha256_of
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
-# Files and folders of a scene beside its manifest and its pictures.
+# Files and folders that the manifest's digests cover.
 _PARTS = (
     "sessions",
     "map",
@@ -46,12 +46,12 @@ _PARTS = (
     "ingest.json",
 )
 MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
-"""The files that this program writes into the folder of a map, for ``atomic_folder``."""
+"""Files that this program writes into a map's folder, for ``atomic_folder``."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A finished scene; its parts are read from disk when they are asked for.
+    """A finished scene; its parts are read from disk on demand.
 
     Attributes:
         path: folder of the scene.
@@ -112,17 +112,17 @@ class Scene:
 
     @cached_property
     def splits(self) -> Splits:
-        """Return which frames build the map and which are queries."""
+        """Return the names of map frames and queries."""
         return read_json(self.path / "splits.json", Splits, "split list")
 
     @cached_property
     def objects(self) -> Objects:
-        """Return every object of the world, and the semantic classes."""
+        """Return the objects and semantic classes of the world."""
         return read_json(self.path / "objects.json", Objects, "object list")
 
     @cached_property
     def covisibility(self) -> Covisibility:
-        """Return how much of each other the frames of all sessions see."""
+        """Return the covisibility of the frames of all sessions."""
         return read_covisibility(self.path / COVISIBILITY)
 
     def sparse_map(self) -> SparseMap:
@@ -136,7 +136,7 @@ class Scene:
         return replace(read_model(self.map_path), features=self.map_path / FEATURES)
 
     def is_added_point(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
-        """Return which points of the map were added after it was built from features, (M,) bool.
+        """Return which map points ``supplement`` added, (M,) bool.
 
         Raises:
             InputError: the list of added points is damaged or does not belong to this map.
@@ -144,7 +144,7 @@ class Scene:
         return is_added_point(self.map_path, len(sparse_map.xyz))
 
     def require_lists(self) -> None:
-        """Read every list of the scene, before long work that needs them at its end.
+        """Check that every list of the scene can be read, before long work that needs them.
 
         Raises:
             InputError: a list is missing or damaged.
@@ -195,7 +195,7 @@ class Scene:
         return self.images_root / session / "frames.h5"
 
     def find_changed_files(self) -> list[str]:
-        """Return the files that differ from the manifest's digests, are missing, or were added."""
+        """Return the files that were changed, removed or added since the scene was finished."""
         present = digests(self.path)
         recorded = self.manifest.sha256
         names = sorted(present.keys() | recorded.keys())
@@ -203,7 +203,7 @@ class Scene:
 
 
 def finish_scene(path: Path, manifest: Manifest) -> Scene:
-    """Write the manifest with the digest of every file, which marks the scene as finished.
+    """Write the manifest with the digests of all files; this marks the scene as finished.
 
     Raises:
         InputError: the folder cannot be written.
@@ -214,10 +214,7 @@ def finish_scene(path: Path, manifest: Manifest) -> Scene:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file of a scene but the manifest and the figures for people.
-
-    Other files that lie in its folder, such as results, are not of the scene.
-    """
+    """Return the SHA-256 of every data file of a scene: not of its manifest, figures or results."""
     return {name: sha256_of(path / name) for name in _data_files(path)}
 
 

@@ -1,4 +1,4 @@
-"""Points that were added to a map; a list beside the map names them, so they can be removed."""
+"""The list of points that were added to a map, by which they can be removed again."""
 
 from __future__ import annotations
 
@@ -8,44 +8,43 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 
 from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import read_point_ids
+from objconnect.scene.storage.records import Record
 
 SUPPLEMENT = "supplement.json"
-"""The file beside a map that lists the points which were added to it."""
+"""The file beside a map that lists its added points."""
 
 ADDED_FEATURES = "supplement.h5"
-"""The file with the descriptors of the added keypoints, in their order in each photograph."""
+"""The file with the descriptors of added keypoints, in the order of each photograph."""
 
 
-class AddedPoint(BaseModel):
+class AddedPoint(Record):
     """One point that was added.
 
     Attributes:
         id: identifier of the point in COLMAP's files.
-        object: number of the object that the point represents; points of one object share it.
-        confidence: 0..1, as given by the method that found the point.
+        object: number of the object; points of one object share it.
+        confidence: 0..1, from the method that found the point.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: int = Field(ge=0)
     object: int
     confidence: FiniteFloat
 
 
-class Supplement(BaseModel):
-    """``supplement.json`` beside a map: which of its points were added, and to which map.
+class Supplement(Record):
+    """``supplement.json``: the added points of the map beside it.
 
     Attributes:
         points: added points.
         map_sha256: ``SparseMap.sha256`` of the map without them.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     points: tuple[AddedPoint, ...]
@@ -84,6 +83,6 @@ def is_added_point(folder: Path, points: int) -> NDArray[np.bool_]:
     if len(unknown):
         raise InputError(
             f"{folder / SUPPLEMENT} lists point {unknown[0]}, which the map beside it does not "
-            "have: they are not of one map, build it again"
+            "have: they belong to different maps, build the map again"
         )
     return np.isin(ids, listed)

@@ -1,7 +1,7 @@
-"""The common ways to misread poses, pixels and depths.
+"""Common alternative conventions of poses, pixels and depths.
 
-Each reading converts data written in another convention into ours. If a scene does not agree with
-itself in our own reading but does in another, that reading names the mistake.
+Each reading converts data of another convention into ours. If a scene is inconsistent in our
+reading but consistent in another, that reading names the mistake.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 Array = NDArray[np.float64]
 
 EXPLAINS: Final = 0.5
-"""Another reading explains a scene when its residual is smaller than this share of ours."""
+"""Another reading explains a scene if its residual is below this share of ours."""
 
 
 def _same(matrices: Array) -> Array:
@@ -62,9 +62,8 @@ class Reading:
     """One convention in which a scene may have been written.
 
     Attributes:
-        fault: what is wrong with a scene that agrees with itself only in this reading; empty for
-            our own.
-        poses: function from the written poses to cam_from_world, (N, 4, 4).
+        fault: message for a scene that is consistent only in this reading; empty for our own.
+        poses: converts the written poses to cam_from_world, (N, 4, 4).
         principal_shift: pixels to add to the principal point.
         radial_depth: whether depth is the distance along the ray.
     """
@@ -101,7 +100,7 @@ READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)
 
 
 def _reorder(matrices: Array, roll: int) -> Array:
-    """Return the poses whose quaternions have their four numbers rolled by so many places."""
+    """Return the poses with the components of their quaternions rolled by ``roll`` positions."""
     from objconnect.scene.geometry.pose import Pose
 
     poses = Pose.from_matrix(matrices)
@@ -113,7 +112,7 @@ def _reorder(matrices: Array, roll: int) -> Array:
 
 
 def _reorder_from_camera(matrices: Array, roll: int) -> Array:
-    """Return the same for files that keep world_from_cam: the camera centres stay."""
+    """Return the same for files that hold world_from_cam: camera centres do not change."""
     return _invert(_reorder(_invert(matrices), roll))
 
 
@@ -122,9 +121,9 @@ class PoseReading:
     """One convention in which the poses of another program may have been written.
 
     Attributes:
-        name: short name for programs.
-        fault: what is wrong with poses that agree with their photographs only in this reading.
-        poses: function from the stated poses to cam_from_world, (N, 4, 4).
+        name: identifier in results files.
+        fault: message for poses that agree with their photographs only in this reading.
+        poses: converts the stated poses to cam_from_world, (N, 4, 4).
     """
 
     name: str
@@ -141,7 +140,7 @@ FOREIGN_READINGS = (
     PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transpose),
     PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centre),
     PoseReading("axes-flipped", _TURNED_AXES, _opengl),
-    # A matrix inverted on disk meets the flip of a reader that expects OpenGL's axes.
+    # The matrix on disk is inverted, and a reader of OpenGL's axes has flipped it.
     PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_invert(_opengl(m)))),
     PoseReading(
         "poses-inverted-axes-flipped",
@@ -158,4 +157,4 @@ FOREIGN_READINGS = (
     PoseReading("quaternion-order", _XYZW, lambda m: _reorder_from_camera(m, 1)),
     PoseReading("quaternion-order", _WXYZ, lambda m: _reorder_from_camera(m, -1)),
 )
-"""Conventions of poses in the files of other programs, and combinations that readers make."""
+"""Conventions of poses in the files of other programs, and their combinations."""

@@ -1,8 +1,7 @@
-"""Cross-frame reprojection: does the ground truth of a scene agree with itself?
+"""Cross-frame reprojection, which checks depth and poses of a scene against each other.
 
-A pixel is lifted into the world by its depth and pose, projected into another frame, lifted by
-that frame's depth and projected back. Where both frames see the same surface, it must return to
-where it started.
+A pixel is lifted into the world by its depth and pose, projected into another frame, lifted by that
+frame's depth and projected back. If both frames see the same surface, it returns to its start.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from objconnect.scene.checks.report import Check
 from objconnect.scene.geometry.camera import Camera
 
 TOLERANCE_PX = 0.05
-"""The largest median cross-frame reprojection error (px) of a valid scene."""
+"""Largest median cross-frame reprojection error (px) of a valid scene."""
 
 _PAIRS = 60
 _PIXELS_PER_PAIR = 600
 _MIN_OVERLAP = 0.15
-# A pixel that returns to within this distance saw the same surface in both frames.
+# A pixel that returns within this distance saw the same surface in both frames.
 _AGREES_PX = 1.0
 
 
@@ -58,8 +57,9 @@ class Agreement:
     """The result of a cross-frame reprojection.
 
     Attributes:
-        residuals: distances (px) of the pixels that land on the same object in the other frame.
-        share: share of these pixels among all pixels tried.
+        residuals: return distances (px) of the pixels that fall on the same object in the other
+            frame.
+        share: share of these pixels among all sampled pixels.
     """
 
     residuals: NDArray[np.float64]
@@ -72,26 +72,26 @@ class Agreement:
 
     @property
     def mean(self) -> float:
-        """Return the mean of the residuals below one pixel; larger ones are of another surface."""
+        """Return the mean residual below one pixel; larger ones belong to another surface."""
         close = self.residuals[self.residuals < _AGREES_PX]
         return float(close.mean()) if len(close) else float("inf")
 
     @property
-    def agreeing(self) -> float:
-        """Return the share of all pixels tried that return to within one pixel."""
+    def agreeing_share(self) -> float:
+        """Return the share of all sampled pixels that return within one pixel."""
         if not len(self.residuals):
             return 0.0
         return self.share * float((self.residuals < _AGREES_PX).mean())
 
 
 def check_depth(name: str, frames: DepthFrames) -> Check:
-    """Measure the cross-frame reprojection and, if it is off, name the convention at fault."""
+    """Check the cross-frame reprojection; if it fails, name the convention at fault."""
     if len(frames.cameras) < 2:
-        return Check(name, True, "not decided: one frame, and nothing to compare it with")
+        return Check(name, True, "not checked: there is only one frame")
     ours = measure(frames, OURS)
     others = [(measure(frames, reading), reading) for reading in READINGS]
-    widest, reading = max(others, key=lambda item: item[0].agreeing)
-    if EXPLAINS * widest.agreeing > ours.agreeing:
+    widest, reading = max(others, key=lambda item: item[0].agreeing_share)
+    if EXPLAINS * widest.agreeing_share > ours.agreeing_share:
         return Check(name, False, reading.fault, _figures(ours))
     if not len(ours.residuals):
         return Check(
@@ -99,14 +99,14 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
             False,
             "no two frames see the same surface: they do not overlap, or poses or depths are wrong",
         )
-    # A reading that fits only a few pixels well explains nothing.
-    candidates = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
+    # A reading that fits only a few pixels explains nothing.
+    candidates = [item for item in others if item[0].agreeing_share > 0.9 * ours.agreeing_share]
     closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
     if closest.mean < EXPLAINS * ours.mean:
         return Check(name, False, reading.fault, _figures(ours))
     close = ours.residuals[ours.residuals < _AGREES_PX]
     if not len(close):
-        detail = f"of {len(ours.residuals)} pixels none returns to within {_AGREES_PX:g} px"
+        detail = f"none of {len(ours.residuals)} pixels returns to within {_AGREES_PX:g} px"
         return Check(name, False, f"{detail}: poses or depths are wrong", _figures(ours))
     detail = (
         f"median {ours.median:.4f} px, 95 % of agreeing pixels under "
@@ -122,18 +122,18 @@ def _figures(agreement: Agreement) -> dict[str, float]:
     pixels = float(len(agreement.residuals))
     if not pixels:
         return {"pixels": pixels}
-    if not agreement.agreeing:
+    if not agreement.agreeing_share:
         return {"median_px": agreement.median, "agreeing_share": 0.0, "pixels": pixels}
     return {
         "median_px": agreement.median,
         "mean_px": agreement.mean,
-        "agreeing_share": agreement.agreeing,
+        "agreeing_share": agreement.agreeing_share,
         "pixels": pixels,
     }
 
 
 def measure(frames: DepthFrames, reading: Reading) -> Agreement:
-    """Measure the cross-frame reprojection of a scene in one reading, on a fixed random sample."""
+    """Return the cross-frame reprojection of a scene in one reading, on a fixed random sample."""
     poses = reading.poses(frames.cam_from_world)
     cameras = [shift_principal_point(camera, reading.principal_shift) for camera in frames.cameras]
     depth = [
@@ -211,9 +211,9 @@ def _nearest(image: NDArray[np.uint16], xy: NDArray[np.float64]) -> NDArray[np.u
 def _sample(
     depth: NDArray[np.float32], instance: NDArray[np.uint16], xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Interpolate depth at pixels, and return where all four neighbours are one object's surface.
+    """Interpolate depth at pixels; also return where all four neighbours are one object's surface.
 
-    Inverse depth is interpolated: unlike depth, it is linear over a plane.
+    It interpolates inverse depth, which is linear over a plane, unlike depth.
     """
     x, y = (xy - 0.5).T
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)

@@ -1,4 +1,4 @@
-"""Does a sparse map agree with itself, and with the cameras of queries?"""
+"""Checks of a sparse map: reprojection errors, and the pixel convention of query cameras."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from objconnect.scene.checks.report import Check
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# A map with a larger median reprojection error (px) was not bundle adjusted.
+# Largest median reprojection error (px) of a bundle-adjusted map.
 _MAX_RESIDUAL_PX = 2.0
-# Principal points that differ by less than this (px) are of the same calibration.
+# Tolerance of the offset between principal points (px).
 _SAME_PX = 0.01
 
 

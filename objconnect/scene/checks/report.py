@@ -1,4 +1,4 @@
-"""The result of a validation, for a person and for a program."""
+"""The result of a validation, as text and as data."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Check:
     Attributes:
         name: name of the check.
         ok: whether it passed.
-        detail: one line: what was measured and, if wrong, what it means.
-        figures: the numbers behind it.
+        detail: one line: what was measured and, if it failed, what that means.
+        figures: measured values by name.
     """
 
     name: str
@@ -25,12 +25,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Report:
-    """The results of all checks of one subject.
-
-    Attributes:
-        subject: what was checked.
-        checks: results.
-    """
+    """The results of all checks of one subject, such as the path of a scene."""
 
     subject: str
     checks: tuple[Check, ...]
@@ -52,7 +47,7 @@ class Report:
         return "\n".join([*lines, f"{self.subject}: {verdict}"])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain data for a program."""
+        """Return the report as plain data for JSON."""
         checks = [
             {"name": c.name, "ok": c.ok, "detail": c.detail, "figures": c.figures}
             for c in self.checks

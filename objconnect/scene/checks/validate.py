@@ -1,4 +1,4 @@
-"""The command ``validate``: does a scene keep its conventions, and how exact is it?"""
+"""The command ``validate``, which checks the conventions and the accuracy of a scene."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.images import read_rgb
 
-# Number of frames read of each session; they are consecutive, so that they overlap.
+# Number of consecutive, hence overlapping, frames that are read of each session.
 _FRAMES_PER_SESSION = 24
-# A larger error of the priors, in standard deviations (root mean square), is not noise.
+# Largest root mean square error of the priors, in stated standard deviations.
 _MAX_PRIOR_SIGMAS = 3.0
 _ORTHONORMAL = 1e-6
 
 
 def validate(path: Path) -> Report:
-    """Check every convention of a scene and name those it breaks.
+    """Check every convention of a scene.
 
     Raises:
-        InputError: the folder is not a scene, or one of its files cannot be read at all.
+        InputError: the folder is not a scene, or one of its files cannot be read.
     """
     scene = Scene.open(path)
     return Report(str(path), tuple(_checks(scene)))
@@ -70,7 +70,7 @@ def _is_rigid(frames: Frames) -> bool:
 
 
 def _rigidity(frames: Frames) -> float:
-    """Return the largest departure of a pose from a rotation and a last row 0 0 0 1."""
+    """Return the largest deviation of a pose from a rotation with the last row 0 0 0 1."""
     rotation = frames.cam_from_world[:, :3, :3]
     gram = rotation @ rotation.transpose(0, 2, 1) - np.eye(3)
     last = frames.cam_from_world[:, 3] - np.array([0, 0, 0, 1])
@@ -94,7 +94,7 @@ def _check_rigid(session: str, frames: Frames) -> Check:
 
 
 def _check_priors(session: str, frames: Frames) -> Check:
-    """Check that measured positions and attitudes lie within their stated noise."""
+    """Check that the priors lie within their stated noise."""
     name = f"{session}: priors fit the poses"
     there = frames.has_gps
     if not there.any():
@@ -141,7 +141,7 @@ def _check_geometry(scene: Scene, sessions: dict[str, Frames]) -> Iterator[Check
     everything = []
     for name, frames in sessions.items():
         if scene.manifest.sessions[name].readout_s:
-            detail = "rolling shutter: every row has a pose of its own, not looked at"
+            detail = "not checked: with a rolling shutter every row has its own pose"
             yield Check(f"{name}: depth and poses agree", True, detail)
             continue
         with scene.dense(name) as dense:

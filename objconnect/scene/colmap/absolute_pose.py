@@ -1,4 +1,4 @@
-"""A camera's pose from 2D-3D matches (PnP), and its covariance."""
+"""The pose of a camera from 2D-3D matches (PnP), and its covariance."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from objconnect.scene.geometry.pose import Pose, transform_jacobian
 from objconnect.scene.geometry.robust import CAUCHY, SINGULAR
 from objconnect.scene.localizer import Prior
 
-# Three matches determine a pose exactly, so their residuals say nothing about its accuracy.
+# Three matches determine a pose exactly: their residuals carry no information on its accuracy.
 _MINIMAL = 3
 
 
-# Squared Mahalanobis distance (three degrees of freedom) beyond which a measured position and the
-# matches cannot belong to one camera: the probability is one in ten billion.
+# Squared Mahalanobis distance (three degrees of freedom) beyond which a measured position
+# contradicts the matches: its probability is one in ten billion.
 _CONTRADICTS = 50.0
 
 # Standard deviations of a position (m) are clipped to this range: no GNSS is more accurate than the
-# lower bound, and the upper one has no influence, like an infinite one.
+# lower bound, and the upper bound has no influence, like an infinite value.
 _LEAST_SIGMA = 1e-3
 _LARGEST_SIGMA = 1e6
 
@@ -38,7 +38,7 @@ class PnpResult:
         cam_from_world: pose refined on the inliers.
         inliers: (N,) bool.
         covariance: (6, 6), of the left tangent of ``cam_from_world`` (rotation rad, translation m),
-            scaled by the residuals of the inliers and by how alike those of neighbours are; None if
+            scaled by the variance and the spatial correlation of the inliers' residuals; None if
             the problem is singular or has only the minimal number of matches.
     """
 
@@ -49,7 +49,7 @@ class PnpResult:
 
 @dataclass(frozen=True)
 class _Matches:
-    """Inliers: pixels (N, 2), points (N, 3), the camera, and the reach of its errors in pixels."""
+    """Inliers: pixels (N, 2), points (N, 3), camera, and correlation length of errors (pixels)."""
 
     xy: NDArray[np.float64]
     xyz: NDArray[np.float64]
@@ -74,12 +74,12 @@ def estimate_absolute_pose(
         xyz: (N, 3) world metres.
         camera: camera of the query.
         max_error: inlier threshold, pixels.
-        prior: measured position and its standard deviation per axis, infinite where not measured.
-            If both are known, the position takes part in the refinement, weighted against the
-            residuals of the inliers, unless it contradicts them. The attitude is not used.
+        prior: measured position with standard deviations per axis, infinite if not measured. The
+            refinement uses it, weighted against the residuals of the inliers, unless it contradicts
+            them. It ignores a prior without standard deviations, and the attitude.
         seed: random seed of the sampling; the same seed gives the same pose.
-        error_reach: distance, as a share of the picture's longest side, within which errors of
-            matches are alike, as far as their residuals are; 0 takes them for independent.
+        error_reach: distance within which errors of matches may be correlated, as a share of the
+            image's longest side; 0 assumes independent errors.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = max_error
@@ -105,7 +105,7 @@ def estimate_absolute_pose(
     if prior is not None and sigma is not None:
         refinement.use_position_prior = True
         refinement.position_prior_in_world = prior.position
-        # COLMAP assumes residuals of one pixel, so the covariance is given in units of them.
+        # COLMAP assumes residuals of one pixel, so the covariance is in units of their variance.
         refinement.position_prior_covariance = np.diag(sigma**2) / variance
     refined = pycolmap.refine_absolute_pose(
         answer["cam_from_world"], xy, xyz, inliers, native, refinement
@@ -124,12 +124,11 @@ def _pose_covariance(
     variance: float,
     position_sigma: NDArray[np.float64] | None,
 ) -> NDArray[np.float64] | None:
-    """Return the covariance of the least squares of inliers and position; None if singular.
+    """Return the covariance of least squares over inliers and position; None if singular.
 
-    It is the sandwich of the inverse information, with what pairs of neighbours add to the
-    information between (``geometry.correlation``). COLMAP's own covariance assumes residuals
-    of one pixel and gives less weight to those that the robust loss reduces, so it is correct at no
-    other noise.
+    It is a sandwich of the inverse information with the contribution of correlated neighbours
+    (``geometry.correlation``). COLMAP's own covariance assumes residuals of one pixel and
+    downweights those that the robust loss reduces, so it is wrong for any other noise.
     """
     local = pose.transform(torch.from_numpy(matches.xyz))
     projected = matches.camera.project(local, jacobian=True)
@@ -157,9 +156,9 @@ def _contradicts(
     position: NDArray[np.float64],
     sigma: NDArray[np.float64],
 ) -> bool:
-    """Return whether a pose and a measured position cannot both be true.
+    """Return whether a pose and a measured position contradict each other.
 
-    Least squares over both would then give a position that is neither.
+    Least squares over both would then give a position between the two.
     """
     rotation = pose.rotation.numpy()
     difference = pose.centre().numpy() - position

@@ -1,4 +1,4 @@
-"""COLMAP's database of features and verified matches, which survives interruptions."""
+"""COLMAP's database of features and verified matches; filling it is resumable."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from objconnect.scene.storage.atomic import atomic_write, write_text
 from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.images import check_photographs
 
-# Number of images per unit of work of a cluster.
+# Number of images per unit of work on a cluster.
 _UNIT = 4
 
-# Pairs matched between two progress reports; finished chunks survive an interruption.
+# Number of pairs per chunk; finished chunks survive an interruption.
 _PAIR_CHUNK = 32
 
 
@@ -43,10 +43,10 @@ class MatchingJob:
 
     Attributes:
         root: folder that the photographs' names are relative to.
-        pairs: pairs of names of the photographs to match.
+        pairs: pairs of names to match.
         sift: options of the detector.
-        cluster: address of the cluster that extracts the features, see ``worker_pool``; its nodes
-            see ``root`` under the same path. None extracts them in this process.
+        cluster: address of the cluster that extracts the features, see ``worker_pool``; ``root``
+            has the same path on its nodes. None extracts them in this process.
     """
 
     root: Path
@@ -57,12 +57,12 @@ class MatchingJob:
 
 @dataclass(frozen=True, kw_only=True)
 class MappingJob(MatchingJob):
-    """Photographs with known poses, to be matched and mapped.
+    """Photographs with known poses to match and map.
 
     Attributes:
         images: photographs with their poses.
-        database: file for features and matches, new or left by an interrupted call with an equal
-            job; None uses a temporary one.
+        database: file for features and matches, new or of an interrupted call with an equal job;
+            None uses a temporary file.
     """
 
     images: Sequence[PosedImage]
@@ -77,12 +77,12 @@ def match_photographs(
 ) -> None:
     """Fill a database with features and verified matches.
 
-    An interrupted call can be repeated with the same arguments: it continues where it stopped.
+    Repeating an interrupted call with the same arguments resumes it.
 
     Args:
-        job: what to match.
+        job: pairs and options.
         photographs: all photographs; they are whole and of the size of their cameras.
-        database: file, new or left by an interrupted call.
+        database: file, new or of an interrupted call.
         on_progress: called with the number of photographs and pairs done.
 
     Raises:
@@ -133,12 +133,12 @@ def fill_database(
     max_error: float,
     on_progress: Progress | None,
 ) -> None:
-    """Extract, match and verify everything that a database of images does not hold yet.
+    """Extract, match and verify everything that a database of images lacks.
 
     Args:
         database: file that holds the images.
         ids: identifiers of the images in the database, by name.
-        job: what to match.
+        job: pairs and options.
         max_error: inlier threshold of the verification, pixels.
         on_progress: called with the number of images and pairs done.
     """
@@ -207,14 +207,14 @@ def write_matches(
     matches: Sequence[tuple[str, str, NDArray[np.int64]]],
     photographs: Sequence[Photograph] = (),
 ) -> None:
-    """Write a database of posed images with features and matches that are known to be right.
+    """Write a database of posed images with features and verified matches.
 
     Args:
         path: new file.
         images: images in the order of their identifiers, as for ``models.write_with_poses``.
         features: features of some of them, by name.
-        matches: names of two images, and the keypoints of the first and the second, (K, 2).
-        photographs: further images, without pose, features and matches.
+        matches: names of two images and their matching keypoints, (K, 2).
+        photographs: further images without pose, features and matches.
 
     Raises:
         WriteError: the disk has no space.
@@ -245,7 +245,7 @@ def _find_features(
 ) -> Generator[dict[str, Features], None, None]:
     """Yield the SIFT features of many images, a chunk at a time.
 
-    Temporary files lie in ``beside``, which the nodes of a cluster need not see.
+    Temporary files lie in ``beside``, or on a cluster in the temporary folder of each node.
     """
     size = CHUNK if job.cluster is None else _UNIT
     chunks = [names[start : start + size] for start in range(0, len(names), size)]
@@ -262,7 +262,7 @@ def _sift_of(
 
 
 def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
-    """Write a database of the model's images, unless a whole one exists."""
+    """Write a database of the model's images unless a sound one exists."""
     if not is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
@@ -271,7 +271,7 @@ def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
 
 
 def is_sound(database: Path) -> bool:
-    """Return whether a database exists and is whole; COLMAP ends the process on a damaged one."""
+    """Return whether a database exists and is sound; COLMAP ends the process on a damaged one."""
     if not database.is_file():
         return False
     try:
@@ -284,8 +284,8 @@ def is_sound(database: Path) -> bool:
 def write_database(path: Path, model: pycolmap.Reconstruction) -> None:
     """Write a database of the model's images with the model's own identifiers.
 
-    COLMAP's extractor numbers images in the order in which it finishes them, and the numbers decide
-    the order of everything that follows.
+    COLMAP's extractor would number images in the order in which it finishes them, and identifiers
+    decide the order of all later steps.
     """
     with atomic_write(path) as partial, pycolmap.Database.open(partial) as db:
         for camera in model.cameras.values():

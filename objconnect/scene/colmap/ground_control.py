@@ -1,4 +1,4 @@
-"""Adjustment of a model to points on the ground whose positions were surveyed."""
+"""Adjustment of a model to surveyed ground control points."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# A surveyed position is told to COLMAP as what cameras far away, whose poses are known, see of the
-# point: one along each axis. Each axis is seen by two of them, each with half of the weight.
+# COLMAP receives a surveyed position as observations by distant cameras of known pose, one along
+# each axis. Two of them observe each axis, each with half of the weight.
 _VIEWED_BY: Final = 2
 _DISTANCE_M: Final = 1000.0
 _AXES: Final = np.stack([np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0)])
@@ -27,7 +27,7 @@ _AXES: Final = np.stack([np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3),
 
 @dataclass(frozen=True)
 class SurveyedPoint:
-    """A point on the ground, and where photographs show it.
+    """A surveyed point with its marks in photographs.
 
     Attributes:
         xyz: surveyed position, (3,) world metres.
@@ -48,18 +48,18 @@ def adjust_to_points(
     refined: RefinedLenses,
     out: Path,
 ) -> SparseMap:
-    """Move a model into the world and adjust it to pixels and surveyed points together.
+    """Transform a model to the world and adjust it to keypoints and surveyed points jointly.
 
-    Poses, points and lenses are adjusted, with a robust loss. A pixel of a mark has the weight of a
-    pixel of a feature, and a surveyed coordinate that is off by its sigma that of one pixel.
+    It adjusts poses, points and lenses with a robust loss. A pixel of a mark weighs as much as a
+    pixel of a keypoint, and so does an error of a surveyed coordinate by its sigma.
 
     Args:
         model: folder of a model of ``map_photographs``.
-        photographs: photographs of the model; further ones are ignored.
+        photographs: photographs of the model; others are ignored.
         world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
-        points: three or more points that are not on a line, each marked in two photographs of the
-            model or more.
-        refined: parameters of the lenses that are adjusted.
+        points: at least three points that are not collinear, each marked in at least two
+            photographs of the model.
+        refined: lens parameters to adjust.
         out: existing folder for the adjusted model.
     """
     native = pycolmap.Reconstruction(model)
@@ -103,7 +103,7 @@ def _observation(
 
 
 def _views(native: pycolmap.Reconstruction, point: SurveyedPoint) -> Iterator[int]:
-    """Add the cameras that see a surveyed position at pixel (0, 0); yield their identifiers."""
+    """Add cameras that observe a surveyed position at pixel (0, 0); yield their identifiers."""
     focal = _DISTANCE_M / (point.sigma * np.sqrt(_VIEWED_BY))
     for axes in _AXES:
         number = max(native.cameras) + 1

@@ -1,4 +1,4 @@
-"""COLMAP's binary models: written from poses and points, and edited."""
+"""Writing and editing of COLMAP's binary models."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from objconnect.scene.storage.files import require_disk_space
 def make_model(
     images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
-    """Make a model of keypoints (K, 2) and poses, without points.
+    """Make a model of keypoints (K, 2) and poses without points.
 
     Returns:
-        The model, and the identifier of each image by name.
+        The model, and the identifiers of the images by name.
     """
     numbers = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
     cameras = [native_camera(camera, number) for camera, number in numbers.items()]
@@ -48,8 +48,7 @@ def extend_model(
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """Make a model of posed images and of photographs without a pose.
 
-    A calibrated photograph whose camera is one of the posed images shares it. The other ones share
-    a camera by lens.
+    A calibrated photograph shares an equal camera of a posed image; others share a camera by lens.
 
     Args:
         images: posed images; identifiers are those of ``make_model``.
@@ -57,7 +56,7 @@ def extend_model(
         photographs: photographs to register.
 
     Returns:
-        The model, and the identifier of each image by name.
+        The model, and the identifiers of the images by name.
     """
     model, ids = make_model(images, keypoints)
     numbers: dict[object, int] = {}
@@ -80,7 +79,7 @@ def extend_model(
 
 
 def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
-    """Make a model that holds only cameras."""
+    """Make a model of cameras only."""
     model = pycolmap.Reconstruction()
     for camera in cameras:
         model.add_camera_with_trivial_rig(camera)
@@ -88,15 +87,14 @@ def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
 
 
 def write_model(model: pycolmap.Reconstruction, out: Path) -> None:
-    """Write a model's files, after checking the space on the disk: COLMAP does not report a full
-    one."""
+    """Write a model after checking the disk space, because COLMAP does not report a full disk."""
     keypoints = sum(image.num_points2D() for image in model.images.values())
     require_disk_space(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
     model.write(out)
 
 
 def _whole_model(folder: Path) -> pycolmap.Reconstruction:
-    """Read a model with COLMAP after our own reader: COLMAP ends the process on a damaged one."""
+    """Read a model with COLMAP after checking it: COLMAP ends the process on a damaged one."""
     read_model(folder)
     return pycolmap.Reconstruction(folder)
 
@@ -111,8 +109,8 @@ def write_with_poses(images: Sequence[PosedImage], sparse_map: SparseMap | None,
         out: existing folder for the model.
     """
     mapped = sparse_map.images if sparse_map is not None else {}
-    nothing = np.zeros((0, 2))
-    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
+    empty = np.zeros((0, 2))
+    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else empty for i in images}
     model, ids = make_model(images, keypoints)
     if sparse_map is not None:
         add_map_points(model, {n: k for n, k in ids.items() if n in mapped}, sparse_map)
@@ -123,11 +121,11 @@ def write_with_poses(images: Sequence[PosedImage], sparse_map: SparseMap | None,
 def add_map_points(
     model: pycolmap.Reconstruction, ids: Mapping[str, int], sparse_map: SparseMap
 ) -> None:
-    """Add the points of a map to a model of its keypoints, in their order.
+    """Add the points of a map to a model of its images, in order.
 
     Args:
-        model: has the images of the map, without points.
-        ids: identifiers in the model of those images of the map whose observations are added.
+        model: model with the images of the map and without points.
+        ids: identifiers in the model of the map images whose observations are added.
         sparse_map: the map.
     """
     tracks: dict[int, list[pycolmap.TrackElement]] = {}
@@ -147,7 +145,7 @@ class NewPoint:
     Attributes:
         xyz: (3,) world metres.
         rgb: (3,) uint8.
-        xy: observations, (2,) COLMAP pixels by name of the image; no two points share one.
+        xy: observations, (2,) COLMAP pixels by name of the image; points share none.
     """
 
     xyz: NDArray[np.float64]
@@ -160,7 +158,7 @@ def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
 
     Args:
         model: folder of a binary model.
-        points: points to add; their observations become keypoints after those of the images.
+        points: points to add; their observations are appended to the keypoints of the images.
         out: existing folder.
 
     Returns:
@@ -200,15 +198,15 @@ def _mean_error(model: pycolmap.Reconstruction, point_id: int) -> float:
 
 
 def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
-    """Undo ``add_points``: the files are those of before, byte for byte.
+    """Undo ``add_points``; the resulting files equal the original ones byte for byte.
 
     Args:
         model: folder of a binary model.
-        ids: identifiers that ``add_points`` returned; their keypoints are the last of their images.
+        ids: identifiers from ``add_points``; their keypoints are the last of their images.
         out: existing folder.
 
     Raises:
-        InputError: the model is damaged, lacks a point, or was changed in between.
+        InputError: the model is damaged, lacks a point, or was changed since ``add_points``.
     """
     native = _whole_model(model)
     added: dict[int, set[int]] = {}
@@ -232,5 +230,5 @@ def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
 
 
 def lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
-    """Return COLMAP's camera identifier of each lens, numbered in order of first appearance."""
+    """Return COLMAP's camera identifier of each lens, in order of first appearance."""
     return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}

@@ -1,4 +1,4 @@
-"""Options of features, and the limits of matching and of structure from motion."""
+"""Options of SIFT, and thresholds of matching and structure from motion."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ MAX_RATIO: Final = 0.8
 COLMAP's own default."""
 
 EPIPOLAR_PX: Final = 2.0
-"""Largest distance (px) of a match from its epipolar line: half of COLMAP's default, because
-the lens is known."""
+"""Largest distance (px) of a match from its epipolar line for a calibrated lens; half of COLMAP's
+default."""
 
 GUESSED_EPIPOLAR_PX: Final = 4.0
-"""The same where the lens is not calibrated yet; COLMAP's own default."""
+"""Largest distance (px) of a match from its epipolar line for an uncalibrated lens; COLMAP's own
+default."""
 
 OUTLIER_SIGMAS: Final = 5.0
-"""Observations with a residual of more standard deviations leave a model: of noise alone four
-in a million are as large."""
+"""Residual in standard deviations above which observations are removed: four in a million of normal
+noise are as large."""
 
 MIN_ANGLE_DEG: Final = 1.5
-"""Points whose rays intersect at smaller angles leave a model; COLMAP's own default."""
+"""Triangulation angle below which points are removed; COLMAP's own default."""
 
 ALIGN_M: Final = 1.0
-"""Cameras further than this (m) from their known centres are outliers of the alignment."""
+"""Largest distance (m) of inlier cameras from their known centres in the alignment."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,9 @@ class SiftOptions:
     """The options of COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors.
 
     Attributes:
-        max_features: largest number of features of an image.
+        max_features: largest number of features per image.
         peak_threshold: smallest response of the difference of Gaussians.
-        upright: whether to leave out the orientation of keypoints.
+        upright: whether keypoints have no orientation.
     """
 
     max_features: int = 8192

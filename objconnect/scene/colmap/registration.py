@@ -1,4 +1,4 @@
-"""Registration of photographs in a map whose poses do not change."""
+"""Registration of photographs in a map with fixed poses."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ class KnownMap:
     """A map in which photographs are registered.
 
     Attributes:
-        images: its photographs with their poses, in an order that does not change.
+        images: its photographs with their poses, in a fixed order.
         sparse_map: the map; its keypoints are those of ``features``.
-        features: the features it was built from, by name.
-        matches: names of two of its photographs, and the keypoints of the first and the second that
-            observe one point, (K, 2).
+        features: features of the map by name.
+        matches: names of two of its photographs and their matching keypoints, (K, 2).
     """
 
     images: Sequence[PosedImage]
@@ -51,14 +50,14 @@ def match_new(
 ) -> None:
     """Fill a database with the features and matches of a map and of photographs to register.
 
-    Features and matches of the map are copied, not computed. An interrupted call can be repeated
-    with the same arguments: it continues where it stopped.
+    Features and matches of the map are copied. Repeating an interrupted call with the same
+    arguments resumes it.
 
     Args:
         known: the map.
         photographs: photographs to register; they are whole and of the size of their cameras.
-        job: pairs to match, of which at least one photograph is new; none, to extract features.
-        database: file, new or left by an interrupted call.
+        job: pairs to match, each with a new photograph; without pairs it only extracts features.
+        database: file, new or of an interrupted call.
         on_progress: called with the number of images and pairs done.
 
     Raises:
@@ -82,8 +81,8 @@ def register_photographs(
 ) -> SparseMap:
     """Register photographs in a map by incremental structure from motion.
 
-    Poses and cameras of the map do not change. A camera that is not calibrated is adjusted: its
-    distortion, and its focal length if that is not known.
+    Poses and cameras of the map are fixed. Of uncalibrated cameras it adjusts the distortion, and
+    the focal length if that is unknown.
 
     Args:
         root: folder that the names are relative to.
@@ -96,8 +95,8 @@ def register_photographs(
     Returns:
         The map and the photographs that could be registered.
     """
-    nothing = np.zeros((0, 2))
-    model, ids = extend_model(known.images, {i.name: nothing for i in known.images}, photographs)
+    empty = np.zeros((0, 2))
+    model, ids = extend_model(known.images, {i.name: empty for i in known.images}, photographs)
     cameras = {name: model.image(k).camera_id for name, k in ids.items()}
     refine_focal = not all(p.focal_known for p in photographs)
     fixed = {cameras[image.name] for image in known.images} | {
@@ -125,7 +124,7 @@ def register_photographs(
         models = pycolmap.incremental_mapping(
             database, root, folder, pipeline, input_path=start, next_image_callback=on_image
         )
-        # Without a photograph that fits, COLMAP returns no model.
+        # COLMAP returns no model if it registers no photograph.
         grown = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
         if grown is None:
             grown = pycolmap.Reconstruction(start)

@@ -1,4 +1,4 @@
-"""The pose of one camera relative to another, from 2D-2D matches."""
+"""The relative pose of two cameras from 2D-2D matches."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ class RelativePose:
     """A relative pose estimated from 2D-2D matches.
 
     Attributes:
-        b_from_a: pose with a translation of length one, because the distance between the cameras
-            cannot be estimated.
+        b_from_a: pose with a translation of length one, because the baseline is unknown.
         inliers: (N,) bool.
     """
 

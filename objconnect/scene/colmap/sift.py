@@ -1,4 +1,4 @@
-"""SIFT features by COLMAP."""
+"""SIFT features extracted by COLMAP."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.scratch import scratch
 
 CHUNK = 16
-"""Images per call of the extractor: enough to keep the cores busy, few enough for progress."""
+"""Images per call of the extractor: enough to use all cores, few enough to report progress."""
 
 KEYPOINT_BYTES = 160
-"""The size of a keypoint with its descriptor in a database (bytes)."""
+"""Size of a keypoint with its descriptor in a database (bytes)."""
 
-# No photograph has more keypoints than this.
+# Largest plausible number of keypoints of a photograph.
 _MOST_KEYPOINTS = 1 << 16
 
 
 class SiftExtractor:
-    """An extractor of SIFT features that takes one image at a time."""
+    """A SIFT extractor for one image at a time."""
 
     def __init__(self, options: SiftOptions) -> None:
         self._options = _native(options)
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Return the features of an image (H, W, 3) uint8."""
-        # COLMAP's extractor keeps the scale space of its last image: 0.3 GB of 1024 x 1024 pixels.
+        # An extractor keeps the scale space of its last image (0.3 GB for 1024 x 1024 pixels), so
+        # each call makes a new one.
         native = pycolmap.FeatureExtractor.create(self._options, pycolmap.Device.cpu)
         grey = pycolmap.Bitmap.from_array(np.ascontiguousarray(rgb)).clone_as_grey()
         keypoints, descriptors = native.extract(grey)
@@ -57,8 +58,8 @@ def extract_sift(
         names: names of the images.
         options: options of the detector.
         on_progress: called with the number of images done.
-        threads: number of threads; -1 for as many as there are cores.
-        beside: folder for temporary files, as ``scratch.scratch`` takes it.
+        threads: number of threads; -1 for the number of cores.
+        beside: folder for temporary files, as for ``scratch``.
 
     Raises:
         InputError: an image is missing or cannot be read.
@@ -89,10 +90,11 @@ def extract_sift(
 
 
 def read_features(database: Path, root: Path) -> dict[str, Features]:
-    """Return the features of a database, by image name.
+    """Return the features of a database by image name.
 
     Raises:
-        InputError: an image of the database, which lies below ``root``, has no keypoints.
+        InputError: an image of the database has no keypoints; ``root`` is its folder, for the
+            message.
     """
     features = {}
     with pycolmap.Database.open(database) as db:
@@ -108,7 +110,7 @@ def read_features(database: Path, root: Path) -> dict[str, Features]:
 
 
 def _native(options: SiftOptions) -> pycolmap.FeatureExtractionOptions:
-    """Return options as pycolmap's, without the GPU."""
+    """Convert options to pycolmap's, without GPU."""
     native = pycolmap.FeatureExtractionOptions()
     native.use_gpu = False
     native.sift.max_num_features = options.max_features

@@ -1,4 +1,4 @@
-"""Structure from motion: maps from photographs with unknown or rough poses."""
+"""Structure from motion: maps from photographs with unknown or approximate poses."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.scratch import scratch
 
 ADJUSTMENTS = 4
-"""The number of rounds of robust adjustment at the end of ``reconstruct``."""
+"""Number of rounds of robust adjustment at the end of ``reconstruct``."""
 
 ALIGNABLE = 3
-"""The number of camera centres that a similarity transform needs."""
+"""Smallest number of camera centres for a similarity transform."""
 
-# Numerical guard: relative change of the cost that ends a round of the robust adjustment.
+# Relative change of the cost that ends a round of the robust adjustment.
 _CONVERGED = 1e-8
 
 
@@ -44,11 +44,10 @@ def reconstruct(
     """Build a map by incremental structure from motion with known calibration and unknown poses.
 
     The largest model is adjusted with a robust loss, then aligned to the known camera centres by a
-    similarity transform. Its poses remain those that the photographs give; images that could not be
-    registered are missing from it.
+    similarity transform. Images that could not be registered are missing from the map.
 
     Args:
-        job: photographs, with the poses to align to.
+        job: photographs with the poses to align to.
         out: existing folder for the model.
         on_progress: called with the number of images and pairs done, then of images registered,
             then of adjustments.
@@ -64,7 +63,7 @@ def reconstruct(
     with scratch(out) as folder:
         database = job.database or folder / "database.db"
         _, features = match_with_poses(job, database, on_progress)
-        matched, registered = len(images) + len(job.pairs), 2  # the pair every model starts from
+        matched, registered = len(images) + len(job.pairs), 2  # a model starts from two images
 
         def report(done: int) -> None:
             if on_progress is not None:
@@ -102,15 +101,14 @@ def adjust_robustly(
     fixed: Collection[str] = (),
     on_round: Progress = lambda _: None,
 ) -> None:
-    """Adjust poses and points in rounds with a robust loss, removing outliers after each.
+    """Adjust poses and points in rounds with a robust loss; remove outliers after each round.
 
-    COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
-    has a hundred times the weight of the noise of a right one.
+    COLMAP's mapper ends with least squares over all residuals within four pixels, where a wrong
+    match weighs a hundred times as much as the noise of a right one.
 
     Args:
-        model: the model, which is changed.
-        fixed: names of images whose poses stay as they are; without any, the frame of the model is
-            that of two cameras.
+        model: model to adjust in place.
+        fixed: names of images with constant poses; if empty, two cameras fix the gauge.
         on_round: called with the number of rounds done.
     """
     options = pycolmap.BundleAdjustmentOptions(
@@ -142,13 +140,11 @@ def adjust_robustly(
 
 
 def _residual_sigma(model: pycolmap.Reconstruction) -> float:
-    """Return the standard deviation of one pixel coordinate (px), from the median point error.
-
-    The median makes it insensitive to outliers.
-    """
+    """Return the standard deviation of one pixel coordinate (px), from the median point error."""
     model.update_point_3d_errors()
     error = np.median([point.error for point in model.points3D.values()])
-    # The mean length of a two-dimensional normal vector is sqrt(pi / 2) standard deviations.
+    # The mean length of a two-dimensional normal vector is sqrt(pi / 2) standard deviations. The
+    # median is robust to outliers.
     return float(max(error / np.sqrt(np.pi / 2), np.sqrt(LEAST_VARIANCE)))
 
 
@@ -171,11 +167,11 @@ def map_photographs(
         on_progress: called with the number of photographs registered; never by the global mapper.
 
     Returns:
-        Folders of the models, each in a frame and scale of its own, in order of decreasing number
-        of photographs. Photographs that are not connected are in several models, or in none.
+        Folders of the models, each with its own frame and scale, by decreasing number of
+        photographs. Photographs that are not connected are in several models, or in none.
     """
     numbers = lens_ids(photographs)
-    # A focal length that is refined early, from few photographs, can distort the whole model.
+    # A focal length that is refined early from few photographs can distort the whole model.
     refine_focal = not all(p.focal_known for p in photographs)
     fixed = {
         numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
@@ -244,12 +240,12 @@ def _global_options() -> pycolmap.GlobalPipelineOptions:
 
 @dataclass(frozen=True)
 class MeasuredPositions:
-    """Camera centres that were measured, for example by GPS.
+    """Measured camera centres, for example from GPS.
 
     Attributes:
         centres: measured camera centres by name of the photograph, (3,) world metres.
-        sigma: standard deviation of all of them per axis, (3,) metres.
-        up_sigma: standard deviation of the height where it is another one, metres, by name.
+        sigma: standard deviation per axis, (3,) metres.
+        up_sigma: other standard deviations of the height by name, metres.
     """
 
     centres: Mapping[str, NDArray[np.float64]]
@@ -263,12 +259,12 @@ class MeasuredPositions:
 
 @dataclass(frozen=True)
 class RefinedLenses:
-    """The parameters of lenses that ``adjust_to_positions`` adjusts.
+    """The lens parameters to adjust.
 
     Attributes:
-        focal: lenses with a focal length to adjust; if empty, only the distortion of lenses that
-            are not calibrated is adjusted.
-        principal_point: adjust the principal points of all lenses that are adjusted.
+        focal: lenses whose focal length and distortion are adjusted; if empty, only the distortion
+            of uncalibrated lenses is adjusted.
+        principal_point: whether principal points of the adjusted lenses are adjusted too.
     """
 
     focal: Collection[str]
@@ -278,7 +274,7 @@ class RefinedLenses:
 def bundle_of(
     native: pycolmap.Reconstruction, photographs: Sequence[Photograph], refined: RefinedLenses
 ) -> tuple[pycolmap.BundleAdjustmentConfig, pycolmap.BundleAdjustmentOptions]:
-    """Return the set-up of an adjustment of all images of a model of ``map_photographs``."""
+    """Return configuration and options to adjust all images of a model of ``map_photographs``."""
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in native.reg_image_ids():
         config.add_image(image_id)
@@ -301,16 +297,16 @@ def adjust_to_positions(
     refined: RefinedLenses,
     out: Path,
 ) -> SparseMap:
-    """Move a model into the world and adjust it to pixels and measured positions together.
+    """Transform a model to the world and adjust it to keypoints and measured positions jointly.
 
-    Poses, points and lenses are adjusted, with a robust loss on the positions.
+    It adjusts poses, points and lenses, with a robust loss on the positions.
 
     Args:
         model: folder of a model of ``map_photographs``.
-        photographs: photographs of the model; further ones are ignored.
+        photographs: photographs of the model; others are ignored.
         world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
         measured: camera centres of some of the photographs.
-        refined: parameters of the lenses that are adjusted.
+        refined: lens parameters to adjust.
         out: existing folder for the adjusted model.
     """
     native = pycolmap.Reconstruction(model)

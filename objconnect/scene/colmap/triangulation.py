@@ -26,7 +26,7 @@ def triangulate(
     """Build a map by triangulating SIFT matches with known poses, and write the model to ``out``.
 
     Args:
-        job: photographs; their poses are exact and do not change.
+        job: photographs; their poses are fixed.
         out: existing folder for the model.
         on_progress: called with the number of images and pairs done.
 
@@ -65,15 +65,15 @@ def triangulate_again(
     out: Path,
     known: SparseMap | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
-    """Triangulate some of the images of a filled database again; their poses do not change.
+    """Triangulate some of the images of a filled database again; their poses are fixed.
 
     Args:
         root: folder that the names are relative to.
         images: some of the images of ``database``; matches with others are ignored.
         database: file filled by ``match_photographs``.
         out: existing folder for the model.
-        known: map of some of the images, with the same poses and keypoints. What no other image
-            observes stays as it is, bit by bit.
+        known: map of some of the images, with the same poses and keypoints. Its points that no
+            other image observes do not change.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -111,12 +111,12 @@ def triangulate_again(
 def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
     """Triangulate the points of images that were added to a map.
 
-    Points are triangulated, adjusted and filtered in rounds, as COLMAP does for all of a map.
+    It triangulates, adjusts and filters in rounds, as COLMAP does for a whole map.
 
     Args:
         model: all images with their poses, and the points of the map.
-        database: keypoints and matches.
-        added: identifiers of the images whose points are triangulated.
+        database: database of keypoints and matches.
+        added: identifiers of the added images.
     """
     options = pipeline_options()
     cached = pycolmap.DatabaseCacheOptions()
@@ -142,7 +142,7 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
         )
         if changed <= options.ba_global_max_refinement_change * len(shown):
             break
-    # An image whose observation of a point was filtered does not change it.
+    # Restore points whose observations by added images were all filtered.
     for number in (touched - _observed_ids(model, added)) & before.keys():
         if model.exists_point3D(number):
             model.point3D(number).xyz = before[number]
@@ -159,7 +159,7 @@ def _observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
 
 
 def _adjust_points(model: pycolmap.Reconstruction, points: set[int]) -> None:
-    """Adjust some points of a model; nothing else of it changes."""
+    """Adjust some points of a model and keep everything else fixed."""
     config = pycolmap.BundleAdjustmentConfig()
     for point_id in points:
         config.add_variable_point(point_id)
@@ -174,7 +174,7 @@ def pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.random_seed = pipeline.triangulation.random_seed = SEED
     pipeline.mapper.random_seed = SEED
-    pipeline.num_threads = 1  # with more threads sums are rounded differently from run to run
+    pipeline.num_threads = 1  # with more threads rounding is not reproducible
     pipeline.ba_refine_focal_length = False
     pipeline.ba_refine_extra_params = False
     # Otherwise the first image of every camera would change its calibration.

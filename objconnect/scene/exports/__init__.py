@@ -1,1 +1,1 @@
-"""A scene's frames in the formats of other programs."""
+"""Writers of a scene's frames in the formats of other programs."""

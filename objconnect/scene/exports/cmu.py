@@ -1,7 +1,7 @@
-"""Export to the tree of Extended CMU Seasons: photographs, poses and map, slice by slice.
+"""Export in the layout of Extended CMU Seasons: photographs, poses and map of each slice.
 
-The licence of that data set forbids shipping it, so a simulated drive in its tree stands in for it.
-Pose files hold the camera's centre, not a translation, with six decimals, and photographs are
+The licence of that data set forbids shipping it; a simulated drive in its layout replaces it in
+tests. Pose files hold camera centres, not translations, with six decimals; photographs are
 distorted.
 """
 
@@ -35,13 +35,13 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 
 class _Photograph(NamedTuple):
-    """One frame of the scene, and its name in the tree.
+    """One frame of the scene, with its name in the scene (``source``) and in the export.
 
     Attributes:
         source: name in the scene.
-        name: name in the tree.
+        name: name in the export.
         is_reference: whether it belongs to the map.
-        camera: under the model OPENCV.
+        camera: camera of the model OPENCV.
         cam_from_world: (4, 4).
     """
 
@@ -52,7 +52,7 @@ class _Photograph(NamedTuple):
     cam_from_world: NDArray[np.float64]
 
     def line(self) -> str:
-        """Return its pose as the data set writes it: the quaternion, then the camera's centre."""
+        """Return its line in a pose file: name, quaternion, camera centre."""
         pose = Pose.from_matrix(self.cam_from_world)
         numbers = [*pose.quaternion().tolist(), *pose.centre().tolist()]
         return " ".join([str(self.name), *(f"{x:.6f}" for x in numbers)]) + "\n"
@@ -61,14 +61,12 @@ class _Photograph(NamedTuple):
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     """Write a scene's map and queries as slices 2 (urban), 9 (suburban) and 18 (park).
 
-    A photograph belongs to the slice in whose surroundings its camera stands. The poses of all
-    queries are public. The SIFT databases that the real data set has are left out. The arguments
-    are those of ``formats.Writer``; the scene has objects with surroundings, and a map.
+    A photograph belongs to the slice of the surroundings of its camera. The poses of all queries
+    are included, the SIFT databases of the real data set are not. See ``formats.Writer``.
 
     Raises:
-        InputError: the place has no surroundings, the scene has no map, the photographs are not of
-            two cameras whose distortion OPENCV can describe, or a slice would have queries and no
-            map.
+        InputError: the scene has no surroundings or no map, its photographs are not of two cameras
+            that OPENCV can describe, or a slice would have queries without a map.
     """
     cameras = _two_cameras(sessions)
     slices: dict[str, list[_Photograph]] = {name: [] for name in FIRST_SLICES}
@@ -95,33 +93,33 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
 
 def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
-    """Return the names that the cameras get, in the order of the sessions."""
+    """Return the name of each camera, in the order of the sessions."""
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
     if len(cameras) != len(CAMERAS):
         raise InputError(
-            f"this tree is of two cameras, c0 and c1, and these sessions have {len(cameras)}: give "
-            "half of them another camera"
+            f"this format has two cameras, c0 and c1, and these sessions have {len(cameras)}: "
+            "simulate half of the sessions with another camera"
         )
     if any(camera.is_fisheye for camera in cameras):
-        raise InputError("this tree is of OPENCV cameras: a fisheye is none")
+        raise InputError("this format has OPENCV cameras: it cannot hold a fisheye")
     return dict(zip(cameras, CAMERAS, strict=True))
 
 
 def _opencv(camera: Camera) -> Camera:
-    """Return the same camera under the model of this data set.
+    """Return the equal camera of the model OPENCV.
 
     Raises:
-        InputError: its lens has more coefficients.
+        InputError: the lens has more coefficients.
     """
-    bent = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
-    params = (*camera.focal, *camera.principal, *bent.values())
+    distortion = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
+    params = (*camera.focal, *camera.principal, *distortion.values())
     return Camera("OPENCV", camera.width, camera.height, params)
 
 
 def _photographs(
     scene: Scene, sessions: Mapping[str, Frames], cameras: Mapping[Camera, str]
 ) -> Iterator[tuple[str | None, _Photograph]]:
-    """Yield every frame, numbered from 1, with the surroundings that it was taken in."""
+    """Yield the surroundings and the photograph of every frame, numbered from 1."""
     mapped = set(scene.splits.map)
     number = 0
     for frames in sessions.values():
@@ -144,8 +142,8 @@ def _write_slice(
     for part in ("database", "query", "camera-poses", "sparse"):
         (folder / part).mkdir(parents=True)
     for photograph in photographs:
-        place = folder / ("database" if photograph.is_reference else "query")
-        shutil.copyfile(scene.images_root / photograph.source, place / str(photograph.name))
+        target = folder / ("database" if photograph.is_reference else "query")
+        shutil.copyfile(scene.images_root / photograph.source, target / str(photograph.name))
     references = [p for p in photographs if p.is_reference]
     queries = [p for p in photographs if not p.is_reference]
     images = [PosedImage(str(p.name), p.camera, p.cam_from_world) for p in references]
@@ -158,22 +156,22 @@ def _write_slice(
     write_with_poses(images, sparse_map, folder / "sparse")
     ground_truth = "".join(p.line() for p in references)
     (folder / f"ground-truth-database-images-{name}.txt").write_text(ground_truth, "utf-8")
-    listed = "".join(f"{p.name}\n" for p in queries)
-    (folder / f"test-images-{name}.txt").write_text(listed, "utf-8")
+    query_list = "".join(f"{p.name}\n" for p in queries)
+    (folder / f"test-images-{name}.txt").write_text(query_list, "utf-8")
     for day in sorted({p.name.day for p in queries}):
         file = folder / "camera-poses" / f"slice-{number}-gt-query-images-{day:%Y%m%d}.txt"
         file.write_text("".join(p.line() for p in queries if p.name.day == day), "utf-8")
 
 
 def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
-    """Return the points that two or more of the references observe, under their new names."""
+    """Return the references and the points that at least two of them observe, renamed."""
     mapped = [p for p in references if p.source in whole.images]
     seen = np.zeros(len(whole.xyz), np.int64)
     for photograph in mapped:
         rows = whole.images[photograph.source].point_rows
         seen += np.bincount(rows[rows >= 0], minlength=len(seen))
     kept = np.flatnonzero(seen >= 2)
-    row_of = np.full(len(seen) + 1, -1)  # the last stands for no point
+    row_of = np.full(len(seen) + 1, -1)  # the last entry maps -1, no point, to itself
     row_of[kept] = np.arange(len(kept))
 
     def rename(photograph: _Photograph) -> MapImage:

@@ -1,7 +1,7 @@
-"""Names of files and folders in Extended CMU Seasons.
+"""Names of files and slices in Extended CMU Seasons.
 
-The name of each photograph tells its camera, c0 or c1, and its moment; each slice lies in one kind
-of surroundings.
+The name of a photograph contains its camera, c0 or c1, and its time. Each slice lies in one kind of
+surroundings.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Final, Literal, NamedTuple
 
 from objconnect.scene.errors import InputError
 
-# First line of intrinsics.txt in a tree of simulated photographs. Without it figures on them would
-# pass for figures on the real ones: every other name is the same.
+# First line of intrinsics.txt of simulated photographs. It keeps their results from being taken for
+# results on the real data set, whose files have the same names.
 SIMULATED: Final = "# simulated by ObjConnect"
 
 CAMERAS: Final = ("c0", "c1")
@@ -21,7 +21,7 @@ FIRST_SLICES: Final = {"urban": 2, "suburban": 9, "park": 18}
 """Number of the first slice of each kind of surroundings."""
 
 _IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
-# Pittsburgh's time: a day there is not a day of UTC.
+# The time zone of Pittsburgh, which decides the day of a photograph.
 _LOCAL: Final = timedelta(hours=-5)
 
 

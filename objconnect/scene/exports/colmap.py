@@ -1,8 +1,8 @@
 """Export to COLMAP: a binary model, and a database of features and matches.
 
-It holds the poses of all frames in world metres and, where the scene has a map, the map's points
-with their observations. Image names are relative to the scene's folder ``sessions``. The
-database has the identifiers of the model.
+The model holds the poses of all frames in world metres and, if the scene has a map, its points with
+their observations. Image names are relative to the scene's folder ``sessions``. Model and database
+share identifiers.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ def write_with_database(
 ) -> None:
     """Write the model and ``database.db``: cameras, images, features and verified matches.
 
-    Photographs that are not in the map are in the database without features. The arguments are
-    those of ``formats.Writer``.
+    Photographs that are not in the map have no features in the database. See ``formats.Writer``.
 
     Raises:
         InputError: the scene has no map, or its features are missing or are not the map's.

@@ -1,4 +1,4 @@
-"""Photographs of a scene with depth, exact or estimated by ``dense``."""
+"""Photographs of a scene with exact depth, or with depth estimated by ``dense``."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from objconnect.scene.maps.depth_files import read_array
 from objconnect.scene.storage.images import read_rgb
 
 DENSE: Final = "dense"
-"""The folder of a scene that ``dense`` writes, a workspace of COLMAP."""
+"""The folder of a scene with the results of ``dense``, a workspace of COLMAP."""
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """A photograph with depth, which is read when it is asked for.
+    """A photograph with depth; both are read on demand.
 
     Attributes:
         camera: camera of the photograph and of its depth.
         cam_from_world: (4, 4).
-        depth: reads the planar depth (H, W), metres, 0 where there is none.
+        depth: reads the planar depth (H, W), metres; 0 where unknown.
         rgb: reads the photograph (H, W, 3).
     """
 
@@ -40,10 +40,10 @@ class DepthView:
     rgb: Callable[[], NDArray[np.uint8]]
 
     def points(self, step: int = 1) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the surface that every ``step``-th row and column of pixels sees.
+        """Return the surface points of every ``step``-th row and column of pixels.
 
         Returns:
-            World points (N, 3) of the pixels with depth, and which pixels these are, (h, w).
+            World points (N, 3) of the pixels with depth, and the mask (h, w) of these pixels.
         """
         import torch
 
@@ -55,10 +55,9 @@ class DepthView:
 
 
 def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]:
-    """Return the map's photographs of some sessions with depth.
+    """Return the map photographs of some sessions with depth, or all if none is in the map.
 
-    Where none of them belongs to the map, all photographs of the sessions are returned. Exact depth
-    is preferred to estimates.
+    Exact depth is preferred to estimated depth.
 
     Raises:
         InputError: there is no depth, or the results of ``dense`` are damaged.

@@ -22,17 +22,17 @@ def export(
     sessions: Sequence[str] = (),
     **settings: float | str | None,
 ) -> dict[str, Any]:
-    """Write the frames of a scene in another program's format, all of it or nothing.
+    """Write the frames of a scene in another program's format, atomically.
 
-    The module ``objconnect.scene.exports.<format>`` describes the files of a built-in format.
+    The module ``objconnect.scene.exports.<format>`` documents the files of a built-in format.
 
     Args:
         path: path of a finished scene.
         file_format: a name of ``objconnect.scene.exports.formats.FORMATS``.
         out: folder, new or empty.
-        sessions: names of the sessions to write; none means all.
-        settings: options of the format: parameters of its writer after the first four. None means
-            the default.
+        sessions: names of the sessions to write; empty means all.
+        settings: options of the format, which are the parameters of its writer after the first
+            four; None means the default.
 
     Returns:
         The folder ("out"), the format ("format"), the number of frames written ("frames") and the
@@ -44,8 +44,8 @@ def export(
             cannot be written.
     """
     write = FORMATS.load(file_format)
-    given = {name: value for name, value in settings.items() if value is not None}
-    for name in given.keys() - inspect.signature(write).parameters.keys():
+    options = {name: value for name, value in settings.items() if value is not None}
+    for name in options.keys() - inspect.signature(write).parameters.keys():
         raise InputError(f"--{name} is no option of the format {file_format}")
     scene = Scene.open(path)
     if out.resolve().is_relative_to(path.resolve()):
@@ -54,6 +54,6 @@ def export(
     require_empty(out)
     check_output_folder(out, [path])
     with atomic_folder(out) as folder, FORMATS.blame(file_format, "cannot be written"):
-        partial(write, **given)(scene, chosen, folder, out)
+        partial(write, **options)(scene, chosen, folder, out)
     frames = sum(len(frames) for frames in chosen.values())
     return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}

@@ -1,4 +1,4 @@
-"""Names of photographs for programs that keep all of them in one folder."""
+"""File names of photographs for formats without folders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def flat_names(sessions: Mapping[str, Frames], stems: bool = False) -> dict[str,
 
     Args:
         sessions: frames by session.
-        stems: leave the endings out.
+        stems: omit the suffixes.
 
     Raises:
         InputError: two photographs would have one name, or a name holds white space.
@@ -32,5 +32,5 @@ def flat_names(sessions: Mapping[str, Frames], stems: bool = False) -> dict[str,
                     "export one session with --session"
                 )
             if names[name].split() != [names[name]]:
-                raise InputError(f"{name!r} holds white space, which divides words in this format")
+                raise InputError(f"{name!r} contains white space, which this format cannot hold")
     return names

@@ -1,4 +1,4 @@
-"""The export formats by name; the modules that write them are imported when they are needed."""
+"""The registry of export formats; the module of a format is imported on demand."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from objconnect.scene.bundle.scene import Scene
 
     Writer = Callable[[Scene, Mapping[str, Frames], Path, Path], None]
-    """Writes sessions of a scene into an empty folder.
+    """A function that writes sessions of a scene into an empty folder.
 
-    The arguments are the scene, the frames of the chosen sessions by name, the folder to write to,
-    and the path that this folder gets when everything is written (relative paths inside the files
-    start there). A writer may take options of its format after these. It raises InputError for what
-    the format cannot hold.
+    Its arguments are the scene, the frames of the chosen sessions by name, the folder to write to,
+    and the final path of that folder, from which relative paths inside the files start. Options of
+    the format follow. It raises InputError for what the format cannot hold.
     """
 
 FORMATS: Final[Registry[Writer]] = Registry(

@@ -1,14 +1,14 @@
 """Export to hloc: the list of queries, pairs of photographs to match, and the map's features.
 
 ``queries_with_intrinsics.txt`` has lines "name MODEL width height params...". ``pairs-map.txt``
-lists the covisible frames of the map, and ``pairs-query.txt`` gives each query the map frames that
-see most of it: retrieval without errors, which is an upper bound.
+lists the covisible frames of the map. ``pairs-query.txt`` pairs each query with the map frames that
+see most of it; this is perfect retrieval, an upper bound.
 
 ``features.h5`` and ``matches.h5`` have the layout of hloc's ``extract_features`` and
-``match_features``: a group for each photograph with ``keypoints`` (N, 2), whose origin is the
-centre of the top left pixel, ``descriptors`` (D, N), ``scores`` and ``image_size``; and a group
-``NAME0/NAME1`` for each pair, with "-" for "/" in the names, with ``matches0``: the keypoint of the
-second photograph for each of the first, -1 for none.
+``match_features``. A photograph is a group with ``keypoints`` (N, 2), whose origin is the centre of
+the top left pixel, ``descriptors`` (D, N), ``scores`` and ``image_size``. A pair is a group
+``NAME0/NAME1``, with "-" for "/" in the names, with ``matches0``: the keypoint of the second
+photograph for each of the first, -1 for none.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from objconnect.scene.storage.hdf5_writing import open_hdf5
 from objconnect.scene.storage.names import quote_name
 
 PAIRS_PER_QUERY: Final = 20
-"""Number of map frames that each query is paired with at most."""
+"""Largest number of map frames that a query is paired with."""
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
@@ -49,7 +49,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     if not queries:
         raise InputError("these sessions have no query: name a session of queries")
     references = scene.splits.map
-    among = scene.covisibility.of([*references, *queries])
+    among = scene.covisibility.select([*references, *queries])
     query_pairs = []
     for k, query in enumerate(queries, len(references)):
         shares = among.overlap[k, : len(references)]

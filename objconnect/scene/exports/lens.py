@@ -1,4 +1,4 @@
-"""Distortion coefficients of a camera in a format that has some of them."""
+"""Distortion coefficients of a camera for formats that hold only some of them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 
 
 def coefficients(camera: Camera, names: Sequence[str], file_format: str) -> dict[str, float]:
-    """Return the coefficients of a camera that a format has, by COLMAP's names.
+    """Return the distortion coefficients that a format holds, by COLMAP's names.
 
     Args:
         camera: the camera.
-        names: coefficients that the format has for such a lens. Those that the camera lacks are 0.
+        names: coefficients of the format for such a lens; those that the camera lacks are 0.
         file_format: name of the format, for the error.
 
     Raises:
@@ -24,12 +24,12 @@ def coefficients(camera: Camera, names: Sequence[str], file_format: str) -> dict
         >>> coefficients(lens, ("k1", "k2"), "transforms.json")
         {'k1': -0.1, 'k2': 0.0}
     """
-    has = dict(zip(MODELS[camera.model], camera.params, strict=True))
-    bent = {name: value for name, value in has.items() if name[0] in "kp"}
-    lost = [name for name, value in bent.items() if value and name not in names]
+    params = dict(zip(MODELS[camera.model], camera.params, strict=True))
+    distortion = {name: value for name, value in params.items() if name[0] in "kp"}
+    lost = [name for name, value in distortion.items() if value and name not in names]
     if lost:
         raise InputError(
             f"{file_format} cannot hold {', '.join(lost)} of a camera of the model {camera.model}: "
             "export as colmap, or undistort the photographs"
         )
-    return {name: bent.get(name, 0.0) for name in names}
+    return {name: distortion.get(name, 0.0) for name in names}

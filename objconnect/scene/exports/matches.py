@@ -1,7 +1,6 @@
-"""The features of a map and their matches, for exports that hold them.
+"""The features of a map and their matches for export.
 
-Matches are those that the map's points confirm: keypoints of two photographs that observe one
-point.
+Two keypoints match if they observe the same point of the map.
 """
 
 from __future__ import annotations
@@ -20,14 +19,13 @@ from objconnect.scene.maps.features import FeatureFile
 from objconnect.scene.maps.sparse_map import SparseMap
 
 LEAST_MATCHES: Final = 15
-"""Pairs of photographs with fewer matches are left out, as COLMAP does."""
+"""Smallest number of matches of an exported pair, as in COLMAP."""
 
 
 def read_map_features(scene: Scene) -> tuple[SparseMap, FeatureFile]:
-    """Return a scene's map with the keypoints of its features alone, and the features.
+    """Return a scene's map without added points and their keypoints, and its features.
 
-    Points that were added to the map, and their keypoints, are left out: they have no descriptors
-    of the same kind.
+    Added keypoints are left out because they have descriptors of another kind.
 
     Raises:
         InputError: the scene has no map, or its features are missing or are not the map's.
@@ -49,13 +47,13 @@ def read_map_features(scene: Scene) -> tuple[SparseMap, FeatureFile]:
 
 
 def map_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Return the pairs of covisible frames of a scene's map, in its order.
+    """Return the pairs of covisible frames of a scene's map, in map order.
 
     Raises:
         InputError: the scene has no covisibility.
     """
     names = scene.splits.map
-    mutual = np.triu(scene.covisibility.of(names).mutual, 1)
+    mutual = np.triu(scene.covisibility.select(names).mutual, 1)
     return [(names[i], names[j]) for i, j in np.argwhere(mutual >= COVISIBLE)]
 
 
@@ -64,8 +62,7 @@ def iterate_matches(
 ) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
     """Yield the names and matches of the covisible pairs of a map.
 
-    Matches are (K, 2) keypoints of the first and of the second photograph, K of ``LEAST_MATCHES``
-    or more.
+    Matches are (K, 2) keypoints of the first and of the second photograph, K >= ``LEAST_MATCHES``.
     """
     seen = {}
     for name, image in sparse_map.images.items():

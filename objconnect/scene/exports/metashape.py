@@ -1,8 +1,8 @@
 """Export to Agisoft Metashape: ``cameras.xml``, for File > Import > Import Cameras.
 
-Cameras are matched by their labels, which are file names without endings. The chunk is the
-east-north-up world in metres, and the component's transform leads from there to geocentric metres.
-Conventions are those of ``objconnect.scene.imports.metashape``.
+Metashape matches cameras by their labels, which are file names without suffixes. The chunk is the
+east-north-up world in metres; the component's transform maps it to geocentric metres. The
+conventions are those of ``objconnect.scene.imports.metashape``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from objconnect.scene.exports.lens import coefficients
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import ecef_from_geodetic, enu_axes
 
-# Of the system of latitude, longitude and ellipsoidal height, as Metashape writes it.
+# Latitude, longitude and ellipsoidal height, as Metashape writes the system.
 _WGS84 = (
     'GEOGCS["WGS 84",DATUM["World Geodetic System 1984",'
     'SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],'
@@ -71,15 +71,15 @@ def _add_sensor(sensors: ET.Element, number: int, camera: Camera) -> None:
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     kind = "fisheye" if camera.is_fisheye else "frame"
     names = ("k1", "k2", "k3", "k4") if camera.is_fisheye else ("k1", "k2", "k3", "p2", "p1")
-    bent = coefficients(camera, names, "cameras.xml of Metashape")
-    if not camera.is_fisheye:  # Metashape's P1 and P2 are OpenCV's in the other order.
-        bent["p1"], bent["p2"] = bent["p2"], bent["p1"]
+    distortion = coefficients(camera, names, "cameras.xml of Metashape")
+    if not camera.is_fisheye:  # Metashape's p1 and p2 are OpenCV's in reverse order.
+        distortion["p1"], distortion["p2"] = distortion["p2"], distortion["p1"]
     values = {
         "f": fy,
         "cx": cx - camera.width / 2,
         "cy": cy - camera.height / 2,
         "b1": fx - fy,
-        **bent,
+        **distortion,
     }
     sensor = ET.SubElement(sensors, "sensor", id=str(number), label=f"camera {number}", type=kind)
     size = {"width": str(camera.width), "height": str(camera.height)}

@@ -1,7 +1,7 @@
 """Export to nerfstudio: ``transforms.json``.
 
-Camera axes are OpenGL's, and the paths of the photographs, which stay in the scene, are relative to
-the file. Depth is planar z in millimetres, which nerfstudio's default scale makes metres; 0 is no
+Camera axes are OpenGL's. The photographs stay in the scene; their paths are relative to the file.
+Depth is planar z in millimetres, which nerfstudio's default scale converts to metres; 0 means no
 surface.
 """
 
@@ -71,7 +71,7 @@ def _write_document(
     if len({camera.is_fisheye for camera in cameras}) > 1:
         raise InputError(
             "transforms.json has one camera model, and these sessions fly perspective and fisheye "
-            "cameras: export them apart with --session"
+            "cameras: export them separately with --session"
         )
     shared = _intrinsics(cameras[0]) if len(cameras) == 1 else {}
     root = os.path.relpath(scene.images_root.resolve(), final.resolve())

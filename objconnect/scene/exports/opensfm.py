@@ -2,9 +2,9 @@
 
 The reconstruction holds the poses (axis-angle and translation of cam_from_world), the cameras in
 units of the longer side of the picture, the map's points, and ``reference_lla``, the origin of the
-east-north-up world (https://opensfm.org/docs/geometry.html). A field of our own, ``frame``, says
-that ODM has not moved it to a projected system. ``geo.txt`` holds the longitude,
-latitude and ellipsoidal height of every camera. Photographs are called by their file names.
+east-north-up world (https://opensfm.org/docs/geometry.html). Our own field ``frame`` says that ODM
+has not moved it to a projected system. ``geo.txt`` holds longitude, latitude and ellipsoidal height
+of every camera. Photographs have their file names without folders.
 """
 
 from __future__ import annotations
@@ -70,8 +70,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 def _camera(camera: Camera) -> dict[str, Any]:
     """Return a camera under OpenSfM's names, in units of its longer side from its middle.
 
-    A camera that OpenSfM's simplest model describes is written in it, because more programs read
-    that one.
+    It uses OpenSfM's simplest model if possible, because more programs read it.
 
     Raises:
         InputError: the lens has a denominator, which no model of OpenSfM has.

@@ -1,8 +1,8 @@
-"""Export to GIS: an orthophoto and a surface model, as GeoTIFFs of one grid.
+"""Export to GIS: an orthophoto and a surface model as GeoTIFFs of one grid.
 
-``orthophoto.tif`` has 8-bit colours and an alpha band, ``dsm.tif`` the height of the highest
-surface in each pixel, in metres above the ellipsoid. Both are fused from the depth of the
-photographs: exact depth in simulated scenes, estimated depth where ``dense`` was run.
+``orthophoto.tif`` has 8-bit colours and an alpha band; ``dsm.tif`` holds the height of the highest
+surface of each pixel, metres above the ellipsoid. Both are fused from the depth of the photographs:
+exact in simulated scenes, else estimated by ``dense``.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ SURFACE: Final = "dsm.tif"
 
 # Side of the tiles that are fused in memory, pixels.
 _TILE = 2048
-# What lies in a pixel at most this much below its highest point (m), or at most a slope of 45
-# degrees below it, belongs to the same surface: the rest is its wall.
+# Points at most this far below the highest point of a pixel (m), or a slope of 45 degrees below it,
+# belong to the same surface; lower points are walls.
 _SAME_SURFACE_M = 0.3
-# Pixels that no photograph saw are filled from their neighbours this many times.
+# Number of passes that fill pixels without data from their neighbours.
 _FILLS = 3
 _MOST_PIXELS = 1 << 32
-# Every so many rows and columns of a photograph are looked at to learn how far it reaches.
+# Step of the rows and columns that determine the footprint of a photograph.
 _SPARSE = 8
 
 
@@ -57,15 +57,15 @@ def write(
 ) -> None:
     """Write ``orthophoto.tif`` and ``dsm.tif``; see ``formats.Writer``.
 
-    Photographs of the map are used; where the chosen sessions have none, all their photographs.
+    It uses the map photographs of the sessions, or all photographs if none is in the map.
 
     Args:
         scene: scene with depth.
         sessions: frames by session.
         folder: folder to write to.
-        final: path that the folder gets.
+        final: final path of the folder.
         resolution: side of a pixel on the ground, metres; by default that of the photographs.
-        crs: reference system, by default the zone of UTM.
+        crs: reference system; by default that of the UTM zone.
 
     Raises:
         InputError: no photograph has depth, the reference system has other units than metres, or
@@ -152,7 +152,7 @@ def _write(
         advance = stack.enter_context(progress_bar("orthophoto", total))
         steps = count(1)
         for tile, near in tiles:
-            # Pixels at the edge of a tile are filled from neighbours in the next one.
+            # Pixels at the edge of a tile need neighbours in the next tile.
             wide = tile.part(-_FILLS, -_FILLS, tile.height + 2 * _FILLS, tile.width + 2 * _FILLS)
             fused = _fuse(_Tile(wide, local), near, lambda: advance(next(steps)))
             inner = fused[:, _FILLS:-_FILLS, _FILLS:-_FILLS]
@@ -168,7 +168,7 @@ def _tiles(grid: Grid) -> Iterator[Grid]:
 
 
 def _overlap(a: Box, b: Box) -> bool:
-    # Between the pixels that were looked at, a photograph reaches a little further.
+    # A footprint extends a little beyond the sampled pixels.
     margin = 0.05 * max(a.right - a.left, a.top - a.bottom) + 1
     apart_x = a.right + margin < b.left or b.right < a.left - margin
     return not (apart_x or a.top + margin < b.bottom or b.top < a.bottom - margin)
@@ -176,17 +176,17 @@ def _overlap(a: Box, b: Box) -> bool:
 
 @dataclass(frozen=True)
 class _Tile:
-    """A tile, and the way from the world to its pixels."""
+    """A tile, and the projection of the world to its pixels."""
 
     grid: Grid
     local: LocalProjection
 
     def cells(self, view: DepthView) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
-        """Return what a photograph shows in the tile.
+        """Return the points of a photograph inside the tile.
 
         Returns:
-            Cell (n,), height (n,), weight (n,) of each point, and the pixels of the photograph that
-            show them, (H, W). Views from above weigh more: they see roofs whole.
+            Cell, height and weight of each point, each (n,), and the mask (H, W) of their pixels in
+            the photograph. Views from above weigh more, because they see roofs whole.
         """
         points, seen = view.points()
         at = self.local.coordinates(points)
@@ -204,9 +204,9 @@ class _Tile:
 def _fuse(
     tile: _Tile, views: Sequence[DepthView], advance: Callable[[], None]
 ) -> NDArray[np.float32]:
-    """Return height and colours of a tile, (4, h, w), NaN where nothing was seen.
+    """Return height and colours of a tile, (4, h, w); NaN without data.
 
-    They are weighted means over all photographs of what belongs to the highest surface of a pixel.
+    They are weighted means over all photographs of the points on the highest surface of a pixel.
     """
     shape = (tile.grid.height, tile.grid.width)
     top = np.full(shape[0] * shape[1], -np.inf)
@@ -240,7 +240,7 @@ def _fill_gaps(values: NDArray[np.float32]) -> NDArray[np.float32]:
     parts = [(slice(r, r + height), slice(c, c + width)) for r in range(3) for c in range(3)]
     count = sum(counted[part] for part in parts)
     total = sum(padded[:, *part] for part in parts)
-    # A pixel with neighbours on one side alone lies outside of what was photographed.
+    # A pixel with neighbours on one side only lies outside the photographed area.
     inner = ~known & (np.asarray(count) >= 4)
     filled = values.copy()
     filled[:, inner] = (total / np.maximum(count, 1))[:, inner]

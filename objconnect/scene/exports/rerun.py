@@ -1,10 +1,10 @@
-"""Export to rerun: ``scene.rrd``, which the viewer of https://rerun.io plays.
+"""Export to rerun: ``scene.rrd`` for the viewer of https://rerun.io.
 
-The world is right-handed with Z up. Each session has its trajectory, and its cameras one after
-another on the time lines ``frame`` (number in the session) and ``time`` (where photographs tell
-it). A camera is a pinhole: rerun draws no distortion. The map's points are there all the time.
+The world is right-handed with Z up. Each session has a trajectory, and its cameras follow the time
+lines ``frame`` (number in the session) and ``time`` (if photographs have a time). Cameras are
+pinholes, because rerun draws no distortion. The map's points are static.
 
-This is the one module that imports rerun, which the extra ``[rerun]`` installs.
+Only this module imports rerun, which the extra ``[rerun]`` installs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from objconnect.scene.storage.files import require_disk_space, require_readable
 
 _FILE = "scene.rrd"
 _ORANGE = (255, 140, 0)
-# The library logs that a disk is full and cuts the file: one with fewer bytes left counts as full.
+# rerun only logs that a disk is full and truncates the file: a disk with less space counts as full.
 _ROOM_BYTES = 1 << 20
 
 
@@ -40,7 +40,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 def write_with_images(
     scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path
 ) -> None:
-    """Write ``scene.rrd`` with the photographs in it; see ``formats.Writer``.
+    """Write ``scene.rrd`` with the photographs; see ``formats.Writer``.
 
     Raises:
         InputError: rerun is not installed.
@@ -81,7 +81,7 @@ def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs
 
 
 def _log_camera(rr: Any, stream: Any, entity: list[str], frames: Frames, k: int) -> None:
-    """Log pose and pinhole of one frame; the entity's frame is the camera's, OpenCV's axes."""
+    """Log pose and pinhole of one frame; the entity has OpenCV's camera axes."""
     world_from_cam = np.linalg.inv(frames.cam_from_world[k])
     camera = frames.cameras[k]
     stream.log(

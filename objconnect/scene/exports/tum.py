@@ -1,7 +1,7 @@
-"""Export to the tools of the TUM RGB-D benchmark (Sturm et al., IROS 2012): ``SESSION.txt``.
+"""Export of trajectories in the format of the TUM RGB-D benchmark (Sturm et al., IROS 2012).
 
-Each session is one file with lines "timestamp tx ty tz qx qy qz qw" of world_from_cam, in seconds
-and metres.
+Each session is a file ``SESSION.txt`` with lines "timestamp tx ty tz qx qy qz qw" of
+world_from_cam, in seconds and metres.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     for name, frames in sessions.items():
         if np.isnan(frames.time).any():
             raise InputError(
-                f"photographs of session {name} tell no time, and a trajectory needs it"
+                f"photographs of session {name} have no time, which a trajectory needs"
             )
         world_from_cam = frames.poses.inverse()
         wxyz = world_from_cam.quaternion().numpy()

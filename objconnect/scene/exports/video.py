@@ -1,10 +1,9 @@
-"""Export to what a drone's camera records: ``SESSION.MP4`` with its telemetry in ``SESSION.SRT``.
+"""Export as a drone's recording: ``SESSION.MP4`` with telemetry in ``SESSION.SRT``.
 
-The subtitles are those of recent drones of DJI (``ingest.telemetry``): position and gimbal are the
-session's measured priors, with their noise. ``abs_alt`` is the altitude above the ellipsoid, as
-scenes know no sea level. ``SESSION-poses.txt`` has the truth, lines "name qw qx qy qz tx ty tz" of
-cam_from_world under the names that ``localize --video`` gives the frames, and ``SESSION-times.csv``
-the seconds of each frame.
+The subtitles have the form of recent DJI drones. Position and gimbal are the session's noisy
+priors; ``abs_alt`` is the altitude above the ellipsoid, because scenes have no sea level.
+``SESSION-poses.txt`` holds the true poses, lines "name qw qx qy qz tx ty tz" of cam_from_world with
+the frame names of ``localize --video``; ``SESSION-times.csv`` holds the seconds of each frame.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.subtitles import Subtitle, compose_subtitles
 from objconnect.scene.storage.video import frame_name, write_video
 
-# Times of one rate differ from it by less than this share of an interval.
+# Largest deviation from a constant frame rate, as a share of the interval.
 _EVEN: Final = 0.05
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
-    """Write a video, subtitles and the truth for each session; see ``formats.Writer``.
+    """Write video, subtitles, true poses and times of each session; see ``formats.Writer``.
 
     Raises:
         InputError: PyAV or srt is not installed, a session has fewer than two photographs, they
-            tell no time or were not taken at one rate, or they have several sizes or odd ones.
+            have no time or no constant rate, or they have several sizes or an odd one.
     """
     for name, frames in sessions.items():
         rate_hz = _rate(name, frames)
@@ -50,7 +49,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             f"{quote_name(frame)} {' '.join(repr(value) for value in numbers)}\n"
             for frame, numbers in zip(names, _numbers(frames.poses), strict=True)
         ]
-        # Another header than that of answers, which 'localize' may replace.
+        # The header differs from that of results, so that 'localize' does not replace the file.
         header = "# true poses: name qw qx qy qz tx ty tz  (world to camera, metres)\n"
         (folder / f"{name}-poses.txt").write_text(header + "".join(lines), "utf-8")
         seconds = (f"{frame},{index / rate_hz:.6f}\n" for index, frame in enumerate(names))
@@ -58,10 +57,10 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
 
 def _rate(session: str, frames: Frames) -> float:
-    """Return the photographs a second of a session, from 1 a minute to 240.
+    """Return the frame rate of a session, from 1 per minute to 240 per second.
 
     Raises:
-        InputError: they have none.
+        InputError: the photographs have no constant rate in this range.
     """
     steps = np.diff(frames.time)
     even = len(steps) > 0 and bool(np.isfinite(steps).all())
@@ -85,7 +84,7 @@ def _numbers(poses: Pose) -> list[list[float]]:
 
 
 def _subtitles(scene: Scene, frames: Frames, rate_hz: float) -> Iterator[Subtitle]:
-    """Yield a subtitle for each frame, as drones write them."""
+    """Yield a subtitle for each frame in DJI's form."""
     for k in range(len(frames)):
         start_s, end_s = k / rate_hz, (k + 1) / rate_hz
         clock = datetime.fromtimestamp(float(frames.time[k]), UTC).isoformat(" ", "milliseconds")
@@ -99,7 +98,7 @@ def _subtitles(scene: Scene, frames: Frames, rate_hz: float) -> Iterator[Subtitl
 
 
 def _position(scene: Scene, frames: Frames, k: int) -> str:
-    """Return the words of a position, which are zeros without a fix."""
+    """Return the fields of a position; zeros without a fix."""
     origin = scene.manifest.origin
     if not frames.has_gps[k]:
         return "[latitude: 0.000000] [longitude: 0.000000] "

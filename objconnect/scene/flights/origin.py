@@ -1,4 +1,4 @@
-"""Where a flight lies on earth."""
+"""The geodetic origin of a flight, ``origin.json``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from objconnect.scene.storage.files import parse_json, read_text
 
 
 def read_origin(flight: Path) -> Geodetic | None:
-    """Read the flight's ``origin.json``; None where there is no such file.
+    """Read the ``origin.json`` of a flight; None if it has none.
 
     Raises:
         InputError: the file cannot be read or holds no finite position.

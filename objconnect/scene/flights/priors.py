@@ -1,4 +1,4 @@
-"""Tables of priors: what a row states, and the prior in the map's frame that it becomes."""
+"""Tables of priors, and the conversion of their rows to priors in the map's frame."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from objconnect.scene.quantities.position_columns import Frame
 
 log = logging.getLogger(__name__)
 
-# A map is smaller. A position farther away is in another frame, or its columns are exchanged.
+# No map is larger: a position farther away is in another frame or has its columns exchanged.
 _FARTHEST_FROM_MAP_M: Final = 50_000.0
-# So many standard deviations a position may be farther away than that.
+# A position may be farther away by so many of its standard deviations.
 _SIGMAS: Final = 5.0
 
 
@@ -31,12 +31,12 @@ class StatedPrior:
 
     Attributes:
         where: file and line of the row.
-        frame: what the position is counted from.
+        frame: frame of the position.
         horizontal: east and north in metres, or latitude and longitude in degrees.
-        vertical: metres upwards; None if unknown.
-        sigma_m: standard deviation of the position per axis, metres; None where it is not stated.
+        vertical: height, metres; None if unknown.
+        sigma_m: standard deviation of the position per axis, metres; None if not stated.
         rotation: cam_from_world, (3, 3); None if unknown.
-        sigma_deg: standard deviation of the attitude per axis, degrees; None where not stated.
+        sigma_deg: standard deviation of the attitude per axis, degrees; None if not stated.
     """
 
     where: str
@@ -50,11 +50,11 @@ class StatedPrior:
 
 @dataclass(frozen=True)
 class MapFrame:
-    """Where a map lies.
+    """The location of a map.
 
     Attributes:
-        origin: position of its origin on earth; None if unknown.
-        middle: median of its cameras, (3,) metres in its frame.
+        origin: geodetic position of its origin; None if unknown.
+        middle: median of its camera centres, (3,) metres in its frame.
     """
 
     origin: Geodetic | None
@@ -62,18 +62,18 @@ class MapFrame:
 
     @staticmethod
     def of(sparse_map: SparseMap, origin: Geodetic | None) -> MapFrame:
-        """Return where a map lies; its cameras tell the usual height."""
+        """Return the frame of a map."""
         centres = [image.centre for image in sparse_map.images.values()]
         return MapFrame(origin, np.median(np.stack(centres), axis=0) if centres else np.zeros(3))
 
     def position_of(self, stated: StatedPrior) -> NDArray[np.float64]:
         """Return the position of a row, (3,) metres in the map's frame.
 
-        Where the row has no height, the position is at the median height of the map's cameras.
+        A row without a height gets the median height of the map's cameras.
 
         Raises:
-            InputError: the row has latitude and longitude, and the map no position on earth; or the
-                position lies nowhere near the map.
+            InputError: the row has latitude and longitude but the map no position on earth, or the
+                position is too far from the map.
         """
         first, second = stated.horizontal
         up = self.middle[2] if stated.vertical is None else stated.vertical
@@ -81,12 +81,12 @@ class MapFrame:
         if stated.frame is Frame.EARTH:
             if self.origin is None:
                 raise InputError(
-                    f"{stated.where}: latitude and longitude say nothing here, for the map has no "
-                    "position on earth: write e, n, u in metres in the map's frame, or give a "
+                    f"{stated.where}: latitude and longitude cannot be used, because the map has "
+                    "no position on earth: write e, n, u in metres in the map's frame, or give a "
                     "flight its origin.json (lat, lon, alt)"
                 )
-            usual = self.origin.altitude + float(self.middle[2])
-            altitude = usual if stated.vertical is None else stated.vertical
+            camera_altitude = self.origin.altitude + float(self.middle[2])
+            altitude = camera_altitude if stated.vertical is None else stated.vertical
             position = enu_from_geodetic(Geodetic(first, second, altitude), self.origin)
             if stated.vertical is None:
                 position[2] = self.middle[2]
@@ -94,16 +94,12 @@ class MapFrame:
         return position
 
     def _require_near(self, stated: StatedPrior, position: NDArray[np.float64]) -> None:
-        """Refuse a position that lies nowhere near the map.
-
-        Raises:
-            InputError: it lies farther away than a map is large, and its sigma does not say so.
-        """
+        """Refuse a position farther away than any map is large, unless its sigma covers that."""
         away = float(np.linalg.norm(position - self.middle))
         if away <= _FARTHEST_FROM_MAP_M + _SIGMAS * (stated.sigma_m or 0.0):
             return
         remedy = (
-            "are lat and lon exchanged, or is it another place?"
+            "check whether lat and lon are exchanged, and whether it is the right map"
             if stated.frame is Frame.EARTH
             else "e, n, u are metres in the map's frame, not eastings and northings of a grid"
         )
@@ -113,14 +109,14 @@ class MapFrame:
 
 
 @dataclass(frozen=True)
-class Assumed:
-    """What holds where a table of priors does not state it.
+class AssumedSigmas:
+    """Standard deviations for rows of a table of priors that state none.
 
     Attributes:
         sigma_m: standard deviation of positions per axis, (3,) metres; None if unknown.
         sigma_deg: standard deviation of attitudes, degrees; None if unknown.
-        source_m: where ``sigma_m`` comes from, in words.
-        source_deg: where ``sigma_deg`` comes from, in words.
+        source_m: source of ``sigma_m``, a phrase for the warning.
+        source_deg: source of ``sigma_deg``, a phrase for the warning.
     """
 
     sigma_m: NDArray[np.float64] | None = None
@@ -131,14 +127,14 @@ class Assumed:
 
 @dataclass(frozen=True)
 class PriorTable:
-    """The rows of a table of priors by photograph, in the order of the file."""
+    """The rows of a table of priors by name of the photograph, in the order of the file."""
 
     path: Path
     rows: Mapping[str, StatedPrior]
 
     @property
     def states_all_sigmas(self) -> bool:
-        """Return whether every row has a sigma of its position."""
+        """Return whether every row states the sigma of its position."""
         return all(row.sigma_m is not None for row in self.rows.values())
 
     def positions(self, frame: MapFrame, names: Collection[str]) -> dict[str, NDArray[np.float64]]:
@@ -153,55 +149,57 @@ class PriorTable:
             if name in names and row.vertical is not None
         }
 
-    def priors(self, frame: MapFrame, names: Collection[str], assumed: Assumed) -> dict[str, Prior]:
+    def priors(
+        self, frame: MapFrame, names: Collection[str], assumed: AssumedSigmas
+    ) -> dict[str, Prior]:
         """Return the priors of photographs, in the map's frame.
 
         An unknown height has an infinite standard deviation.
 
         Args:
-            frame: where the map lies.
+            frame: frame of the map.
             names: photographs to return the priors of.
-            assumed: standard deviations where the table states none.
+            assumed: standard deviations for rows that state none.
 
         Raises:
-            InputError: for the reasons of ``MapFrame.position_of``, or nothing tells how exact a
-                position or an attitude is.
+            InputError: for the reasons of ``MapFrame.position_of``, or a standard deviation is
+                neither stated nor assumed.
         """
         rows = {name: row for name, row in self.rows.items() if name in names}
         self._warn(list(rows.values()), assumed)
         return {name: _prior(row, frame.position_of(row), assumed) for name, row in rows.items()}
 
-    def _warn(self, rows: Collection[StatedPrior], assumed: Assumed) -> None:
-        """Warn of what the rows do not state, one line each."""
+    def _warn(self, rows: Collection[StatedPrior], assumed: AssumedSigmas) -> None:
+        """Warn of unstated heights and standard deviations, one line each."""
         heights = sum(row.vertical is None for row in rows)
         positions = sum(row.sigma_m is None for row in rows)
         attitudes = sum(row.rotation is not None and row.sigma_deg is None for row in rows)
         doubts = [
-            (heights, "heights", "they are unknown, somewhere about that of the map's cameras"),
+            (heights, "heights", "they are taken near the height of the map's cameras"),
             (positions, "sigma_m", assumed.source_m),
             (attitudes, "sigma_deg", assumed.source_deg),
         ]
         for count, what, instead in doubts:
             if count and instead:
-                said = (self.path, count, len(rows), what, instead)
-                log.warning("%s: %d of %d rows state no %s: %s", *said)
+                values = (self.path, count, len(rows), what, instead)
+                log.warning("%s: %d of %d rows state no %s: %s", *values)
 
 
-def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: Assumed) -> Prior:
+def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: AssumedSigmas) -> Prior:
     """Return the prior of a row."""
     sigma = assumed.sigma_m if row.sigma_m is None else np.full(3, row.sigma_m)
     if sigma is None:
-        raise _unsure(row, "position", "sigma_m")
+        raise _sigma_error(row, "position", "sigma_m")
     if row.vertical is None:
         sigma = np.array([*sigma[:2], np.inf])
     if row.rotation is None:
         return Prior(position, sigma)
     degrees = assumed.sigma_deg if row.sigma_deg is None else row.sigma_deg
     if degrees is None:
-        raise _unsure(row, "attitude", "sigma_deg")
+        raise _sigma_error(row, "attitude", "sigma_deg")
     return Prior(position, sigma, row.rotation, degrees)
 
 
-def _unsure(row: StatedPrior, what: str, column: str) -> InputError:
-    """Return the error on a row of which nothing tells how exact it is."""
-    return InputError(f"{row.where}: nothing tells how exact the {what} is: add a value {column}")
+def _sigma_error(row: StatedPrior, what: str, column: str) -> InputError:
+    """Return the error for a row without a standard deviation."""
+    return InputError(f"{row.where}: the accuracy of the {what} is unknown: add a value {column}")

@@ -1,4 +1,4 @@
-"""Strict readers of the text files that describe flights; errors name the file and the line."""
+"""Strict readers of a flight's text files; every error names the file and the line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SIGMA_DEG: Final = "sigma_deg"
 _GPS: Final = ("name", "e", "n", "u")
 _CONDITIONS: Final = ("name", "condition")
 
-# Smallest sigma (metres, degrees): no receiver or gimbal is better, and weights would overflow.
+# Smallest sigma (metres, degrees): no sensor is better, and weights would overflow.
 _LEAST_SIGMA: Final = 1e-6
 
 # A name ends where the model of a camera begins.
@@ -49,20 +49,19 @@ T = TypeVar("T")
 def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
 
-    Names are written as by ``quote_name``; a name without quotes may hold spaces.
+    Names are quoted as by ``quote_name``; a name without quotes may contain spaces.
 
     Args:
         path: text file.
-        centres: whether the last three columns are the camera's centre in the world instead of the
-            translation.
+        centres: whether the last three columns are the camera centre instead of the translation.
 
     Returns:
         cam_from_world by name, in the order of the file.
 
     Raises:
-        InputError: the file cannot be read, or a line has the wrong number of columns, a word that
-            is not a finite number, a quaternion off unit length by more than 0.001, a camera
-            farther away than any place on earth, or a name that was given before.
+        InputError: the file cannot be read, or a line has the wrong number of columns, a value
+            that is not a finite number, a quaternion off unit length by more than 0.001, a camera
+            that is not on earth, or a repeated name.
     """
     poses: dict[str, Pose] = {}
     for where, line in _lines(path, "pose file"):
@@ -108,7 +107,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _camera_of(line: str) -> tuple[str, Camera]:
-    """Split a line into name and camera; the name may hold spaces before a camera's model."""
+    """Split a line into name and camera; a name that contains spaces ends before the model."""
     if line.startswith('"'):
         name, *rest = split_words(line)
         return name, Camera.parse(rest)
@@ -119,10 +118,10 @@ def _camera_of(line: str) -> tuple[str, Camera]:
 
 
 def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read a pair list of hloc, which has lines ``query reference``.
+    """Read a pair list of hloc with lines ``query reference``.
 
     Returns:
-        References by query, both in the order of the file.
+        Reference images by query, both in the order of the file.
 
     Raises:
         InputError: the file cannot be read, a line does not have two names, or there is no line.
@@ -133,7 +132,7 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
             query, reference = split_words(line)
         except ValueError:
             raise InputError(
-                f"{where}: expected 'query reference', got {line!r}; names with spaces stand in "
+                f"{where}: expected 'query reference', got {line!r}; put names with spaces in "
                 "double quotes"
             ) from None
         pairs.setdefault(query, []).append(reference)
@@ -145,19 +144,17 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
 def read_priors(path: Path) -> PriorTable:
     """Read a table of priors with the columns ``name,e,n,u`` or ``name,lat,lon,alt``.
 
-    East, north and up are metres in the map's frame, latitude and longitude degrees. The height may
-    be left out, or be empty in a row, where it is unknown. ``sigma_m`` says how exact positions
-    are. Attitudes are the columns ``qw,qx,qy,qz``, cam_from_world, and ``sigma_deg`` says how exact
-    they are. Sigmas hold per axis.
+    East, north and up are metres in the map's frame; latitude and longitude are degrees. An unknown
+    height may be left out or be empty. Attitudes (cam_from_world) are the columns ``qw,qx,qy,qz``.
+    ``sigma_m`` and ``sigma_deg`` are standard deviations of position and attitude per axis.
 
     Returns:
-        What the rows state, in the order of the file.
+        The stated priors, in the order of the file.
 
     Raises:
-        InputError: the file cannot be read; a column has no known meaning or unit, is missing or
-            has a rival; a word is not a finite number; a quaternion is off unit length by more than
-            0.001; a position is not on earth; a sigma is not positive or out of range; or a name
-            was given before.
+        InputError: the file cannot be read; a column is unknown, missing or given twice; a value
+            is not a finite number; a quaternion is off unit length by more than 0.001; a position
+            is not on earth; a sigma is not positive or out of range; or a name is repeated.
     """
     header = read_header(path, "priors")
     columns = _position_columns(path, header)
@@ -168,23 +165,22 @@ def read_priors(path: Path) -> PriorTable:
 
 
 def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
-    """Return the columns of the position in a table of priors."""
+    """Return the position columns of a table of priors."""
     attitude = [column for column in _QUATERNION if column in header]
-    found = position_columns(header, ("name", _SIGMA_M, *_QUATERNION, _SIGMA_DEG))
-    columns = found.require(f"{path}:1", f"{POSITION_COLUMNS}, and leave other columns out")
+    reading = position_columns(header, ("name", _SIGMA_M, *_QUATERNION, _SIGMA_DEG))
+    columns = reading.require(f"{path}:1", f"{POSITION_COLUMNS}, and leave other columns out")
     if attitude and len(attitude) < len(_QUATERNION):
         missing = ", ".join(column for column in _QUATERNION if column not in header)
         raise InputError(f"{path}:1: the attitude lacks the column {missing}")
     if _SIGMA_DEG in header and not attitude:
         raise InputError(
-            f"{path}:1: {_SIGMA_DEG} says how exact an attitude is, but there is none: add "
-            f"{', '.join(_QUATERNION)}"
+            f"{path}:1: {_SIGMA_DEG} is given without an attitude: add {', '.join(_QUATERNION)}"
         )
     return columns
 
 
 def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -> StatedPrior:
-    """Return what a row of a table of priors states; an empty cell states nothing."""
+    """Return the stated prior of a row; an empty cell states nothing."""
     if row.get(""):
         raise InputError(f"{where}: the column of {row['']!r} has no name")
     first, second = (float(x) for x in _numbers(where, [row[name] for name in columns.horizontal]))
@@ -195,8 +191,8 @@ def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -
     elif not is_on_earth(Geodetic(first, second, vertical or 0.0)):
         names = ", ".join(columns.horizontal)
         raise InputError(
-            f"{where}: {names} are no place on earth: they are degrees, at most 90 and 180, and an "
-            "altitude is metres"
+            f"{where}: {names} are no place on earth: give degrees up to 90 and 180, and an "
+            "altitude in metres"
         )
     sigmas = {name: _parse_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}
     _check_sigmas(where, {name: sigma for name, sigma in sigmas.items() if sigma is not None})
@@ -217,7 +213,7 @@ def _parse_number(where: str, row: Mapping[str, str], column: str) -> float | No
 
 
 def _check_sigmas(where: str, sigmas: Mapping[str, float]) -> None:
-    """Refuse sigmas that are no standard deviations."""
+    """Refuse sigmas that are not positive or out of range."""
     names = " and ".join(sigmas)
     if any(sigma <= 0 for sigma in sigmas.values()):
         raise InputError(f"{where}: {names} must be positive")
@@ -243,9 +239,9 @@ def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
         (3,) east, north, up in metres by photograph, in the order of the file.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, a row has the wrong number of
-            columns, a word that is not a finite number, a place that is not on earth, or a name
-            that was given before.
+        InputError: the file cannot be read, a column is missing, or a row has the wrong number of
+            columns, a value that is not a finite number, a position that is not on earth, or a
+            repeated name.
     """
     fixes: dict[str, NDArray[np.float64]] = {}
     for where, row in read_table(path, "GPS table", _GPS):
@@ -263,23 +259,24 @@ def read_conditions(path: Path) -> dict[str, str]:
         The condition of each photograph, such as ``winter-dusk``, in the order of the file.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, a row has the wrong number of
-            columns, a condition that is empty, not printable or called "all", or a name that was
-            given before.
+        InputError: the file cannot be read, a column is missing, or a row has the wrong number of
+            columns, a condition that is empty, not printable or "all", or a repeated name.
     """
     conditions: dict[str, str] = {}
     for where, row in read_table(path, "table of conditions", _CONDITIONS):
         condition = row["condition"].strip()
         if not condition or not condition.isprintable() or condition == ALL_CONDITIONS:
-            raise InputError(f"{where}: {condition!r} is no condition: give a name as winter-dusk")
+            raise InputError(
+                f"{where}: {condition!r} is no condition: give a name like winter-dusk"
+            )
         _add(conditions, _name(where, row), condition, where)
     return conditions
 
 
 def require_same_case(path: Path, listed: Collection[str], photographs: Collection[str]) -> None:
-    """Refuse a table whose names differ from those of the photographs in upper or lower case.
+    """Refuse a table whose names differ from the photographs' in upper or lower case only.
 
-    Without this check every row of such a table would silently go unused.
+    Without this check the rows of such a table would be ignored silently.
 
     Args:
         path: file of the table, for the message.
@@ -287,11 +284,11 @@ def require_same_case(path: Path, listed: Collection[str], photographs: Collecti
         photographs: names of the photographs.
 
     Raises:
-        InputError: a name of the table equals a photograph's but for upper or lower case.
+        InputError: a name differs from that of a photograph only in upper or lower case.
     """
-    of = {name.casefold(): name for name in photographs if name not in listed}
+    by_folded = {name.casefold(): name for name in photographs if name not in listed}
     for name in listed:
-        photograph = of.get(name.casefold())
+        photograph = by_folded.get(name.casefold())
         if photograph is not None and name not in photographs:
             raise InputError(
                 f"{path} lists {name!r}, but the photograph is called {photograph!r}: write names "
@@ -300,7 +297,7 @@ def require_same_case(path: Path, listed: Collection[str], photographs: Collecti
 
 
 def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
-    """Yield each line with its place ``file:line``; skip comments and blank lines."""
+    """Yield each line with its location ``file:line``; skip comments and blank lines."""
     for number, line in enumerate(read_text(path, what).split("\n"), 1):
         stripped = line.strip()
         if stripped and not stripped.startswith("#"):
@@ -308,7 +305,7 @@ def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
 
 
 def _name(where: str, row: Mapping[str, str]) -> str:
-    """Return the photograph that a row of a table is about; ``where`` is the row's place."""
+    """Return the photograph of a row; ``where`` is the row's location."""
     try:
         return unquote_cell(row["name"])
     except ValueError as error:
@@ -316,7 +313,7 @@ def _name(where: str, row: Mapping[str, str]) -> str:
 
 
 def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
-    """Return words as finite numbers, (N,); ``where`` is their place in the file."""
+    """Return words as finite numbers, (N,); ``where`` is their location in the file."""
     values = []
     for word in words:
         try:
@@ -329,7 +326,7 @@ def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
 
 
 def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
-    """Add an entry to a table that must not hold its name yet; ``where`` is its place."""
+    """Add an entry, whose name must be safe and new; ``where`` is its location."""
     if not is_safe_path(name):
         raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
     if name in table:

@@ -1,1 +1,1 @@
-"""Maps and positions in the coordinate systems of surveyors (extra ``[geo]``)."""
+"""Coordinate reference systems and GeoTIFFs (extra ``[geo]``)."""

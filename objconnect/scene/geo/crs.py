@@ -1,6 +1,6 @@
-"""Coordinate reference systems by their EPSG codes.
+"""Coordinate reference systems: conversion to and from WGS84.
 
-This is the one module that imports pyproj, which the extra ``[geo]`` installs.
+Only this module imports pyproj, which the extra ``[geo]`` installs.
 """
 
 from __future__ import annotations
@@ -18,40 +18,39 @@ from objconnect.scene.runtime.extras import import_extra
 
 # Heights above the geoid EGM96, which autopilots and GPS receivers call sea level.
 _SEA_LEVEL = "EPSG:4326+5773"
-# WGS84 with ellipsoidal heights: what a Geodetic is.
+# WGS84 with ellipsoidal heights, the system of ``Geodetic``.
 _WGS84 = "EPSG:4979"
-# How far beyond its area of use a system may be used, degrees.
+# Tolerated distance from a system's area of use, degrees.
 _BESIDE_DEG = 3.0
-# A way to WGS84 that is exact to less than this is worth a remark, metres. Systems that are in use
-# have ways of 1 to 4 m; the old ones of the last century have 8 to 50 m without their grids.
+# Accuracy of a conversion to WGS84 above which the user is warned, metres. Current systems convert
+# to 1 to 4 m; those of the last century to 8 to 50 m without their grids.
 _EXACT_M = 5.0
-# Side of the cross whose images tell the scale of a system, metres.
+# Arm of the cross that measures the scale of a system, metres.
 _CROSS_M = 10.0
-# Descriptions that are longer than this are not repeated in messages.
+# Longer descriptions are not repeated in messages (characters).
 _SHORT = 60
 
 
 class Projection:
     """Conversion between WGS84 and one coordinate reference system.
 
-    Heights are passed through where the system has only two dimensions: they stay metres above the
-    ellipsoid. Coordinates are in the order east, north (longitude, latitude), whatever order
-    the system's authority has. No conversion is a ballpark: PROJ calls one so that leaves out a
-    change of datum, or of what heights are above.
+    In a two-dimensional system heights stay metres above the ellipsoid. Coordinates are in the
+    order east, north (longitude, latitude), independent of the system's authority. PROJ's ballpark
+    conversions, which ignore a change of datum or of the height reference, are not used.
     """
 
     def __init__(self, crs: str, *, horizontal: bool = False, metric_heights: bool = False) -> None:
-        """Look a system up.
+        """Look up a system.
 
         Args:
             crs: ``EPSG:n``, or another description that PROJ reads, such as WKT.
-            horizontal: leave the system's heights out.
-            metric_heights: have heights in metres, also where those of the system are not.
+            horizontal: ignore the system's heights.
+            metric_heights: use metres for heights, whatever the system's unit.
 
         Raises:
             InputError: pyproj is not installed, it knows no such system, the system has no
-                horizontal coordinates, its heights point down, or PROJ has no conversion, for
-                example because a grid is not installed.
+                horizontal coordinates, its heights point down, or PROJ has no exact conversion,
+                for example because a grid is not installed.
         """
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
         label = for_terminal(crs) if len(crs) <= _SHORT else "the description"
@@ -78,55 +77,55 @@ class Projection:
             self._from = _transformer(pyproj, _WGS84, self._crs)
             self._to = _transformer(pyproj, self._crs, _WGS84)
         except pyproj.exceptions.ProjError:
-            raise InputError(self._no_way(pyproj)) from None
+            raise InputError(self._describe_failure(pyproj)) from None
 
     @property
     def name(self) -> str:
-        """Name of the system, such as ``WGS 84 / UTM zone 32N``."""
+        """Return the name of the system, such as ``WGS 84 / UTM zone 32N``."""
         return str(self._crs.name)
 
     @property
     def wkt(self) -> str:
-        """The system as WKT, for files of other programs."""
+        """Return the system as WKT."""
         return str(self._crs.to_wkt())
 
     @property
     def heights(self) -> str:
-        """Name of what heights are above: the vertical part of the system, else the ellipsoid."""
+        """Return the height reference: the name of the vertical system, or "ellipsoid"."""
         vertical = self._crs.sub_crs_list[1:]
         return str(vertical[0].name) if vertical else "ellipsoid"
 
     @property
     def has_heights(self) -> bool:
-        """Whether the system states what heights are above and in which unit."""
+        """Return whether the system defines heights."""
         return len(self._crs.axis_info) > 2
 
     @property
     def horizontal_units(self) -> tuple[str, ...]:
-        """Names of the units of the two horizontal axes, such as ``metre``."""
+        """Return the units of the two horizontal axes, such as ``metre``."""
         return tuple(str(axis.unit_name) for axis in self._crs.axis_info[:2])
 
     @property
     def is_geographic(self) -> bool:
-        """Whether coordinates are longitude and latitude in degrees."""
+        """Return whether coordinates are longitude and latitude in degrees."""
         return bool(self._crs.is_geographic)
 
     @property
     def is_metric(self) -> bool:
-        """Return whether all coordinates are metres: whether it is a map's grid, not degrees."""
+        """Return whether the system is projected and all its coordinates are metres."""
         grid = all(axis.unit_conversion_factor == 1 for axis in self._crs.axis_info[:2])
         return bool(self._crs.is_projected) and grid and (self.height_unit_m or 1.0) == self._up
 
     @property
     def height_unit_m(self) -> float | None:
-        """Length of the unit of the system's heights, metres; None where it has no heights."""
+        """Return the length of the unit of heights, metres; None if the system has no heights."""
         units = [axis.unit_conversion_factor for axis in self._crs.axis_info[2:]]
         return float(units[0]) if units else None
 
     def scale_at(self, place: Geodetic) -> tuple[float, float]:
-        """Return how many units of the system a metre of ground is, along its east and north.
+        """Return the units of the system per metre on the ground, along its east and north.
 
-        They are close to 1 in the grids of surveys, and 1 / cos(latitude) in Mercator's of the web.
+        They are close to 1 in survey grids, and 1 / cos(latitude) in Web Mercator.
         """
         ends = np.array([[_CROSS_M, 0, 0], [-_CROSS_M, 0, 0], [0, _CROSS_M, 0], [0, -_CROSS_M, 0]])
         at = np.array([self.from_geodetic(geodetic_from_enu(x, place))[:2] for x in ends])
@@ -137,7 +136,7 @@ class Projection:
         return float(1 / metres[0]), float(1 / metres[1])
 
     def doubt_at(self, place: Geodetic) -> str:
-        """Return a phrase where coordinates at a place are exact to no better than 5 m."""
+        """Return a warning if the conversion at a place is less accurate than 5 m; else empty."""
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
         self.from_geodetic(place)
         try:
@@ -150,8 +149,8 @@ class Projection:
         remedy = ": PROJ's grids, which projsync installs, make it better" if grid else ""
         return f"positions in {self.name} are exact to {used.accuracy:g} m on earth{remedy}"
 
-    def _no_way(self, pyproj: Any) -> str:
-        """Return why there is no conversion."""
+    def _describe_failure(self, pyproj: Any) -> str:
+        """Return why there is no exact conversion, and what to do."""
         if not self._crs.axis_info[2:]:
             return (
                 f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark, which "
@@ -168,8 +167,7 @@ class Projection:
         )
 
     def reaches(self, place: Geodetic) -> bool:
-        """Return whether a place has coordinates here: within the area of use, or near its border,
-        as sites that two zones share."""
+        """Return whether a place lies in the area of use, or within 3 degrees of it."""
         area = _area_of(self._crs)
         if area is not None:
             east = (place.longitude - area.west) % 360
@@ -181,15 +179,15 @@ class Projection:
         return bool(np.isfinite(self.from_geodetic(place)).all())
 
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
-        """Return east, north and height of a place, (3,) in the system's units."""
+        """Convert a place to east, north and height, (3,) in the system's units."""
         x, y, h = self._from.transform(place.longitude, place.latitude, place.altitude)
         return np.array([x, y, h * self._up])
 
     def to_geodetic(self, coordinates: NDArray[np.float64]) -> Geodetic:
-        """Return the place of east, north and height, (3,) in the system's units.
+        """Convert east, north and height, (3,) in the system's units, to a place.
 
         Raises:
-            InputError: the system does not reach there.
+            InputError: the coordinates are outside the system's range.
         """
         x, y, h = coordinates
         longitude, latitude, altitude = self._to.transform(x, y, h / self._up)
@@ -202,7 +200,7 @@ class Projection:
 def geoid_undulation(place: Geodetic) -> float | None:
     """Return the height of the geoid (EGM96) above the ellipsoid at a place, metres.
 
-    It is None where pyproj or its grid ``us_nga_egm96_15.tif`` is not installed.
+    It is None if pyproj or its grid ``us_nga_egm96_15.tif`` is not installed.
     """
     try:
         above_sea = Projection(_SEA_LEVEL).from_geodetic(place)[2]
@@ -217,7 +215,7 @@ def _transformer(pyproj: Any, start: Any, end: Any) -> Any:
 
 
 def _area_of(crs: Any) -> Any:
-    """Return the area of use, which WKT names by a code alone; None where it is not known."""
+    """Return the area of use, looked up by EPSG code if WKT lacks it; None if unknown."""
     if crs.area_of_use is not None:
         return crs.area_of_use
     horizontal = _without_heights(crs)
@@ -235,7 +233,7 @@ def _without_heights(crs: Any) -> Any:
 def _missing_grid(pyproj: Any, crs: Any) -> str | None:
     """Return the grid that the best conversion to a system lacks."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it says the same in many lines
+        warnings.simplefilter("ignore")  # pyproj warns of the missing grid in many lines
         group = pyproj.transformer.TransformerGroup(_WGS84, crs, always_xy=True)
     for operation in group.unavailable_operations:
         lacking = [grid for grid in operation.grids if not grid.available]

@@ -1,4 +1,4 @@
-"""Where the pixels of a raster lie, and pieces of rasters in memory."""
+"""The pixel grid of a raster, and patches of rasters in memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geometry.geodesy import Geodetic
 
-# A metre of the grid of a survey is a metre on the ground up to this share.
+# Largest scale error of a survey grid.
 _SURVEY = 0.01
 
 
 def units_of_metre(projection: Projection, place: Geodetic) -> tuple[float, float]:
-    """Return how many units of a system's east and north a metre of ground is, at a place.
+    """Return the units of a system per metre on the ground, along east and north, at a place.
 
-    They are 1 where they are so up to 1 %, as in the grids of surveys.
+    They are exactly 1 if they are within 1 %, as in survey grids.
     """
     scale = projection.scale_at(place)
     return (1.0, 1.0) if max(abs(math.log(x)) for x in scale) < _SURVEY else scale
@@ -37,7 +37,7 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the pixels of a north-up raster lie.
+    """The pixel grid of a north-up raster.
 
     Attributes:
         projection: reference system of the coordinates.
@@ -63,7 +63,7 @@ class Grid:
 
     @property
     def middle(self) -> Geodetic:
-        """Return the place in the middle, at height 0."""
+        """Return the place of the middle, at height 0."""
         box = self.box
         east, north = (box.left + box.right) / 2, (box.bottom + box.top) / 2
         return self.projection.to_geodetic(np.array([east, north, 0.0]))
@@ -72,8 +72,7 @@ class Grid:
     def ground_pixel(self) -> tuple[float, float]:
         """Return the width and height of a pixel on the ground, metres, in the raster's middle.
 
-        They are those of the system's grid where they differ from them by less than 1 %, as in the
-        grids of surveys.
+        They equal ``pixel`` if the difference is below 1 %, as in survey grids.
         """
         scale = units_of_metre(self.projection, self.middle)
         return self.pixel[0] / scale[0], self.pixel[1] / scale[1]
@@ -98,11 +97,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class Patch:
-    """A piece of a raster in memory.
+    """A rectangle of a raster in memory.
 
     Attributes:
-        grid: where its pixels lie; they may be larger than those of the file.
-        values: (bands, H, W) float32, NaN where there is no data.
+        grid: pixel grid; its pixels may be larger than those of the file.
+        values: (bands, H, W) float32, NaN for no data.
     """
 
     grid: Grid

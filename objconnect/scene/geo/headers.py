@@ -1,6 +1,6 @@
-"""What the header of a GeoTIFF says of its pixels: their place, bands, units and colours.
+"""Interpretation of GeoTIFF headers: pixel grid, bands, units and colours.
 
-The functions take the file as rasterio opened it.
+The functions take a file that rasterio has opened.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from objconnect.scene.quantities.heights import NO_UNIT, MetresOfBand, metres_of
 Kind = Literal["orthophoto", "surface model", "class mask"]
 
 REFERENCE_TAG: Final = "HEIGHTS"
-"""The tag of our own surface models that says what heights are above."""
+"""The tag of our own surface models that states the height reference."""
 
-# GDAL decodes a block as a whole, and a file of a few bytes may claim any size.
+# GDAL decodes whole blocks, and a file of a few bytes may claim any size.
 _MOST_BLOCK_BYTES = 1 << 29
-# The names of a world file beside a GeoTIFF end so, and its numbers may differ from those inside by
-# this share of a pixel: some programs write the pixel's corner, others its centre.
-_WORLD_FILES, _SAME_PIXELS = (".tfw", ".tifw", ".tiffw", ".wld"), 1.0
+# Suffixes of world files.
+_WORLD_FILES = (".tfw", ".tifw", ".tiffw", ".wld")
+# Tolerance of a world file, pixels: some programs write the corner of a pixel, others its centre.
+_SAME_PIXELS = 1.0
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How the bands of a file become values.
+    """The conversion of a file's bands to values.
 
     Attributes:
-        bands: which bands are read.
-        metres: how the numbers of a band become metres; colours are left as they are.
-        table: (N, 4) colours 0..255 of the numbers of a palette with alpha; None without one.
+        bands: bands to read.
+        metres: conversion of a band's numbers to metres; colours are not converted.
+        table: (N, 4) RGBA colours 0..255 of a palette; None without a palette.
         inverted: whether 0 is white.
         unit: whether the file states the unit of its heights.
-        reference: whether it states what heights are above.
+        reference: whether the file states the height reference.
     """
 
     bands: ColourBands
@@ -59,16 +60,17 @@ class Layout:
 
 
 def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
-    """Return where the pixels lie.
+    """Return the pixel grid of a file.
 
     Raises:
-        InputError: the file has no reference system in metres or no place, or is not upright.
+        InputError: the file has no reference system in metres or no geotransform, or is not
+            north-up.
     """
     if source.crs is None:
         if source.gcps[0]:
             raise InputError(
-                f"{kind} {path} has its place by ground control points: gdalwarp -t_srs EPSG:n "
-                "turns it upright"
+                f"{kind} {path} is placed by ground control points: gdalwarp -t_srs EPSG:n "
+                "makes it north-up"
             )
         raise InputError(
             f"{kind} {path} has no coordinate reference system: gdal_edit -a_srs EPSG:n adds it"
@@ -88,9 +90,9 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
         raise InputError(f"{kind} {path} has no place on earth: it has no geotransform")
     numbers = (place.a, place.b, place.c, place.d, place.e, place.f)
     if not all(math.isfinite(x) for x in numbers) or place.b or place.d:
-        raise InputError(f"{kind} {path} is rotated against north: gdalwarp turns it upright")
+        raise InputError(f"{kind} {path} is rotated against north: gdalwarp makes it north-up")
     if place.a <= 0 or place.e >= 0:
-        raise InputError(f"{kind} {path} does not have north above: gdalwarp turns it upright")
+        raise InputError(f"{kind} {path} is mirrored or upside down: gdalwarp makes it north-up")
     grid = Grid(projection, place.c, place.f, (place.a, -place.e), source.width, source.height)
     try:
         _ = grid.middle
@@ -101,7 +103,7 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
 
 
 def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
-    """Refuse a GeoTIFF beside which a world file names another place."""
+    """Refuse a GeoTIFF that contradicts the world file beside it."""
     for file in (path.with_suffix(end) for end in _WORLD_FILES):
         try:
             numbers = [float(word) for word in file.read_text().split()]
@@ -112,8 +114,8 @@ def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
         across, _, _, down, left, top = numbers
         size = math.hypot(across / grid.pixel[0] - 1, -down / grid.pixel[1] - 1)
         centre = grid.left + grid.pixel[0] / 2, grid.top - grid.pixel[1] / 2
-        apart = math.hypot((left - centre[0]) / grid.pixel[0], (top - centre[1]) / grid.pixel[1])
-        if not (size * max(grid.width, grid.height) <= _SAME_PIXELS and apart <= _SAME_PIXELS):
+        shift = math.hypot((left - centre[0]) / grid.pixel[0], (top - centre[1]) / grid.pixel[1])
+        if not (size * max(grid.width, grid.height) <= _SAME_PIXELS and shift <= _SAME_PIXELS):
             raise InputError(
                 f"{kind} {path} and its world file {file.name} name two places: remove the one "
                 "that is wrong"
@@ -121,20 +123,20 @@ def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
 
 
 def check_blocks(source: Any, path: Path, kind: Kind) -> None:
-    """Refuse a file that is stored in pieces that do not fit in memory."""
+    """Refuse a file whose blocks do not fit in memory."""
     size = max(np.dtype(name).itemsize for name in source.dtypes) * source.count
     if max(math.prod(block) for block in source.block_shapes) * size > _MOST_BLOCK_BYTES:
         raise InputError(
-            f"{kind} {path} is stored in pieces that do not fit in memory: gdal_translate -co "
+            f"{kind} {path} is stored in blocks that do not fit in memory: gdal_translate -co "
             "TILED=YES makes smaller ones"
         )
 
 
 def layout_of(source: Any, path: Path, kind: Kind, projection: Projection) -> Layout:
-    """Return how the bands become colours, heights in metres, or numbers of classes.
+    """Return the conversion of the bands to colours, heights in metres, or class numbers.
 
     Raises:
-        InputError: the file has other bands, or does not say what they are.
+        InputError: the file has other bands, or does not state what they are.
     """
     if kind == "orthophoto":
         return _colours(source, path, kind)
@@ -163,21 +165,21 @@ def _heights(source: Any, path: Path, kind: Kind, projection: Projection) -> Lay
         projection.height_unit_m,
         unit_of_heights(path),
     )
-    found = metres.require(
+    conversion = metres.require(
         f"{kind} {path}", "state it once: gdal_edit -a_srs EPSG:n -units metre (or foot)"
     )
     chosen = ColourBands((bands[0],), alphas[0] if alphas else None)
-    referred = projection.height_unit_m is not None or REFERENCE_TAG in source.tags()
-    return Layout(chosen, found, unit=NO_UNIT not in metres.doubts, reference=referred)
+    has_reference = projection.height_unit_m is not None or REFERENCE_TAG in source.tags()
+    return Layout(chosen, conversion, unit=NO_UNIT not in metres.doubts, reference=has_reference)
 
 
 def heights_note(layout: Layout, path: Path, stated: bool) -> str | None:
-    """Return what is taken for the unit and the reference of heights that a file does not state.
+    """Return a note on assumed units or references of heights; None if the file states both.
 
     Args:
-        layout: of a surface model.
+        layout: layout of a surface model.
         path: its file.
-        stated: whether a person stated the reference.
+        stated: whether the user states the reference.
     """
     if layout.unit and (layout.reference or stated):
         return None
@@ -189,10 +191,10 @@ def heights_note(layout: Layout, path: Path, stated: bool) -> str | None:
 
 
 def check_undulation(projection: Projection, path: Path, undulation: float) -> None:
-    """Refuse a height of the geoid for a surface model whose system has heights of its own."""
+    """Refuse a geoid undulation for a surface model whose system defines heights."""
     if undulation and projection.height_unit_m is not None:
         raise InputError(
-            f"{path} has heights above {projection.heights}, which are converted by themselves: "
+            f"{path} has heights above {projection.heights}, which are converted automatically: "
             "leave --undulation out"
         )
 

@@ -1,6 +1,6 @@
-"""The unit of heights in a GeoTIFF's own keys.
+"""The unit of heights in the GeoKeys of a GeoTIFF.
 
-GDAL leaves it out where a code of a vertical system stands beside it, and calls feet metres.
+GDAL ignores it beside the code of a vertical system, and reports feet as metres.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ _METRES: Final = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 
 
 def unit_of_heights(path: Path) -> float | str | None:
-    """Return the unit of heights that the keys of a GeoTIFF name.
+    """Return the unit of heights in the GeoKeys of a GeoTIFF.
 
     Returns:
-        Its length, metres; the key and its value where the unit is not known; None without a key.
+        Its length, metres; the name and value of the key if the unit is unknown; None without a
+        key.
     """
     code = _keys(path).get(_HEIGHT)
     return _METRES.get(code, f"VerticalUnitsGeoKey {code}") if code else None
@@ -38,7 +39,7 @@ def _keys(path: Path) -> dict[int, int]:
             file.seek(directory.next)
             directory.load(file)
             numbers = [int(number) for number in directory[_DIRECTORY]]
-    except Exception:  # GDAL has read the file; what Pillow cannot read has no keys
+    except Exception:  # GDAL has read the file; without readable keys there are none
         return {}
     entries = [numbers[k : k + 4] for k in range(4, len(numbers) - 3, 4)]
     return {key: value for key, tag, count, value in entries if tag == 0 and count == 1}

@@ -1,4 +1,4 @@
-"""The way from a scene's world to the coordinates of a reference system, quick within a few km."""
+"""Fast conversion from a scene's world to a reference system, exact within a few kilometres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geode
 
 Array = NDArray[np.float64]
 
-# Positions of the exact coordinates that a polynomial is fitted to, per axis of its box.
+# Sample positions of the polynomial fit along each axis of the box.
 _NODES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
@@ -45,8 +45,8 @@ class LocalProjection:
         Args:
             projection: reference system.
             origin: origin of the world.
-            low: west, south and lowest ends of the box, (3,) world metres.
-            high: its other ends, (3,).
+            low: least east, north and up of the box, (3,) world metres.
+            high: largest east, north and up of the box, (3,) world metres.
         """
         middle = (low + high) / 2
         half = np.maximum((high - low) / 2, 1.0)
@@ -68,8 +68,8 @@ class LocalProjection:
     def coordinates(self, points: Array) -> Array:
         """Return east, north and height of world points, (..., 3)."""
         u = (points - self.middle) / self.scale
-        bent = np.einsum("...i,kij,...j->...k", u, self.quadratic, u, optimize=True)
-        return np.asarray(self.constant + u @ self.linear.T + bent)
+        curved = np.einsum("...i,kij,...j->...k", u, self.quadratic, u, optimize=True)
+        return np.asarray(self.constant + u @ self.linear.T + curved)
 
     def along(self, start: Array, directions: Array) -> tuple[Array, Array, Array]:
         """Return the coordinates of ``start + t * direction`` as ``a + b t + c t^2``.
@@ -83,24 +83,24 @@ class LocalProjection:
         """
         u, v = (start - self.middle) / self.scale, directions / self.scale
         slope = self.linear + 2 * np.einsum("kij,j->ki", self.quadratic, u)
-        bent = np.einsum("ni,kij,nj->nk", v, self.quadratic, v, optimize=True)
-        return self.coordinates(start), v @ slope.T, bent
+        curved = np.einsum("ni,kij,nj->nk", v, self.quadratic, v, optimize=True)
+        return self.coordinates(start), v @ slope.T, curved
 
 
 def world_from(projection: Projection, origin: Geodetic, coordinates: Array) -> Array:
-    """Return world positions (N, 3) of coordinates east, north and height (N, 3), exactly.
+    """Convert coordinates east, north and height (N, 3) exactly to world positions (N, 3).
 
     Raises:
-        InputError: the reference system does not reach there.
+        InputError: the coordinates are outside the reference system's range.
     """
     return np.stack([enu_from_geodetic(projection.to_geodetic(x), origin) for x in coordinates])
 
 
 def at_height(projection: Projection, place: Geodetic, height: float) -> Geodetic:
-    """Return the place above or below another that has a height of a reference system, metres.
+    """Return a place at a height of a reference system, metres, above or below another place.
 
     Raises:
-        InputError: the reference system does not reach there.
+        InputError: the place is outside the reference system's range.
     """
     east, north, _ = projection.from_geodetic(place)
     return projection.to_geodetic(np.array([east, north, height]))

@@ -1,8 +1,8 @@
-"""Coordinate reference systems as the first lines of ODM's files name them.
+"""Coordinate reference systems by the first lines of ODM's files.
 
-A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or words of PROJ. The unit of heights is the system's
-own where it has heights. A system of two dimensions does not state it: heights are metres beside
-metres or degrees, and unknown beside feet, unless the line states ``+vunits`` or ``+vto_meter``.
+A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or a PROJ string. A system that defines heights has a
+unit of heights. In a two-dimensional system heights are metres if coordinates are metres or
+degrees; beside feet the unit is unknown unless the line has ``+vunits`` or ``+vto_meter``.
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ _VERTICAL = re.compile(r"\s*\+(vunits|vto_meter)=(\S+)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class NamedSystem:
-    """A system with the unit of its heights.
+    """A reference system with the unit of its heights.
 
     Attributes:
-        projection: the horizontal system, or one with heights of its own.
-        height_unit: metres in a unit of height; 1 where the system has heights of its own, which
-            the projection converts.
+        projection: the system, with or without heights.
+        height_unit: metres per unit of height; 1 for a system with heights, which the projection
+            converts.
     """
 
     projection: Projection
     height_unit: Reading[float]
 
     def to_geodetic(self, coordinates: NDArray[np.float64], where: str) -> Geodetic:
-        """Return the place of x (east), y (north) and height, (3,) in the system's units.
+        """Convert east, north and height, (3,) in the system's units, to a place.
 
         Raises:
-            InputError: the system does not reach there, or the unit of heights is unknown.
+            InputError: the coordinates are outside the system's range, or the unit of heights is
+                unknown.
         """
         unit = self.height_unit.require(
             where,
@@ -63,7 +64,7 @@ def parse_system(line: str, where: str) -> NamedSystem:
     """
     words = " ".join(line.split()).strip("'\"").strip()
     stated: list[tuple[str, str]] = []
-    if not words.startswith("+"):  # PROJ knows these words itself, but not beside a code
+    if not words.startswith("+"):  # PROJ reads these parameters, but not beside a code
         stated = _VERTICAL.findall(words)
         words = _VERTICAL.sub("", words).strip()
     utm = _UTM.fullmatch(words)
@@ -83,7 +84,7 @@ def parse_system(line: str, where: str) -> NamedSystem:
 def _height_unit(
     words: str, projection: Projection, stated: list[tuple[str, str]], where: str
 ) -> Reading[float]:
-    """Return how many metres a unit of height has."""
+    """Return the metres per unit of height."""
     factors = {_parse_metres(word, text, where) for word, text in stated}
     if len(factors) > 1:
         raise InputError(f"{where}: +vunits and +vto_meter contradict each other")

@@ -1,8 +1,8 @@
-"""GeoTIFFs: orthophotos and surface models, read and written piece by piece.
+"""Reading and writing of GeoTIFFs: orthophotos, surface models and class masks, patch by patch.
 
-This is the one module that imports rasterio, which the extra ``[geo]`` installs. A pixel is an
-area: the position of a raster is the outer corner of its first pixel, also where the file names the
-pixel's centre (``AREA_OR_POINT=Point``), which GDAL shifts.
+Only this module imports rasterio, which the extra ``[geo]`` installs. Pixels are areas: a raster is
+placed by the outer corner of its first pixel. GDAL converts files that state the pixel's centre
+(``AREA_OR_POINT=Point``).
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ from objconnect.scene.geo.headers import (
 )
 from objconnect.scene.geo.headers import Kind as Kind
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.quantities.holes import HIGHEST_M, LOWEST_M, ground_of
+from objconnect.scene.quantities.holes import HIGHEST_M, LOWEST_M, find_ground
 from objconnect.scene.runtime.extras import import_extra
 from objconnect.scene.storage.files import require_readable
 
 NO_HEIGHT: Final = -9999.0
-"""The height that stands for no data in the surface models that we write."""
+"""The no-data height of the surface models that we write."""
 
 _MOST_PATCH_PIXELS = 1 << 28
-# Pixels that are read at once to form means.
+# Number of pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
-# Rows of the strips that are looked at for no data that is not declared, and their most pixels.
+# Rows of the strips in the search for undeclared no data, and largest number of searched pixels.
 _SURVEYED_ROWS, _MOST_SURVEYED = 256, 1 << 26
-# Rows and columns of the tiles of the files that we write.
+# Side of the tiles of the files that we write, pixels.
 _TILE = 256
 
 
 @dataclass(frozen=True)
 class Raster:
-    """A GeoTIFF whose header was read and found usable.
+    """A GeoTIFF with a valid header.
 
     Attributes:
         path: file.
-        kind: what its values are.
-        grid: where its pixels lie.
-        layout: how its bands become values.
+        kind: kind of its values.
+        grid: pixel grid.
+        layout: conversion of its bands to values.
         lowest: lower heights are no data, metres.
         highest: higher heights are no data, metres.
         holes: heights that stand for no data, metres.
-        doubts: what was found out that the file does not say; a line each.
+        doubts: lines about no data that the file does not declare.
     """
 
     path: Path
@@ -79,15 +79,14 @@ class Raster:
         """Read the header of a GeoTIFF.
 
         Args:
-            path: file. An orthophoto has 8 bits, and the file says which bands are red, green and
-                blue, or has one band of grey or of a palette. A surface model has one band of
-                heights, a class mask one of 8 bits. A surface model is read once as a whole.
-            kind: what the file has to be.
+            path: file. An orthophoto has 8-bit bands marked red, green and blue, or one band of
+                grey or of a palette. A surface model has one band of heights and is read once as a
+                whole. A class mask has one 8-bit band.
+            kind: required kind.
 
         Raises:
             InputError: rasterio is not installed, or the file is missing, damaged, no GeoTIFF, has
-                no reference system in metres, is rotated, has other bands, or does not say what
-                they are.
+                no reference system in metres, is rotated, or has other or unmarked bands.
         """
         with _open(path, kind) as source:
             grid = grid_of(source, path, kind)
@@ -98,11 +97,11 @@ class Raster:
         return _check_heights(raster, declared) if kind == "surface model" else raster
 
     def notes(self, place: Geodetic, undulation: float | None = None) -> tuple[str, ...]:
-        """Return what a user has to know of the file; a line each.
+        """Return notes on the file for the user, one line each.
 
         Args:
-            place: where it is used.
-            undulation: height of the geoid that a person gave; None for none.
+            place: place where it is used.
+            undulation: geoid undulation that the user states, metres; None if not stated.
 
         Raises:
             InputError: ``undulation`` contradicts the file.
@@ -122,17 +121,17 @@ class Raster:
 
     @property
     def bands(self) -> tuple[int, ...]:
-        """Return the numbers of the bands that are read, from 1."""
+        """Return the numbers of the bands to read, from 1."""
         return self.layout.bands.colours
 
     def patch(self, box: Box, pixel: float = 0.0) -> Patch:
         """Read a rectangle of the raster.
 
         Args:
-            box: rectangle in the raster's coordinates. The patch covers the part of it that lies in
-                the raster, and a pixel more; a patch beyond the raster is one pixel without data.
-            pixel: size on the ground of the pixels that are needed, metres. Where those of the file
-                are at most half as large, each pixel of the patch is the mean of several.
+            box: rectangle in the raster's coordinates. The patch covers its part inside the raster
+                and a pixel more; outside the raster it is one pixel without data.
+            pixel: required size of a pixel on the ground, metres. If the file's pixels are at most
+                half as large, each pixel of the patch is the mean of several.
 
         Raises:
             InputError: the file is damaged there, or the patch has more than 268 million pixels.
@@ -143,14 +142,14 @@ class Raster:
         across, down = grid.columns_rows(*ends)
         columns, rows = _span(across, grid.width, factor), _span(down, grid.height, factor)
         if columns.start >= columns.stop or rows.start >= rows.stop:
-            nothing = np.full((self.layout.channels, 1, 1), np.nan, np.float32)
-            return Patch(grid.part(0, 0, 1, 1), nothing)
+            empty = np.full((self.layout.channels, 1, 1), np.nan, np.float32)
+            return Patch(grid.part(0, 0, 1, 1), empty)
         height = math.ceil((rows.stop - rows.start) / factor)
         width = math.ceil((columns.stop - columns.start) / factor)
         if height * width > _MOST_PATCH_PIXELS:
             raise InputError(
                 f"{width} x {height} pixels of {self.kind} {self.path} do not fit in memory: give "
-                "a smaller one"
+                "a smaller file"
             )
         columns = range(columns.start, columns.start + width * factor)
         rows = range(rows.start, rows.start + height * factor)
@@ -159,7 +158,7 @@ class Raster:
         return Patch(part, self._read(rows, columns, factor))
 
     def _read(self, rows: range, columns: range, factor: int) -> NDArray[np.float32]:
-        """Read means of ``factor`` x ``factor`` pixels (bands, H, W), NaN where there is no data.
+        """Read means of ``factor`` x ``factor`` pixels, (bands, H, W); NaN for no data.
 
         The ranges are multiples of the factor and may reach beyond the raster.
         """
@@ -188,10 +187,9 @@ class Raster:
         return values
 
     def _read_mask(self, source: Any, window: Any) -> NDArray[np.bool_]:
-        """Return which pixels have data by the file's own words, (H, W).
+        """Return the mask of pixels with data that the file declares, (H, W).
 
-        A colour has no data where all its bands have the value of no data: one band of 0 is a
-        colour.
+        A colour is no data only if all its bands have the no-data value.
         """
         known: NDArray[np.bool_] = source.read_masks(list(self.bands), window=window).any(0)
         alpha = self.layout.bands.alpha
@@ -200,7 +198,7 @@ class Raster:
         return known
 
     def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
-        """Return heights in metres, (1, H, W); NaN where there is no ground."""
+        """Return heights in metres, (1, H, W); NaN for impossible heights and holes."""
         metres = self.layout.metres
         exact = np.float32 if metres.is_plain else np.float64
         values = source.read(list(self.bands), window=window, out_dtype=exact)
@@ -212,22 +210,22 @@ class Raster:
         return np.asarray(values)
 
     def _colours(self, source: Any, window: Any) -> NDArray[np.float32]:
-        """Return colours in 0..255, or numbers of classes, (channels, H, W)."""
+        """Return colours in 0..255, or class numbers, (channels, H, W)."""
         table = self.layout.table
         values = source.read(list(self.bands), window=window)
         if table is None:
             return np.asarray(255 - values if self.layout.inverted else values, np.float32)
         numbers = values[0]
-        found = table[np.minimum(numbers, len(table) - 1)]
-        found[(numbers >= len(table)) | (found[..., 3] == 0)] = np.nan
-        return np.moveaxis(found[..., :3], -1, 0)
+        colours = table[np.minimum(numbers, len(table) - 1)]
+        colours[(numbers >= len(table)) | (colours[..., 3] == 0)] = np.nan
+        return np.moveaxis(colours[..., :3], -1, 0)
 
     def strips(self, rows: int = 1024, every: int = 1) -> Iterator[Patch]:
         """Read the whole raster from top to bottom, ``rows`` rows at a time.
 
         Args:
             rows: height of a strip, pixels.
-            every: read only each ``every``-th strip.
+            every: step between the strips that are read.
 
         Raises:
             InputError: the file is damaged.
@@ -240,10 +238,10 @@ class Raster:
 
 
 def _check_heights(raster: Raster, declared: bool) -> Raster:
-    """Return a surface model with what its heights tell of no data that the file does not declare.
+    """Return a surface model with its undeclared no-data heights.
 
     Raises:
-        InputError: the file is damaged, or its heights do not tell.
+        InputError: the file is damaged, or no data cannot be distinguished from a plain.
     """
 
     def strips() -> Iterator[NDArray[np.float32]]:
@@ -251,7 +249,7 @@ def _check_heights(raster: Raster, declared: bool) -> Raster:
 
     every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SURVEYED)
     pixel_m = max(raster.grid.ground_pixel)
-    ground = ground_of(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
+    ground = find_ground(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
     return replace(
         raster,
         lowest=ground.lowest,
@@ -262,15 +260,14 @@ def _check_heights(raster: Raster, declared: bool) -> Raster:
 
 
 def _span(ends: NDArray[np.float64], size: int, factor: int) -> range:
-    """Return the pixels between two positions with one more at each end, cut to the raster."""
+    """Return the pixels between two positions and one more at each end, clipped to the raster."""
     low, high = (float(np.clip(end, -2, size + 2)) for end in ends)
     start = max(0, math.floor(low) - 1) // factor * factor
     return range(start, min(size, math.ceil(high) + 1))
 
 
 def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """Return means of ``factor`` x ``factor`` pixels of (bands, H, W); those without data are left
-    out."""
+    """Return means of ``factor`` x ``factor`` pixels of (bands, H, W), ignoring NaN."""
     bands, height, width = pixels.shape
     blocks = pixels.reshape(bands, height // factor, factor, width // factor, factor)
     known = np.isfinite(blocks)
@@ -281,13 +278,13 @@ def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 
 @contextmanager
 def _open(path: Path, kind: Kind) -> Iterator[Any]:
-    """Open a GeoTIFF; errors of the block are reported like those of opening it."""
+    """Open a GeoTIFF; errors inside the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
-    # GDAL's warnings about a damaged file would be printed beside our one line.
+    # Suppress GDAL's warnings about a damaged file: our message says it.
     logging.getLogger("rasterio").setLevel(logging.ERROR)
     require_readable(path, kind)
     try:
-        # GDAL would read the names of other formats and of networks as well.
+        # The driver is fixed, because GDAL also opens other formats and network addresses.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.open(str(path.resolve()), driver="GTiff") as source:
@@ -305,13 +302,13 @@ def _open(path: Path, kind: Kind) -> Iterator[Any]:
 def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patch], None]]:
     """Write a GeoTIFF: colours with an alpha band, or heights with ``NO_HEIGHT`` as no data.
 
-    Call the yielded function with each piece of the grid, of the same pixels: (3, H, W) colours in
-    0..255 or (1, H, W) heights, NaN where there is no data.
+    Call the yielded function with each patch of the grid: (3, H, W) colours in 0..255 or (1, H, W)
+    heights, NaN for no data.
 
     Args:
-        path: file to write, in a folder that exists.
-        kind: what the values are.
-        grid: where the pixels lie.
+        path: file to write, in an existing folder.
+        kind: kind of the values.
+        grid: pixel grid.
 
     Raises:
         InputError: rasterio is not installed.
@@ -341,8 +338,8 @@ def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patc
 
     def write(patch: Patch) -> None:
         column, row = grid.columns_rows(np.array(patch.grid.left), np.array(patch.grid.top))
-        place = (round(float(column)), round(float(row)))
-        window = windows.Window(*place, patch.grid.width, patch.grid.height)
+        corner = (round(float(column)), round(float(row)))
+        window = windows.Window(*corner, patch.grid.width, patch.grid.height)
         target.write(_encode(patch.values, coloured), window=window)
 
     try:
@@ -357,7 +354,7 @@ def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patc
 
 
 def _encode(values: NDArray[np.float32], coloured: bool) -> NDArray[Any]:
-    """Return values as they are stored, (bands, H, W)."""
+    """Return values in the stored encoding, (bands, H, W)."""
     known = np.isfinite(values).all(0)
     if not coloured:
         return np.where(known, values, np.float32(NO_HEIGHT))

@@ -1,4 +1,4 @@
-"""Altitudes of photographs that are above sea level, turned into ones above the ellipsoid."""
+"""Conversion of a photograph's altitude from sea level to the ellipsoid."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from objconnect.scene.storage.images import Exif
 
 
 def above_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
-    """Return what a photograph says, with an altitude above the ellipsoid where that is known.
+    """Return metadata with the altitude converted from sea level to the ellipsoid.
 
-    An altitude that is said to be above sea level and cannot be turned stays, with its doubt.
+    Without an undulation the altitude stays above sea level, with its doubt.
 
     Args:
-        exif: what the photograph says.
-        undulation_m: height of the geoid above the ellipsoid at the place, metres; None takes that
-            of PROJ's grid, where it is installed.
+        exif: metadata of the photograph.
+        undulation_m: geoid undulation at the place, metres; None takes it from PROJ's grid, if
+            that is installed.
     """
     if exif.position is None or not exif.is_above_sea:
         return exif

@@ -1,7 +1,6 @@
 """Calibrated cameras in COLMAP's models and pixel convention.
 
-Torch is imported only by the methods that return tensors, so that a scene can be opened and its
-cameras read without it.
+Only the methods that return tensors import torch, so opening a scene does not load it.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ if TYPE_CHECKING:
 
     from objconnect.scene.geometry.projection import Intrinsics, Projection
 
-# Damaged files hold parameters beyond this, whose squares overflow; no real camera does.
+# Larger parameters are damage, and their squares overflow.
 _MAX_PARAMETER = 1e9
-# A distortion coefficient below this moves no point by a measurable amount.
+# Smaller distortion coefficients have no measurable effect.
 _MIN_COEFFICIENT = 1e-12
 # Perspective models with more coefficients have a denominator.
 _POLYNOMIAL = 4
-# A product of coefficients below this is nothing, and a root with a smaller imaginary part, for its
-# size, is a real one.
+# Smaller products of coefficients count as zero; roots with a smaller relative imaginary part are
+# real.
 _MIN_PRODUCT, _REAL = 1e-30, 1e-6
 
 MODELS: Final[dict[str, tuple[str, ...]]] = {
@@ -58,8 +57,7 @@ class Camera:
             order for the model.
 
     Raises:
-        InputError: the model is unknown, the number of parameters is wrong, or a value is one that
-            no camera has.
+        InputError: the model is unknown, the number of parameters is wrong, or a value is invalid.
 
     Example:
         >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
@@ -97,10 +95,10 @@ class Camera:
     def parse(words: Sequence[str]) -> Camera:
         """Parse ``MODEL width height params...``, the form of COLMAP's and hloc's text files.
 
-        A model that ``colmap_models`` knows becomes the equal one of ours.
+        Models of ``colmap_models`` are converted to the equal supported model.
 
         Raises:
-            InputError: a word is missing or is not a number, or no model of ours is equal.
+            InputError: a word is missing or is not a number, or the model is not supported.
 
         Example:
             >>> Camera.parse("SIMPLE_PINHOLE 640 480 500 320 240".split()).principal
@@ -140,8 +138,8 @@ class Camera:
     def distortion(self) -> tuple[float, ...]:
         """Return (k1, k2, p1, p2), or (k1, k2, k3, k4) for the fisheye model.
 
-        For FULL_OPENCV, they are (k1, k2, p1, p2, k3, k4, k5, k6), as OpenCV orders them.
-        Coefficients that the model does not have are zero.
+        FULL_OPENCV has (k1, k2, p1, p2, k3, k4, k5, k6), in OpenCV's order. Coefficients that the
+        model lacks are zero.
         """
         last = ("k3", "k4") if self.is_fisheye else ("p1", "p2")
         more = ("k3", "k4", "k5", "k6") if self.model == "FULL_OPENCV" else ()
@@ -159,11 +157,11 @@ class Camera:
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
     def fold_limit(self) -> float:
-        """Return where the distorted radius stops growing: radius x/z, or angle (rad) for fisheye.
+        """Return the radius x/z, or angle (rad) of a fisheye, where the distortion folds over.
 
-        Points beyond this limit lie far outside the field of view but would be projected back into
-        the image. The limit is infinite (for the fisheye: a right angle) when the radius always
-        grows. A rational distortion also ends where its denominator vanishes.
+        The distorted radius stops growing there; points beyond it would be projected back into the
+        image. The limit is infinite (for the fisheye: a right angle) if the radius always grows. A
+        rational distortion also ends where its denominator vanishes.
         """
         return _fold_limit(self.is_fisheye, self.distortion)
 
@@ -195,8 +193,7 @@ class Camera:
         return self.intrinsics(xy.dtype, xy.device).unproject(xy)
 
     def contains(self, xy: Tensor, border: float = 0.0) -> Tensor:
-        """Return whether pixels (..., 2) lie in the image, at least ``border`` pixels from its
-        edge."""
+        """Return whether pixels (..., 2) lie in the image, ``border`` pixels from its edge."""
         x, y = xy[..., 0], xy[..., 1]
         return (
             (x >= border) & (x <= self.width - border) & (y >= border) & (y <= self.height - border)
@@ -219,7 +216,7 @@ class Camera:
 
         Example:
             >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
-            >>> str(camera.resized(320, 240))
+            >>> str(camera.resize(320, 240))
             'PINHOLE 320 240 250.0 250.0 160.0 120.0'
         """
         sx, sy = width / self.width, height / self.height
@@ -234,11 +231,11 @@ class Camera:
         return Camera(self.model, width, height, params)
 
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the camera of a part of the image, whose corner is at pixel (``left``, ``top``).
+        """Return the camera of a crop whose top left corner is at pixel (``left``, ``top``).
 
         Example:
             >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
-            >>> str(camera.cropped(20, 40, 600, 400))
+            >>> str(camera.crop(20, 40, 600, 400))
             'PINHOLE 600 400 500.0 500.0 300.0 200.0'
         """
         moved = {"cx": left, "cy": top}
@@ -249,7 +246,7 @@ class Camera:
 
 @lru_cache(maxsize=1024)
 def _fold_limit(fisheye: bool, distortion: tuple[float, ...]) -> float:
-    """Return what ``Camera.fold_limit`` describes; it is asked for at every projection."""
+    """Return ``Camera.fold_limit``, cached because every projection needs it."""
     if len(distortion) > _POLYNOMIAL:
         return _rational_limit(distortion)
     k1, k2, k3, k4 = distortion
@@ -265,10 +262,10 @@ def _fold_limit(fisheye: bool, distortion: tuple[float, ...]) -> float:
 
 
 def _rational_limit(distortion: tuple[float, ...]) -> float:
-    """Return the radius at which a rational distortion folds back or its denominator vanishes."""
+    """Return the radius at which a rational distortion folds over or its denominator vanishes."""
     k1, k2, _, _, k3, k4, k5, k6 = distortion
     above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    # The derivative of r above / below by r, times the squared denominator, in squares of r.
+    # The derivative of r * above / below times the squared denominator, a polynomial in r^2.
     bend = above.deriv() * below - above * below.deriv()
     slope = above * below + 2 * np.poly1d([1.0, 0.0]) * bend
     limits = [math.inf]

@@ -1,8 +1,8 @@
-"""COLMAP's camera models that equal a model of this project, for all parameters or for some.
+"""Conversion of COLMAP's camera models to equal models of this project.
 
-A fisheye with fewer coefficients is an OPENCV_FISHEYE whose other ones are zero. A model with more
-coefficients equals a smaller one where those that the smaller one lacks are zero: so FULL_OPENCV
-becomes OPENCV. Anything else is refused by its name: no camera is replaced by a similar one.
+A fisheye with fewer coefficients is an OPENCV_FISHEYE with zeros. A model with more coefficients
+equals a smaller model if the additional ones are zero, as FULL_OPENCV and OPENCV. Other models are
+errors: no camera is approximated.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from objconnect.scene.errors import InputError
 _FISHEYE: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 _PINHOLE: Final = ("fx", "fy", "cx", "cy")
 
-# Our model, and the parameters in COLMAP's order by our names. Those that our model does not have
-# must be zero.
+# Our model, and COLMAP's parameters under our names. Parameters that our model lacks must be zero.
 _EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "SIMPLE_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy")),
     "FISHEYE": ("OPENCV_FISHEYE", _PINHOLE),
@@ -60,30 +59,29 @@ MODEL_IDS: Final[dict[int, str]] = {
     16: "EUCM",
     17: "EQUIRECTANGULAR",
 }
-"""COLMAP's names by the identifiers of its binary format."""
+"""COLMAP's model names by their identifiers in binary files."""
 
-# Numbers of parameters of FULL_OPENCV and of OPENCV, with which it begins.
+# Numbers of parameters of FULL_OPENCV and of OPENCV, whose parameters come first.
 _FULL, _SHORT = 12, 8
 
 READ: Final = tuple(_EQUAL)
-"""Models of COLMAP that are read as another one."""
+"""Models of COLMAP that are converted to another model."""
 
 
 def parameter_count(model: str) -> int | None:
-    """Return how many parameters one of the models ``READ`` has; None for another model."""
+    """Return the number of parameters of a model of ``READ``; None for other models."""
     return len(_EQUAL[model][1]) if model in _EQUAL else None
 
 
 def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, ...]]:
-    """Return the equal camera of this project's models.
+    """Return the supported model that projects every point to the same pixel.
 
     Args:
-        model: name of COLMAP. A name that is none of ``READ`` is returned as it is, except for
-            FULL_OPENCV.
+        model: COLMAP's name; models other than ``READ`` and FULL_OPENCV are returned unchanged.
         params: parameters in COLMAP's order.
 
     Returns:
-        Name and parameters; they project every point to the same pixel.
+        Name and parameters of the equal model.
 
     Raises:
         InputError: a coefficient that the equal model lacks is not zero, or the number of

@@ -17,8 +17,7 @@ _E2 = _FLATTENING * (2 - _FLATTENING)
 class Geodetic(NamedTuple):
     """Latitude and longitude in degrees, altitude in metres above the ellipsoid.
 
-    The altitude is NaN where it is unknown, as that of a photograph may be. No function of this
-    module takes such a place but ``median_place``.
+    An unknown altitude is NaN; of this module, only ``median_place`` accepts it.
     """
 
     latitude: float
@@ -27,22 +26,22 @@ class Geodetic(NamedTuple):
 
 
 FARTHEST_M: Final = 1e8
-"""No point on earth lies further from a map's origin (m). A larger coordinate in a file is damage,
-and its square would soon overflow."""
+"""Largest distance of a point on earth from a map's origin (m). Larger coordinates in a file are
+damage, and powers of them overflow."""
 
-# No aircraft flies higher than this (m).
+# Largest altitude of an aircraft (m).
 _MAX_ALTITUDE_M = 1e6
 _CENTIMETRE_DEG = 1e-7
 
 
 def is_on_earth(place: Geodetic) -> bool:
-    """Return whether a place is one where an aircraft can be; a NaN coordinate makes it false."""
+    """Return whether coordinates are in range for an aircraft; NaN is not."""
     lat, lon, alt = place
     return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
 
 
 def is_same_place(a: Geodetic, b: Geodetic, up_m: float = 0.01) -> bool:
-    """Return whether two places differ by a centimetre across, and ``up_m`` up, at most."""
+    """Return whether two places are within a centimetre horizontally and ``up_m`` vertically."""
     across_deg = max(abs(a.latitude - b.latitude), abs(a.longitude - b.longitude))
     return across_deg <= _CENTIMETRE_DEG and abs(a.altitude - b.altitude) <= up_m
 
@@ -61,7 +60,7 @@ def ecef_from_geodetic(place: Geodetic) -> NDArray[np.float64]:
 
 
 def enu_axes(origin: Geodetic) -> NDArray[np.float64]:
-    """Return the axes east, north and up in earth-centred coordinates, as rows (3, 3)."""
+    """Return the axes east, north and up in earth-centred coordinates, rows of (3, 3)."""
     lat, lon = math.radians(origin.latitude), math.radians(origin.longitude)
     sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     return np.array([[-so, co, 0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])
@@ -94,7 +93,7 @@ def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
 
 
 def geodetic_from_ecef(ecef: NDArray[np.float64]) -> Geodetic:
-    """Return the geodetic coordinates of earth-centred, earth-fixed ones, (3,) metres.
+    """Convert earth-centred, earth-fixed coordinates (3,) in metres to geodetic ones.
 
     The result is exact to well under a millimetre.
     """
@@ -105,30 +104,29 @@ def geodetic_from_ecef(ecef: NDArray[np.float64]) -> Geodetic:
         n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
         lat = math.atan2(z + _E2 * n * math.sin(lat), p)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
-    # This form of the altitude is stable at the poles as well as at the equator.
+    # This form of the altitude is stable at the poles and at the equator.
     altitude = p * math.cos(lat) + z * math.sin(lat) - _SEMI_MAJOR**2 / n
     return Geodetic(math.degrees(lat), math.degrees(math.atan2(y, x)), altitude)
 
 
 def median_place(places: Sequence[Geodetic]) -> Geodetic:
-    """Return a place in the middle of others, also where they lie on both sides of longitude 180.
+    """Return the median of places, also across longitude 180.
 
-    Each coordinate is a median, so that a few wrong places have no effect. Longitudes are measured
-    from the longitude of the median place in earth-centred coordinates, so that they do not wrap.
-    Unknown altitudes take no part; where all of them are, the median is.
+    Longitudes are measured from that of the median in earth-centred coordinates, so that they do
+    not wrap. Unknown altitudes are ignored; if all are unknown, so is the median.
     """
     whole = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]
     x, y, _ = np.median([ecef_from_geodetic(place) for place in whole], axis=0).tolist()
     middle = math.degrees(math.atan2(y, x))
-    turned = [middle + longitude_difference(place.longitude, middle) for place in places]
+    unwrapped = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))
     altitudes = [place.altitude for place in places if not math.isnan(place.altitude)]
     altitude = float(np.median(altitudes)) if altitudes else math.nan
-    return Geodetic(latitude, longitude_difference(float(np.median(turned)), 0.0), altitude)
+    return Geodetic(latitude, longitude_difference(float(np.median(unwrapped)), 0.0), altitude)
 
 
 def longitude_difference(longitude: float, origin: float) -> float:
-    """Return how far a longitude is east of another, degrees in [-180, 180)."""
+    """Return the difference of two longitudes, degrees in [-180, 180)."""
     difference = longitude - origin
-    # Only wrap where needed: the modulo would round a difference that is already exact.
+    # Wrap only if needed, because the modulo rounds.
     return difference if -180 <= difference < 180 else (difference + 180) % 360 - 180

@@ -1,4 +1,4 @@
-"""The attitude of a camera as the angles that a gimbal has."""
+"""Conversion between a camera's attitude and the yaw, pitch and roll of a gimbal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 
 from objconnect.scene.geometry.pose import Pose
 
-# A camera whose axis leans less from the plumb line (rad) looks straight down.
+# Tilt (rad) below which a camera looks straight down.
 _PLUMB = 1e-6
 
 
@@ -15,9 +15,9 @@ def gimbal_pose(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
     """Return the rotation ``cam_from_world`` of a gimbal, as a pose at the origin.
 
     Args:
-        yaw_deg: Yaw of the optical axis, clockwise from north.
-        pitch_deg: Pitch of the optical axis above the horizon.
-        roll_deg: Roll about the optical axis, clockwise as the camera looks.
+        yaw_deg: yaw of the optical axis, clockwise from north.
+        pitch_deg: pitch of the optical axis above the horizon.
+        roll_deg: roll about the optical axis, clockwise in viewing direction.
     """
     yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
     forward = [np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)]
@@ -32,9 +32,9 @@ def gimbal_pose(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
 
 
 def gimbal_angles(pose: Pose) -> tuple[float, float, float]:
-    """Return yaw, pitch and roll in degrees of a camera's attitude, the inverse of ``gimbal_pose``.
+    """Return yaw, pitch and roll (degrees) of a camera, the inverse of ``gimbal_pose``.
 
-    A camera that looks straight down or up has no yaw of its own: its roll is taken to be 0.
+    For a camera that looks straight down or up, yaw is ambiguous and roll is set to 0.
     """
     right, _, forward = pose.rotation.numpy()
     level = float(np.hypot(forward[0], forward[1]))

@@ -1,4 +1,4 @@
-"""Nearest neighbours among many points on a plane, without a distance to every one of them."""
+"""Nearest neighbours among many points on a plane."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from numpy.typing import NDArray
 
 
 class Nearest:
-    """An index of points, sorted by x, that answers nearest-neighbour queries.
+    """A nearest-neighbour index of points (N, 2) that are sorted by x.
 
-    A query computes distances in a strip of x only. With a hundred times as many points over a
-    hundred times the area, the strip holds ten times as many.
-
-    Args:
-        xy: points, (N, 2).
+    A query computes distances only in a strip of x, which grows with the square root of the number
+    of points at constant density.
     """
 
     def __init__(self, xy: NDArray[np.float64]) -> None:
@@ -29,13 +26,13 @@ class Nearest:
             ValueError: the place is not finite.
         """
         if not np.isfinite(place).all():
-            raise ValueError(f"no place: {place}")
-        # Points are sorted by x, so candidates within a radius lie in one range of rows.
+            raise ValueError(f"the place must be finite, got {place}")
+        # Points are sorted by x, so those within a radius lie in one range of rows.
         first, count = self._xy[:, 0], len(self._xy)
         k = min(k, count)
         if not k:
             return np.zeros(0, np.int64)
-        # Begin with a strip that holds at least k points, and double it until k are in the circle.
+        # Start with a strip of at least k points, and double it until k are in the circle.
         at = int(first.searchsorted(place[0]))
         ends = first[[max(0, at - k), min(count, at + k) - 1]]
         radius = float(np.abs(ends - place[0]).max())

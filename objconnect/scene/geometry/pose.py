@@ -1,10 +1,10 @@
 """Rigid poses: ``a_from_b`` maps points of frame b into frame a.
 
-Rotations are stored as matrices, so that composition and application are plain matrix products
-that work with autograd and in batches; quaternions appear only when files are read or written.
+Rotations are matrices, so that composition and application are matrix products that support
+autograd and batches. Quaternions appear only in files.
 
 The tangent vector of a pose is ``(omega, v)``: rotation (rad) then translation (m), applied on the
-left, ``exp(delta) @ pose``. All Jacobians and covariances of the project use this order.
+left: ``exp(delta) @ pose``. All Jacobians and covariances of the project use this order.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ def so3_exp(omega: Tensor) -> Tensor:
 def so3_log(rotation: Tensor) -> Tensor:
     """Return the rotation vector (rad, norm at most pi) of a rotation. (..., 3, 3) -> (..., 3).
 
-    It is computed through the quaternion, of which at least one component is large, so that angles
-    near zero and near pi keep full precision.
+    It goes through the quaternion, which keeps full precision near 0 and near pi.
     """
     q = quaternion_from_rotation(rotation)
     w, xyz = q[..., :1], q[..., 1:]
@@ -213,8 +212,8 @@ class Pose:
     def error_to(self, truth: Pose) -> tuple[Tensor, Tensor]:
         """Return the distance of the camera centres (m) and the angle between the rotations (deg).
 
-        Both have the batch shape (...). The angle is computed from the rotation vector, because the
-        trace is inexact for angles below a thousandth of a degree.
+        Both have the batch shape (...). The angle is the norm of the rotation vector, because the
+        trace is inexact below a thousandth of a degree.
         """
         metres = (self.centre() - truth.centre()).norm(dim=-1)
         relative = so3_log(self.rotation @ truth.rotation.transpose(-1, -2))

@@ -1,7 +1,7 @@
-"""Batched projection with analytic Jacobians, for every camera model of the project.
+"""Batched projection with analytic Jacobians for every camera model of the project.
 
-All perspective models are one formula in which some coefficients may be zero, or are not there; the
-fisheye model is another. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
+One formula serves all perspective models, with missing coefficients zero; a second one serves the
+fisheye model. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from torch.nn.functional import pad
 
 # Points with a smaller z (in units of the camera frame) count as behind the camera.
 MIN_DEPTH: Final = 1e-6
-# So do points with a larger x/z or y/z, whose powers overflow single precision.
+# Points with a larger x/z or y/z do too: powers of it overflow single precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
-# Coefficients of a perspective model without a denominator. With one, Newton's method goes this far
-# (in limits), and starts from where halving led.
-_POLYNOMIAL, _INSIDE, _HALVINGS = 4, 0.9999, 24
-# The least denominator: at its zeros, pixels stay finite.
+# Number of coefficients of a perspective model without a denominator.
+_POLYNOMIAL = 4
+# With a denominator, Newton's method stays within this share of the fold-over limit and starts from
+# the result of so many bisections.
+_INSIDE, _HALVINGS = 0.9999, 24
+# Smallest absolute denominator, which keeps pixels finite.
 _LEAST_BELOW = 1e-6
 
 
@@ -31,10 +33,9 @@ class Projection(NamedTuple):
 
     Attributes:
         xy: pixels, (..., N, 2); finite everywhere, meaningful where ``valid``.
-        valid: (..., N) bool: the point is in front of the camera and inside the radius at which the
-            distortion folds back. A valid point can still lie outside the image: see
-            ``Camera.contains``.
-        jacobian: d(xy) / d(point in camera frame), (..., N, 2, 3), or None when not asked for.
+        valid: (..., N) bool: the point is in front of the camera and inside the fold-over limit. It
+            may still lie outside the image: see ``Camera.contains``.
+        jacobian: d(xy) / d(point in camera frame), (..., N, 2, 3); None if not requested.
     """
 
     xy: Tensor
@@ -51,8 +52,8 @@ class Intrinsics:
         focal: focal lengths, (..., 2) pixels.
         principal: principal points, (..., 2) pixels.
         distortion: k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye, (..., 4); or k1 k2 p1 p2 k3 k4 k5
-            k6, (..., 8), of which the last three are those of a denominator.
-        limit: where the distortion folds back, (...): radius x/z, or angle (rad) for the fisheye.
+            k6, (..., 8), the last three in a denominator.
+        limit: fold-over limit, (...): radius x/z, or angle (rad) for the fisheye.
     """
 
     fisheye: bool
@@ -66,15 +67,15 @@ class Intrinsics:
         """Return cameras that are all perspective, or all fisheye, as one batch.
 
         Args:
-            cameras: at least one, of equal batch dimensions; they may be of several models.
+            cameras: at least one camera; all have the same batch dimensions.
         """
         most = max(camera.distortion.shape[-1] for camera in cameras)
-        bent = [pad(c.distortion, (0, most - c.distortion.shape[-1])) for c in cameras]
+        distortion = [pad(c.distortion, (0, most - c.distortion.shape[-1])) for c in cameras]
         return cls(
             fisheye=cameras[0].fisheye,
             focal=torch.stack([camera.focal for camera in cameras]),
             principal=torch.stack([camera.principal for camera in cameras]),
-            distortion=torch.stack(bent),
+            distortion=torch.stack(distortion),
             limit=torch.stack([camera.limit for camera in cameras]),
         )
 
@@ -105,8 +106,7 @@ class Intrinsics:
         xy = focal * distorted + self.principal[..., None, :]
         if local is None:
             return Projection(xy, in_front & inside, None)
-        # The product with the derivatives of u = x/z and v = y/z, written out: products of small
-        # matrices, one of every point, take longer.
+        # The chain rule for u = x/z and v = y/z, written out: a matrix product per point is slower.
         u, v = uv.unbind(-1)
         d_u, d_v = (focal[..., None] * local * inverse_z[..., None, None]).unbind(-1)
         d_z = -(d_u * u[..., None] + d_v * v[..., None])
@@ -115,8 +115,8 @@ class Intrinsics:
     def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Return the rays with z = 1 through pixels (..., N, 2), and which of them are valid.
 
-        The distortion is inverted by Newton's method. A pixel is not valid when no ray inside the
-        fold-over limit reaches it.
+        Newton's method inverts the distortion. A pixel is invalid if no ray inside the fold-over
+        limit projects to it.
 
         Returns:
             Rays (..., N, 3) of the camera frame, and (..., N) bool.
@@ -159,13 +159,13 @@ class Intrinsics:
         """Distort normalised coordinates (..., N, 2).
 
         Returns:
-            The distorted coordinates (..., N, 2), their Jacobian (..., N, 2, 2) if asked for, and
+            The distorted coordinates (..., N, 2), their Jacobian (..., N, 2, 2) if requested, and
             whether each point is inside the fold-over limit, (..., N).
         """
         if self.fisheye:
             return self._distort_fisheye(uv, jacobian)
         if not self.distortion.any():
-            # Most cameras of a simulation; an alignment projects hundreds of times.
+            # A shortcut for simulated cameras: an alignment projects hundreds of times.
             inside = uv.square().sum(-1) < self.limit[..., None] ** 2
             eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
             return uv, eye.expand(*uv.shape[:-1], 2, 2) if jacobian else None, inside
@@ -196,10 +196,10 @@ class Intrinsics:
         return distorted, local, inside
 
     def _without_tangential(self, target: Tensor) -> Tensor:
-        """Return where Newton's method starts from distorted coordinates (..., N, 2).
+        """Return the start of Newton's method for distorted coordinates (..., N, 2).
 
-        A rational distortion can be so steep that it starts from the solution without tangential
-        terms, which is found by halving.
+        It is the target itself; for a rational distortion, which may be too steep for that, it is
+        the solution without tangential terms, found by bisection.
         """
         k1, k2, _, _, *more = (c[..., None] for c in self.distortion.unbind(-1))
         if not more:
@@ -216,9 +216,9 @@ class Intrinsics:
         return start
 
     def _within_limit(self, uv: Tensor) -> Tensor:
-        """Return coordinates (..., N, 2), moved inside the limit where there is a denominator.
+        """Clamp coordinates (..., N, 2) to the fold-over limit if there is a denominator.
 
-        Beyond its zeros, Newton's method would search on another branch.
+        Beyond its zeros, Newton's method would leave for another branch.
         """
         if self.distortion.shape[-1] == _POLYNOMIAL:
             return uv
@@ -255,7 +255,7 @@ class Intrinsics:
 
 
 def _rational(r2: Tensor, coefficients: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Return the stretch of squared radii (..., N), and twice its derivative by them.
+    """Return the radial factor at squared radii (..., N), and twice its derivative by them.
 
     Args:
         r2: (..., N).

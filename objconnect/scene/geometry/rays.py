@@ -1,4 +1,4 @@
-"""The pose of a camera from directions and attitudes relative to cameras with known poses."""
+"""The pose of a camera from directions and attitudes relative to cameras of known pose."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-# Iterations of least squares, each with weights from the distances of the last one.
+# Iterations of reweighted least squares.
 _ROUNDS = 10
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Directions to one camera and its attitudes, from N references.
+    """Directions to one camera and its attitudes, from N reference images.
 
     Attributes:
-        origins: centres (N, 3) of the references, world metres.
-        directions: unit vectors (N, 3) from the references to the camera.
-        rotations: rotations ``cam_from_world`` (N, 3, 3) according to each reference.
+        origins: camera centres (N, 3) of the reference images, world metres.
+        directions: unit vectors (N, 3) from the reference images to the camera.
+        rotations: ``cam_from_world`` rotations (N, 3, 3) of the camera from each reference image.
     """
 
     origins: NDArray[np.float64]
@@ -39,10 +39,10 @@ class Rays:
         return float(np.degrees(np.arccos(cosines.min())))
 
     def consensus(self, agree_deg: float, least_deg: float) -> NDArray[np.int64]:
-        """Return the rows of the largest set of references that agree on one camera.
+        """Return the rows of the largest set of reference images that agree on one camera.
 
-        Each pair of rays proposes the point where they meet. A reference agrees when the point lies
-        along its ray and its attitude is that of the pair. The result is empty when no two agree.
+        Each pair of rays proposes its intersection. A reference image agrees if the point lies
+        along its ray and its attitude equals that of the pair. The result is empty if no two agree.
 
         Args:
             agree_deg: largest angle between a ray and the point, and between attitudes.
@@ -62,7 +62,7 @@ class Rays:
         return chosen
 
     def meet(self) -> NDArray[np.float64]:
-        """Return the point (3,) with the least squares of angles to the rays."""
+        """Return the point (3,) with the least sum of squared angles to the rays."""
         weights = np.ones(len(self))
         place = self.origins.mean(0)
         across = np.eye(3) - self.directions[:, :, None] * self.directions[:, None, :]
@@ -80,10 +80,10 @@ class Rays:
         return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt)
 
     def _misses_deg(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the angle (N,) between each ray and the way from its reference to a place."""
-        way = place - self.origins
-        across = np.linalg.norm(np.cross(self.directions, way), axis=1)
-        return np.asarray(np.degrees(np.arctan2(across, (self.directions * way).sum(1))))
+        """Return the angle (N,) between each ray and the direction from its origin to a point."""
+        offset = place - self.origins
+        across = np.linalg.norm(np.cross(self.directions, offset), axis=1)
+        return np.asarray(np.degrees(np.arctan2(across, (self.directions * offset).sum(1))))
 
     def _angles_to(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the angle (N,) between each rotation and another."""

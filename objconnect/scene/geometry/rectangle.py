@@ -22,7 +22,7 @@ def rectangle(centre: ArrayLike, size: ArrayLike, yaw: float) -> NDArray[np.floa
 def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     """Return whether two rectangles, given by their corners (4, 2), share any area.
 
-    The test is that of separating axes: only the edges' directions need to be tried.
+    It uses the separating axis theorem.
     """
     for edges in (a, b):
         for axis in (edges[1] - edges[0], edges[2] - edges[1]):

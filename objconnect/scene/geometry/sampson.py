@@ -1,4 +1,4 @@
-"""Refinement of a pose to the least epipolar error of matches to several photographs."""
+"""Refinement of a pose by minimizing the epipolar errors of matches to several photographs."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN, SINGULAR
 _TINY = 1e-24
 # Steps (rad and m) shorter than this change nothing measurable.
 _CONVERGED = 1e-7
-# Exact matches have no noise to scale by (px).
+# Smallest noise of matches (px), for exact ones.
 _LEAST_SIGMA = 1e-3
-# Most steps of Levenberg-Marquardt; one that still moves then has nothing to hold on to.
+# Largest number of Levenberg-Marquardt steps; a pose that still moves then is unconstrained.
 _MOST_STEPS: Final = 30
 
 
@@ -39,7 +39,7 @@ class Matches:
     reference_rays: Tensor
 
     def residuals(self, pose: Pose, focal: float) -> tuple[Tensor, Tensor]:
-        """Sampson errors (K,) in pixels, and their derivative (K, 6) by the pose's left tangent.
+        """Return Sampson errors (K,) in pixels and their derivatives (K, 6) by the left tangent.
 
         Args:
             pose: ``cam_from_world`` of the query.
@@ -50,8 +50,8 @@ class Matches:
         query = self.query_rays
         seen = self.reference_rays @ relative.rotation.T
         baseline = relative.translation.expand_as(seen)
-        # Epipolar lines in the query, E x_r, and in the photograph, E^T x_q; of both, the part
-        # in the picture's plane, as the query's frame has it.
+        # Epipolar lines in the query, E x_r, and in the photograph, E^T x_q, and their components
+        # in the image plane, both in the query's frame.
         line = cross(baseline, seen)
         other = cross(query, baseline) @ relative.rotation
         plane = torch.tensor([1.0, 1.0, 0.0], dtype=line.dtype)
@@ -72,9 +72,9 @@ class Refined:
 
     Attributes:
         pose: ``cam_from_world`` of the query.
-        covariance: covariance (6, 6) of the left tangent (rotation rad, translation m), from the
-            noise of the matches and with exact poses of the photographs; None where it is singular.
-        iterations: steps tried.
+        covariance: covariance (6, 6) of the left tangent (rotation rad, translation m) from the
+            noise of the matches, with exact poses of the photographs; None if singular.
+        iterations: number of steps tried.
     """
 
     pose: Pose
@@ -83,11 +83,11 @@ class Refined:
 
 
 def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined:
-    """Minimise the Sampson errors over all photographs by Levenberg-Marquardt, under a Cauchy loss.
+    """Minimize the Sampson errors over all photographs by Levenberg-Marquardt with a Cauchy loss.
 
     Args:
-        start: ``cam_from_world`` of the query, float64.
-        photographs: matches to them.
+        start: initial ``cam_from_world`` of the query, float64.
+        photographs: matches to each photograph.
         focal: focal length of the query, pixels.
     """
     pose, damping, iterations = start, 1e-3, 0

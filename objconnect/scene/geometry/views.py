@@ -1,9 +1,10 @@
-"""Photographs turned north up and brought to one scale, as networks recognise places again.
+"""Views: photographs rotated north up, resized to one scale, or levelled.
 
-Photographs of a survey are turned every way, every second line by half a turn, and flown at any
-height. The map's poses say how, the query's prior to a few degrees and metres. A photograph turned
-and resized is that of another camera, with the same lens turned. One that looks at the ground more
-flatly than the map's photographs is seen as by a camera at its place that is tilted less.
+Networks match such views better: photographs of a survey have any heading, opposite on neighbouring
+lines, and any height. The poses of the map, or the prior of a query to a few degrees and metres,
+give rotation and scale. A rotated and resized photograph is that of another camera with the lens
+rotated. A photograph with a flatter line of sight than the map's is levelled: warped to a camera of
+less tilt at the same position.
 """
 
 from __future__ import annotations
@@ -21,19 +22,17 @@ from numpy.typing import NDArray
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 
-# Numerical guard: features this near (px of the view) to where the photograph ends see the black
-# beyond it.
+# Features this near (px of the view) to the edge of the photograph see the black beyond it.
 MARGIN: Final = 8.0
-# Vertical component of the optical axis in the flattest view that counts as one from above: what
-# `looks_down` means.
+# Largest vertical component of the optical axis of a camera that looks down.
 _LEVEL: Final = -0.5
-# Numerical guard: radians and share below which a photograph is left as it is.
+# Smaller rotations (radians) and relative changes of scale leave a photograph unchanged.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
-# Largest turn of the optical axis, radians: what was flat is stretched the more.
+# Largest rotation of the optical axis by levelling, radians: more would stretch the image too much.
 _MOST_LEVELLED: Final = np.pi / 4
-# Distance from the axis of a levelled view, in focal lengths, beyond which it shows nothing.
+# Largest distance from the axis in a levelled view, in focal lengths.
 _WIDEST: Final = 2.2
-# A levelled view has at most so many pixels for each pixel that the photograph would have.
+# Largest ratio of the pixels of a levelled view to those of the photograph at the same scale.
 _MOST_PIXELS: Final = 2.0
 
 
@@ -43,16 +42,15 @@ def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
 
 
 def north_angle(cam_from_world: NDArray[np.float64]) -> float:
-    """Return the clockwise angle (rad) from the picture's up to north on the ground.
+    """Return the clockwise angle (rad) from the image's up direction to north on the ground.
 
-    Views within 30 degrees of the horizon, as from a street, are given the angle to the sky
-    instead, wherever they look.
+    For views within 30 degrees of the horizon, as from a street, it is the angle to the zenith.
 
     Args:
         cam_from_world: rotation (3, 3).
 
     Example:
-        A camera that looks straight down, with north at the top of its picture:
+        A camera that looks straight down, with north at the top of the image:
 
         >>> north_angle(np.diag([1.0, -1.0, -1.0]))
         0.0
@@ -64,20 +62,20 @@ def north_angle(cam_from_world: NDArray[np.float64]) -> float:
 
 
 def map_angle(cam_from_world: NDArray[np.float64]) -> float:
-    """Return the clockwise angle (rad) by which a picture lies closest to a map, north up.
+    """Return the clockwise angle (rad) of the rotation that aligns an image best with a map.
 
-    It is that of ``north_angle`` for views from above, and is defined for flat views too.
+    For views from above it equals ``north_angle``; it is defined for flat views too.
 
     Args:
         cam_from_world: rotation (3, 3).
     """
     east_axis, north_axis, _ = cam_from_world.T
-    # The turn about the optical axis that best brings east to the right and north up.
+    # The rotation about the optical axis that best brings east to the right and north up.
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
 
 
 def tilt(cam_from_world: NDArray[np.float64]) -> float:
-    """Return the angle (rad) between a camera's axis and the plumb line; 0 looks straight down.
+    """Return the angle (rad) between a camera's axis and nadir; 0 looks straight down.
 
     Example:
         >>> tilt(np.diag([1.0, -1.0, -1.0]))
@@ -87,9 +85,9 @@ def tilt(cam_from_world: NDArray[np.float64]) -> float:
 
 
 def level_rotation(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of a camera turned down to a tilt of ``least`` rad, north up.
+    """Return the rotation (3, 3) of a camera levelled to a tilt of ``least`` rad, north up.
 
-    The axis turns by 45 degrees at most. A camera of less tilt is only turned north up.
+    The axis rotates by 45 degrees at most. A camera of less tilt is only rotated north up.
     """
     down = np.diag([1.0, -1.0, -1.0])
     north_up = roll_rotation(map_angle(cam_from_world)) @ cam_from_world
@@ -102,20 +100,14 @@ def level_rotation(cam_from_world: NDArray[np.float64], least: float) -> NDArray
 
 
 def roll_rotation(angle: float) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of camera coordinates when the picture turns counter-clockwise."""
+    """Return the rotation (3, 3) of camera coordinates for a counter-clockwise image rotation."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
 
 
 def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of a camera turned about its axis so that north is up."""
+    """Return the rotation (3, 3) of a camera rotated about its axis so that north is up."""
     return np.asarray(roll_rotation(north_angle(cam_from_world)) @ cam_from_world)
-
-
-def with_heading(pose: Pose, heading: float) -> Pose:
-    """Turn a camera about its axis so that ``north_angle`` of it is ``heading`` (rad)."""
-    rotation = torch.from_numpy(roll_rotation(-heading) @ upright(pose.rotation.numpy()))
-    return Pose(rotation, -rotation @ pose.centre())
 
 
 _Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -123,16 +115,15 @@ _Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class WarpedImage:
-    """A photograph turned and resized.
+    """A view: a photograph rotated, resized or levelled.
 
     Attributes:
-        picture: (h, w, 3) uint8; black where the photograph has ended.
-        camera: the camera that would have taken it.
+        picture: (h, w, 3) uint8; black outside the photograph.
+        camera: camera of the view.
         view_from_camera: (3, 3) rotation from the photograph's camera frame.
-        in_photograph: maps pixels of the view (N, 2) to pixels of the photograph; NaN where these
-            cannot be.
-        scale: pixels of the view per pixel of the photograph, along its axis.
-        size: size (2,) of the photograph, width and height.
+        in_photograph: maps pixels of the view (N, 2) to pixels of the photograph; NaN if invalid.
+        scale: pixels of the view per pixel of the photograph, at its axis.
+        size: width and height (2,) of the photograph.
     """
 
     picture: NDArray[np.uint8]
@@ -143,19 +134,19 @@ class WarpedImage:
     size: NDArray[np.int64]
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
-        there, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
-        (x, y), (wide, high) = there.T, self.size - margin
+        """Return whether pixels of the view (..., 2) lie in the photograph, 8 px from its edge."""
+        source, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
+        (x, y), (wide, high) = source.T, self.size - margin
         inside = (x >= margin) & (x <= wide) & (y >= margin) & (y <= high)
         return np.asarray(inside.reshape(xy.shape[:-1]))
 
     @cached_property
-    def whole(self) -> bool:
+    def is_filled(self) -> bool:
         """Return whether the photograph fills the view."""
         return bool(np.allclose(self.view_from_camera, np.eye(3)))
 
     def middle(self, side: int) -> WarpedImage:
-        """Return the middle of the view, of at most ``side`` pixels in width and height."""
+        """Return the central crop of at most ``side`` pixels in width and height."""
         whole = np.array([self.camera.width, self.camera.height])
         size = np.minimum(whole, side)
         corner = (whole - size) // 2
@@ -166,7 +157,7 @@ class WarpedImage:
             self,
             picture=np.ascontiguousarray(self.picture[top : top + high, left : left + wide]),
             camera=self.camera.crop(left, top, wide, high),
-            in_photograph=partial(_beyond_corner, self.in_photograph, corner),
+            in_photograph=partial(_add_corner, self.in_photograph, corner),
         )
 
     def pose(self, cam_from_world: Pose) -> Pose:
@@ -180,7 +171,7 @@ class WarpedImage:
     def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (6, 6) of the photograph's pose, given that of the view's.
 
-        One that is infinite, as nothing is known of the pose, stays as it is.
+        An infinite covariance stays unchanged.
         """
         if not np.isfinite(covariance).all():
             return covariance
@@ -195,18 +186,18 @@ def _rotate_pose(by: torch.Tensor, pose: Pose) -> Pose:
 def warp_image(
     rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0
 ) -> WarpedImage:
-    """Turn a photograph counter-clockwise and resize it; all of it is in the view.
+    """Rotate a whole photograph counter-clockwise and resize it.
 
     Args:
         rgb: (H, W, 3) the photograph.
-        camera: the camera that took it.
+        camera: its camera.
         angle: radians, for instance from ``north_angle``.
         scale: pixels of the view per pixel of the photograph.
     """
     size = np.array([camera.width, camera.height])
     if abs(angle) < _SAME_ANGLE and abs(scale - 1) < _SAME_SCALE:
         return WarpedImage(rgb, camera, np.eye(3), lambda xy: xy, 1.0, size)
-    # Pixels become square, so that the turned lens is described by the same camera model.
+    # Pixels become square, so that the same camera model describes the rotated lens.
     focal = np.array(camera.focal)
     per_axis = scale * focal.mean() / focal
     turn = roll_rotation(angle)
@@ -219,11 +210,11 @@ def warp_image(
         model, lens = "OPENCV_FISHEYE", camera.distortion
     else:
         k1, k2, p1, p2, *more = camera.distortion
-        # Radial distortion has no direction; tangential distortion turns with the picture.
+        # Radial distortion has no direction; tangential distortion rotates with the image.
         p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
         model, lens = "FULL_OPENCV" if more else "OPENCV", (k1, k2, p1, p2, *more)
     turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
-    # The inverse of a rotation after a scaling. LAPACK would wake its threads, which takes 2 ms.
+    # The inverse of a rotation after a scaling, written out: starting LAPACK's threads takes 2 ms.
     inverse = turn[:2, :2].T / per_axis[:, None]
     back = partial(_affine_back, inverse, affine[:, 2])
     along = float(np.linalg.norm(affine[:, 0]))
@@ -233,16 +224,16 @@ def warp_image(
 def level_image(
     rgb: NDArray[np.uint8], camera: Camera, view_from_camera: NDArray[np.float64], scale: float
 ) -> WarpedImage:
-    """See a photograph as a camera without distortion would that is turned at its place.
+    """Warp a photograph to a pinhole camera of another rotation at the same position.
 
-    Ground that the photograph shows at an angle is stretched, as far as 65 degrees off the axis.
+    The view extends to 65 degrees off the axis at most; oblique ground is stretched.
 
     Args:
         rgb: (H, W, 3) the photograph.
-        camera: the camera that took it.
-        view_from_camera: (3, 3) how to turn it, for instance to a rotation of ``levelled``.
-        scale: pixels of the view per pixel of the photograph, along the axis of either. It becomes
-            less where the view would have many more pixels than the photograph.
+        camera: its camera.
+        view_from_camera: (3, 3) rotation to the view, for instance for ``level_rotation``.
+        scale: pixels of the view per pixel of the photograph, at the axes. It is reduced if the
+            view would have more than twice the pixels.
     """
     size = np.array([camera.width, camera.height])
     edge = np.linspace(0, 1, 33)
@@ -263,14 +254,14 @@ def level_image(
     shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
     small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
     # OpenCV counts from the first pixel's centre.
-    there = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(high, wide, 2)
-    there = np.nan_to_num(there, nan=-1e4)
-    picture = cv2.remap(small, there[..., 0], there[..., 1], cv2.INTER_LINEAR)
+    source = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(high, wide, 2)
+    source = np.nan_to_num(source, nan=-1e4)
+    picture = cv2.remap(small, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
     along = focal / float(np.mean(camera.focal))
     return WarpedImage(np.asarray(picture, np.uint8), view, view_from_camera, back, along, size)
 
 
-def _beyond_corner(
+def _add_corner(
     in_photograph: _Map, corner: NDArray[np.int64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     return in_photograph(xy + corner)
@@ -279,7 +270,7 @@ def _beyond_corner(
 def _affine_back(
     linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    # Written out: a product of so many rows would wake the threads of BLAS.
+    # Written out: a product of so many rows would start the threads of BLAS.
     (a, b), (c, d) = linear.tolist()
     x, y = (xy - shift).T
     return np.stack([a * x + b * y, c * x + d * y], -1)
@@ -296,9 +287,9 @@ def _to_camera_pixels(
 def resample(
     rgb: NDArray[np.uint8], affine: NDArray[np.float64], size: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
-    """Warp a picture by ``affine`` (2, 3), pixels counted from the edge, into width and height.
+    """Warp an image by ``affine`` (2, 3), in COLMAP pixels, to ``size`` (width, height).
 
-    A picture that becomes smaller is averaged over areas first, so that no pixel is skipped.
+    An image that becomes smaller is averaged over areas first, which avoids aliasing.
     """
     height, width = rgb.shape[:2]
     scale = np.linalg.norm(affine[:, :2], axis=0)
@@ -312,6 +303,6 @@ def resample(
 
 
 def from_pixel_centres(affine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an affine map (2, 3) of pixels as OpenCV counts them, from the first one's centre."""
+    """Convert an affine map (2, 3) of COLMAP pixels to OpenCV's, whose origin is a pixel centre."""
     shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
     return np.column_stack([affine[:, :2], shift])

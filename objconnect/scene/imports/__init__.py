@@ -1,7 +1,7 @@
-"""Poses, cameras and positions of photographs, read from the files of other programs.
+"""Readers of poses, cameras and positions of photographs from the files of other programs.
 
-``formats.read_foreign`` recognizes a file or folder and returns ``poses.ForeignPoses``: names as
-the program wrote them, cameras, poses ``cam_from_world`` in this project's axes, positions in
-metres, and the geodetic origin where the file tells one. ``names.match_files`` finds the
-photographs that the names mean. ``ingest --poses`` builds a map with these poses.
+``formats.read_foreign`` detects the format of a file or folder and returns ``poses.ForeignPoses``:
+names as in the file, cameras, poses ``cam_from_world`` in this project's axes, positions in metres,
+and the geodetic origin if the file states one. ``names.match_files`` matches the names with
+photographs. ``ingest --poses`` builds a map with these poses.
 """

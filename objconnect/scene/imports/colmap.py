@@ -1,4 +1,4 @@
-"""Poses of COLMAP: the folder of a binary model. The world's origin is not in the model."""
+"""Reader of poses from a binary COLMAP model, which has no geodetic origin."""
 
 from __future__ import annotations
 

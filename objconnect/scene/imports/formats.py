@@ -1,4 +1,4 @@
-"""The formats of poses by name, and the recognition of any of them."""
+"""The registry of pose formats, and the detection of a file's format."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Final
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.imports.poses import ForeignPoses, Format, Frame
-from objconnect.scene.imports.unsupported import refuse_stranger
+from objconnect.scene.imports.unsupported import refuse_unsupported
 from objconnect.scene.registry import Lazy, Registry
 
-# Formats are asked in this order.
+# Formats are tried in this order.
 FORMATS: Final[Registry[Format]] = Registry(
     "pose format",
     "objconnect.imports",
@@ -29,37 +29,37 @@ FORMATS: Final[Registry[Format]] = Registry(
         "table": Lazy("objconnect.scene.imports.table:FORMAT", "CSV of positions"),
         "tum": Lazy("objconnect.scene.imports.tum:FORMAT", "TUM trajectory"),
     },
-    accepts=lambda found: isinstance(found, Format),
+    accepts=lambda entry: isinstance(entry, Format),
 )
 
 
 FRAMED: Final = "a reconstruction.json of ODM or OpenSfM"
-"""The files whose frame a user may state."""
+"""The files whose frame the user may state."""
 
 
 def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
-    """Read poses with the first format that knows a path.
+    """Read poses from a file or folder in any registered format.
 
     Args:
         path: file or folder.
-        frame: frame of the poses, where the file may leave it open; None states none.
+        frame: frame of the poses, for files that do not state theirs; None detects it.
 
     Raises:
-        InputError: the path does not exist, no format knows it, anything inside it is wrong, or a
-            frame is stated of a format whose files leave no doubt of theirs.
+        InputError: the path does not exist, its format is unknown, its contents are invalid, or
+            ``frame`` is given for a format whose frame is always known.
     """
     if not path.exists():
         raise InputError(f"file of poses {path} does not exist")
-    refuse_stranger(path)
-    known = []
+    refuse_unsupported(path)
+    descriptions = []
     for name in FORMATS:
         form = FORMATS.load(name)
         with FORMATS.blame(name, f"cannot read {path}"):
-            if form.is_one(path):
+            if form.matches(path):
                 if frame is None:
                     return form.read(path)
-                if form.read_in is not None:
-                    return form.read_in(path, frame)
+                if form.read_in_frame is not None:
+                    return form.read_in_frame(path, frame)
                 raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
-        known.append(form.holds)
-    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(known)}")
+        descriptions.append(form.description)
+    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(descriptions)}")

@@ -1,8 +1,8 @@
-"""Lenses of other programs as cameras of this project.
+"""Conversion of other programs' lenses to cameras of this project.
 
-Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two of them are
-those of COLMAP's OPENCV, and three those of its FULL_OPENCV without a denominator. Where there are
-four, or skew, the nearest such camera is fitted, and a lens that it cannot describe is refused.
+Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two coefficients
+are COLMAP's OPENCV model, three its FULL_OPENCV model without a denominator. For four, or for skew,
+the nearest such camera is fitted; a lens that it cannot approximate is refused.
 """
 
 from __future__ import annotations
@@ -18,33 +18,32 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 
 MOST_OFF: Final = 1e-3
-"""Largest distance between a lens and the camera that stands in for it, in longer sides of the
-picture."""
+"""Largest error of the camera fitted to a lens, in longer sides of the picture."""
 
 LONGEST_FOCAL: Final = 100.0
-"""No lens of these programs has a focal length of more longer sides of the picture."""
+"""Largest plausible focal length, in longer sides of the picture."""
 
 LARGEST_SIDE: Final = 1_000_000
-"""No picture is wider or higher (pixels)."""
+"""Largest plausible width and height of a picture (pixels)."""
 
 # Rays of the fit: directions around the axis, and steps from the axis to the corner.
 _DIRECTIONS, _STEPS = 48, 60
-# Iterations that bring the fit from the least squares near the least maximum (Lawson's method).
+# Iterations of Lawson's method, which moves least squares towards the least maximum error.
 _ROUNDS = 20
 
 
 def require_inside(
     principal: tuple[float, float], size: tuple[int, int], names: tuple[str, str]
 ) -> None:
-    """Refuse a principal point (pixels) that lies outside the picture.
+    """Refuse a principal point outside the picture: its origin or unit is another one.
 
     Args:
         principal: (cx, cy), COLMAP pixels.
         size: width and height, pixels.
-        names: fields of the file, for the message.
+        names: names of the two fields, for the message.
 
     Raises:
-        InputError: it does; another program counts it from another point, or in another unit.
+        InputError: the principal point is outside.
     """
     for at, side, name in zip(principal, size, names, strict=True):
         if not 0 <= at <= side:
@@ -56,7 +55,7 @@ def require_inside(
 
 @dataclass(frozen=True)
 class BrownLens:
-    """A lens of the Brown model, in OpenCV's order and sign of coefficients.
+    """A lens of the Brown model with OpenCV's order and signs of coefficients.
 
     A point (x, y) = (X/Z, Y/Z) of radius r is at x (1 + k1 r^2 + ... + k4 r^8) + 2 p1 x y +
     p2 (r^2 + 2 x^2), and y likewise with p1 and p2 exchanged, then multiplied by the focal lengths.
@@ -78,17 +77,17 @@ class BrownLens:
     skew: float = 0.0
 
     def camera(self) -> Camera:
-        """Return the camera of this lens: OPENCV, FULL_OPENCV with k3, or the nearest of these.
+        """Return the equal OPENCV or FULL_OPENCV camera, or the nearest one.
 
         Raises:
-            InputError: the numbers are those of no camera, or none is within ``MOST_OFF``.
+            InputError: the parameters are invalid, or no camera is within ``MOST_OFF``.
         """
         k1, k2, k3, k4 = self.radial
         exact = self._with((*self.focal, *self.principal, k1, k2, *self.tangential, k3))
         if not (k4 or self.skew):
             return exact
-        numbers = (k4, self.skew)
-        if not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e9:
+        extra = (k4, self.skew)
+        if not np.isfinite(extra).all() or np.abs(extra).max() > 1e9:
             raise InputError("camera parameters are out of range")
         return self._fit()
 
@@ -110,7 +109,7 @@ class BrownLens:
         return np.stack([fx * u + self.skew * v + cx, fy * v + cy], -1)
 
     def _rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the rays (x, y), each (N,), that fall into the picture before the model folds."""
+        """Return the rays (x, y), each (N,), inside the picture and the fold-over limit."""
         angle = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)[:, None]
         reach = 2 * np.hypot(self.size[0] / self.focal[0], self.size[1] / self.focal[1])
         radius = np.linspace(0, reach, 4 * _STEPS)[None, :]
@@ -128,7 +127,9 @@ class BrownLens:
             x, y = self._rays()
         r2, ratio = x * x + y * y, self.focal[1] / self.focal[0]
         if len(x) < _STEPS:
-            raise InputError("the lens folds within the picture: its coefficients are no lens's")
+            raise InputError(
+                "the lens folds within the picture: its distortion coefficients are wrong"
+            )
         along_x = np.stack([x, x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], -1)
         along_y = np.stack([y, y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], -1)
         rows = np.concatenate([along_x, along_y])

@@ -1,9 +1,9 @@
-"""Poses of Agisoft Metashape: the XML that "Export Cameras" writes.
+"""Reader of poses from Agisoft Metashape: the XML file of "Export Cameras".
 
-A camera's ``transform`` is a row-major matrix, chunk from camera, with OpenCV's camera axes. The
-transform of the component (or, in older files, of the chunk) leads from the chunk to geocentric
-metres, or to a local system. Components have frames of their own, and so have chunks.
-``metashape_lens`` reads calibrations.
+A camera's ``transform`` is the row-major matrix chunk_from_cam with OpenCV's camera axes. The
+transform of the component (in older files, of the chunk) maps the chunk to geocentric metres or to
+a local system. Every chunk and every component has its own frame. ``metashape_lens`` reads
+calibrations.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from objconnect.scene.storage.files import read_text
 
 Array = NDArray[np.float64]
 
-# Distances from the middle of the earth (m) between which geocentric coordinates lie.
+# Range of distances (m) of geocentric coordinates from the earth's centre.
 _ON_EARTH_M = (6.2e6, 6.6e6)
 
 
 def _read(path: Path) -> ForeignPoses:
-    """Read the photographs that are aligned and enabled."""
+    """Read the aligned and enabled photographs."""
     chunk = _chunk(path)
     sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
     aligned = [camera for camera in chunk.iter("camera") if _is_aligned(camera)]
-    # A sensor that no photograph uses has an empty calibration.
+    # Unused sensors have an empty calibration.
     used = dict.fromkeys(camera.get("sensor_id") for camera in aligned)
     cameras = {name: camera_of(path, sensors[name]) for name in used if name in sensors}
     worlds = _worlds(path, chunk, aligned)
@@ -76,7 +76,7 @@ def _is_aligned(camera: ET.Element) -> bool:
 def _worlds(
     path: Path, chunk: ET.Element, aligned: Sequence[ET.Element]
 ) -> dict[str | None, Array | None]:
-    """Return world from chunk for each component that photographs are in; None if it is local.
+    """Return world_from_chunk of each component with photographs; None for a local frame.
 
     Older files have one transform, that of the chunk.
     """
@@ -108,7 +108,7 @@ def _parse(path: Path) -> ET.Element:
 
 
 def _similarity(path: Path, holder: ET.Element) -> Array | None:
-    """Return world from chunk of a component or chunk as (4, 4): scale, rotation, translation."""
+    """Return world_from_chunk (4, 4) of a component or chunk: scale, rotation, translation."""
     transform = holder.find("transform")
     if transform is None or not len(transform):
         return None
@@ -129,7 +129,7 @@ def _similarity(path: Path, holder: ET.Element) -> Array | None:
 
 
 def _to_world(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
-    """Return world from camera, (4, 4), whose rotation has no scale."""
+    """Return world_from_cam, (4, 4), with the scale removed from its rotation."""
     if world_from_chunk is None:
         return chunk_from_cam
     moved = np.asarray(world_from_chunk @ chunk_from_cam)
@@ -139,7 +139,7 @@ def _to_world(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
 
 
 def _on_earth(world_from_cam: Array) -> tuple[Array, Geodetic | None]:
-    """Return geocentric poses as east, north, up around their middle; others as they are."""
+    """Convert geocentric poses to east, north, up from their median; others stay unchanged."""
     if not len(world_from_cam):
         return world_from_cam, None
     middle = np.median(world_from_cam[:, :3, 3], axis=0)

@@ -1,9 +1,8 @@
-"""Calibrations of Agisoft Metashape.
+"""Reader of calibrations of Agisoft Metashape.
 
-The principal point ``cx``, ``cy`` is in pixels from the middle of the picture, and pixels are
-COLMAP's: the centre of the top left one is (0.5, 0.5). ``b1`` is fx - fy, ``b2`` the skew, and
-``p1`` and ``p2`` are those of OpenCV in the other order (Metashape Professional's user manual,
-appendix "Camera models"). Metashape leaves coefficients out that are zero.
+The principal point ``cx``, ``cy`` is in COLMAP pixels from the middle of the picture. ``b1`` is
+fx - fy, ``b2`` the skew, and ``p1`` and ``p2`` are OpenCV's in reverse order (Metashape
+Professional's user manual, appendix "Camera models"). Zero coefficients are omitted.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from objconnect.scene.imports.lens import LARGEST_SIDE, BrownLens, require_insid
 
 log = logging.getLogger(__name__)
 
-# The reader of a fisheye cannot bend its axes: a smaller coefficient moves no point by a pixel.
+# Fisheye cameras have no skew and no tangential distortion; smaller values have no visible effect.
 _NOTHING: Final = 1e-9
 _READ: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
-# Elements of a calibration that are no parameters of its lens.
+# Elements of a calibration that are no lens parameters.
 _OTHER: Final = ("resolution", "covariance", "date", "correlation")
 
 
@@ -35,7 +34,7 @@ def numbers_of(
     """Return the numbers of an element's text, (count,).
 
     Raises:
-        InputError: there are others, or a number is not finite.
+        InputError: their number differs, or one is not finite.
     """
     text = None if element is None else element.text
     try:
@@ -48,19 +47,19 @@ def numbers_of(
 
 
 def camera_of(path: Path, sensor: ET.Element) -> Camera | None:
-    """Return the camera of a sensor: its adjusted calibration, else its first one.
+    """Return the camera of a sensor, from its adjusted calibration or else its first one.
 
-    It is None where the sensor has no calibration.
+    It is None if the sensor has no calibration.
 
     Raises:
         InputError: the lens is not supported, or values contradict each other.
     """
-    found = sensor.findall("calibration")
-    if not found:
+    calibrations = sensor.findall("calibration")
+    if not calibrations:
         return None
     label = sensor.get("label", "")
-    adjusted = next((one for one in found if one.get("class") == "adjusted"), None)
-    calibration = found[0] if adjusted is None else adjusted
+    adjusted = next((one for one in calibrations if one.get("class") == "adjusted"), None)
+    calibration = calibrations[0] if adjusted is None else adjusted
     if adjusted is None and calibration.get("class") == "initial":
         log.warning("%s: sensor %r has an initial calibration, not an adjusted one", path, label)
     where = f"sensor {label!r}"
@@ -68,8 +67,8 @@ def camera_of(path: Path, sensor: ET.Element) -> Camera | None:
         size = _size(sensor, calibration)
         return _lens(_kind(sensor, calibration), size, _parameters(path, calibration, where))
     except InputError as error:
-        said = str(error)
-        raise InputError(said if where in said else f"{path}: {where}: {said}") from None
+        message = str(error)
+        raise InputError(message if where in message else f"{path}: {where}: {message}") from None
 
 
 def _parameters(path: Path, calibration: ET.Element, where: str) -> dict[str, float]:
@@ -88,7 +87,7 @@ def _parameters(path: Path, calibration: ET.Element, where: str) -> dict[str, fl
 
 
 def _size(sensor: ET.Element, calibration: ET.Element) -> tuple[int, int]:
-    """Return width and height, on which sensor and calibration must agree."""
+    """Return width and height; sensor and calibration must agree."""
     sizes = []
     for holder in (calibration, sensor):
         element = holder.find("resolution")
@@ -112,7 +111,7 @@ def _size(sensor: ET.Element, calibration: ET.Element) -> tuple[int, int]:
 
 
 def _kind(sensor: ET.Element, calibration: ET.Element) -> str:
-    """Return the kind of lens, on which sensor and calibration must agree."""
+    """Return the type of lens; sensor and calibration must agree."""
     kinds = [one.get("type") for one in (calibration, sensor)]
     stated = [kind for kind in kinds if kind is not None]
     if len(set(stated)) > 1:
@@ -127,7 +126,7 @@ def _lens(kind: str, size: tuple[int, int], part: dict[str, float]) -> Camera:
     """Return the camera of a calibration.
 
     Raises:
-        InputError: the kind is not supported, or the numbers are those of no camera.
+        InputError: the type is not supported, or the parameters are invalid.
     """
     f, b1, b2, p1, p2 = (part.get(name, 0.0) for name in ("f", "b1", "b2", "p1", "p2"))
     k1, k2, k3, k4 = (part.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))

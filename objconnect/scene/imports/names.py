@@ -1,4 +1,4 @@
-"""Which photographs the names of another program's file mean."""
+"""Matching of photographs with the names in another program's file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ def _fold_case(name: str) -> str:
     return name.replace("\\", "/").casefold()
 
 
-# From strict to loose: paths and file names as they are, without regard to case and with "\" as
-# "/", and file names without their endings.
+# From strict to loose: path; file name; both ignoring case and with "\" as "/"; stem.
 _SPELLINGS: Final[tuple[_Spelling, ...]] = (
     lambda name: name,
     lambda name: PurePosixPath(name).name,
@@ -27,11 +26,11 @@ _SPELLINGS: Final[tuple[_Spelling, ...]] = (
 
 
 def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict[str, str]:
-    """Return the name that means each photograph; photographs without one are left out.
+    """Return the name that belongs to each photograph; photographs without one are omitted.
 
-    Paths are compared first, then file names, then both without regard to case, and last file names
-    without their endings, which labels of Metashape lack. A name that means a photograph by a
-    stricter comparison means no other by a looser one.
+    Paths are compared first, then file names, then both ignoring case, then file names without
+    suffix, which Metashape's labels lack. A name that matches strictly takes no part in looser
+    comparisons.
 
     Args:
         files: paths of the photographs in their folder.
@@ -39,8 +38,8 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
         where: the file, for messages.
 
     Raises:
-        InputError: a name may mean two photographs, as one without a folder where photographs in
-            two folders are called so and only one of them is meant exactly.
+        InputError: a name matches two photographs, for example a name without a folder and
+            photographs of that name in two folders.
 
     Example:
         >>> match_files(["a/IMG_1.JPG", "IMG_2.JPG"], ["img_1.jpg", "IMG_2"], Path("poses.xml"))
@@ -71,5 +70,6 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
 
 
 def _ambiguity_error(where: Path, name: str, one: str, other: str) -> InputError:
-    said = f"{name!r} may be {one!r} or {other!r}: give names with their folder"
-    return InputError(f"{where}: {said}")
+    return InputError(
+        f"{where}: {name!r} may be {one!r} or {other!r}: give names with their folder"
+    )

@@ -1,9 +1,9 @@
-"""Poses of nerfstudio: ``transforms.json``.
+"""Reader of poses from nerfstudio's ``transforms.json``.
 
 ``transform_matrix`` is world_from_cam with OpenGL's camera axes (x right, y up, looking along -z);
-pixels are COLMAP's. ``applied_transform``, and then ``applied_scale``, are what nerfstudio applied
-to the original world, and are undone. ``orientation_override`` changes no pose of the file
-(https://docs.nerf.studio/quickstart/data_conventions.html). The file places nothing on earth.
+pixels are COLMAP's. nerfstudio applies ``applied_transform`` and then ``applied_scale`` to the
+original world; this reader undoes both. ``orientation_override`` changes no pose of the file
+(https://docs.nerf.studio/quickstart/data_conventions.html). The file has no geodetic origin.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def _read(path: Path) -> ForeignPoses:
                 f"{file}: transform_matrix of {frame.file_path!r} does not end with the row "
                 "0 0 0 1: is it transposed?"
             )
-    matrices = _as_it_was(file, document, matrices)
+    matrices = _undo_transform(file, document, matrices)
     # OpenGL's camera looks along -z with y up.
-    turned = matrices @ np.diag([1.0, -1.0, -1.0, 1.0])
+    world_from_cam = matrices @ np.diag([1.0, -1.0, -1.0, 1.0])
     names = [frame.file_path for frame in document.frames]
-    return check_poses(file, names, cameras, turned)
+    return check_poses(file, names, cameras, world_from_cam)
 
 
-def _as_it_was(
+def _undo_transform(
     file: Path, document: _Document, matrices: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Undo the scale and then the transform that nerfstudio applied to the original world."""

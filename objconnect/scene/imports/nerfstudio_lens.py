@@ -1,8 +1,7 @@
-"""Lenses in ``transforms.json`` of nerfstudio and instant-ngp.
+"""Reader of lenses from ``transforms.json`` of nerfstudio and instant-ngp.
 
-A file states a lens more than once: ``camera_model`` and ``is_fisheye`` its kind, ``fl_x`` and
-``camera_angle_x`` its focal length. Fields that contradict each other, and fields of lenses that
-are not supported, are errors that name them.
+A file states a lens redundantly: ``camera_model`` and ``is_fisheye`` its type, ``fl_x`` and
+``camera_angle_x`` its focal length. Contradictory fields and unsupported lenses are errors.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from objconnect.scene.imports.lens import LARGEST_SIDE, BrownLens, require_insid
 from objconnect.scene.quantities.flags import parse_flag
 from objconnect.scene.quantities.view_angle import contradicts, focal_lengths
 
-# Coefficients that each model has; others must be zero or missing.
+# Coefficients of each model; others must be zero or missing.
 _COEFFICIENTS: Final = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
@@ -30,20 +29,20 @@ _COEFFICIENTS: Final = {
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
 _ONE_FOCAL: Final = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE")
-# Keys of lenses and poses that this reader does not know how to take into account.
+# Keys that change the lens or the pose and are not supported.
 _REFUSED: Final = re.compile(
     r"k[0-9]+|p[0-9]+|s[0-9]+|b[0-9]+|[sc]x[0-9]|sy[0-9]|xi|omega|skew|alpha|beta|ftheta_p\d|"
     r"f_?theta.*|latlong|equirectangular|orthographic|lens_params|rolling_shutter|from_na|"
     r"camera_convention|coordinate_system|transform_matrix_(start|end)|distortion.*",
     re.IGNORECASE,
 )
-# A focal length below this part of the picture's longer side is not in pixels, and so is a
-# principal point whose numbers are at most this.
+# A focal length below this share of the longer side is not in pixels, nor is a principal point
+# whose coordinates are at most 1.
 _LEAST_FOCAL, _LARGEST_RELATIVE = 0.05, 1.0
 
 
 class Intrinsics(BaseModel):
-    """The keys of a lens, of a file or of one of its frames."""
+    """The intrinsics of a file or of one of its frames."""
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
 
@@ -65,13 +64,13 @@ class Intrinsics(BaseModel):
     p2: float | None = None
 
     def camera(self) -> Camera | None:
-        """Return the camera, or None where size or focal length are not there.
+        """Return the camera; None if size or focal length are missing.
 
         Raises:
-            InputError: the model is not supported, fields contradict each other, or the numbers are
-                those of no camera.
+            InputError: the model is not supported, fields contradict each other, or the parameters
+                are invalid.
         """
-        refuse_unknown(self.model_extra or {})
+        _refuse_unsupported(self.model_extra or {})
         model = self._model()
         if self.w is None or self.h is None or self.fl_x is None:
             return None
@@ -110,12 +109,12 @@ class Intrinsics(BaseModel):
         values = {name: getattr(self, name) for name in _COEFFICIENTS["OPENCV"]}
         more = [name for name, v in values.items() if v and name not in _COEFFICIENTS[model]]
         if more:
-            said = "camera_model" if self.camera_model is not None else "is_fisheye"
-            raise InputError(f"{said} says {model}, which has no {', '.join(more)}")
+            field = "camera_model" if self.camera_model is not None else "is_fisheye"
+            raise InputError(f"{field} says {model}, which has no {', '.join(more)}")
         return model
 
     def _focal(self, fl_x: float, size: tuple[int, int], fisheye: bool) -> tuple[float, float]:
-        """Return the focal lengths (pixels) after a look at the angles of view."""
+        """Return the focal lengths (pixels), checked against the angles of view."""
         fl_y = fl_x if self.fl_y is None else self.fl_y
         if min(fl_x, fl_y) < _LEAST_FOCAL * max(size):
             raise InputError(f"fl_x, fl_y {fl_x:g}, {fl_y:g} are no focal lengths in pixels")
@@ -130,20 +129,20 @@ class Intrinsics(BaseModel):
         return fl_x, fl_y
 
 
-def refuse_unknown(keys: dict[str, Any]) -> None:
-    """Refuse keys that change lens or pose in a way that is not known here.
+def _refuse_unsupported(keys: dict[str, Any]) -> None:
+    """Refuse unsupported keys that change the lens or the pose.
 
     Raises:
-        InputError: there is one whose value is not zero, false or empty.
+        InputError: such a key has a value other than zero, false or empty.
     """
     for key, value in keys.items():
-        if _REFUSED.fullmatch(key) and _says_something(value):
+        if _REFUSED.fullmatch(key) and _is_set(value):
             raise InputError(f"the key {key!r} changes the camera and is not supported")
 
 
-def _says_something(value: object) -> bool:
+def _is_set(value: object) -> bool:
     if isinstance(value, list):
-        return any(map(_says_something, value))
+        return any(map(_is_set, value))
     if isinstance(value, str):
         return parse_flag(value) is not False
     return bool(value)

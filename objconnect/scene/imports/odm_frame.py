@@ -1,12 +1,12 @@
 """The frame of ODM's reconstructions: metres east, north and up, or a projected system.
 
 OpenSfM writes ``reconstruction.json`` in metres east, north and up from ``reference_lla``. ODM then
-runs ``export_geocoords --reconstruction``, which moves it to a UTM zone minus an offset by one
-affine map, and puts the result in the place of the first file, which it keeps as
-``reconstruction.topocentric.json``. Both have the same fields and the same ``reference_lla``. They
-are told apart by the file beside them, by their names, by GPS positions of the shots, which the
-move leaves along east and north, by the project of plain OpenSfM, which moves nothing, or by the
-user. A frame that nothing tells is an error, and so are two that contradict each other.
+runs ``export_geocoords --reconstruction``: an affine map moves it to a UTM zone minus an offset and
+overwrites the file; the original is kept as ``reconstruction.topocentric.json``. Both files have
+the same fields and the same ``reference_lla``. The frame is inferred from the other file, from the
+file name, from the GPS positions of the shots (which stay along east and north), from a project of
+plain OpenSfM (which moves nothing), or it is stated by the user. It is an error if the frame
+remains unknown or if two sources contradict each other.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geo.named_systems import NamedSystem, parse_system
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
 from objconnect.scene.imports.poses import Frame
-from objconnect.scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
+from objconnect.scene.quantities.horizontal_axes import Axes, convergence, infer_axes, utm_zone
 from objconnect.scene.quantities.reading import Reading, known, unknown
 from objconnect.scene.storage.files import read_text
 
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 TOPOCENTRIC: Final = "reconstruction.topocentric.json"
-"""The name under which ODM keeps the reconstruction in metres east, north and up."""
+"""ODM's name of the reconstruction in metres east, north and up."""
 
 _REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt beside it"
 _NAMES: Final[dict[str, Frame]] = {
@@ -43,15 +43,15 @@ _NAMES: Final[dict[str, Frame]] = {
 }
 _FRAMES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
 _OPTION: Final = "--poses-frame"
-# Plain OpenSfM's folder has all of these; ODM lists its photographs in a file and has no images.
+# A folder of plain OpenSfM has all of these; ODM has a list of photographs instead of images.
 _OF_OPENSFM: Final = ("images", "exif", "camera_models.json")
 _OF_ODM: Final = "image_list.txt"
-# A camera lies no further than this from the origin of its world, metres.
+# Largest distance of a camera from the origin of its world, metres.
 _FARTHEST_M: Final = 100_000.0
-# Two files are of one reconstruction where a similarity maps poses so closely (m, radians, and
-# parts of the extent); a projected system's scale is so near to one.
+# Two files hold one reconstruction if a similarity maps their poses within these tolerances (m,
+# radians, share of the extent) with a scale this near to one.
 _SAME_M, _SAME_RAD, _SAME_PART, _SCALE = 0.02, 2e-3, 1e-3, 0.01
-# Axes closer than this are not told apart (radians): over a flight they differ by centimetres.
+# Axes closer than this (radians) count as equal: over a flight they differ by centimetres.
 _SMALL_TURN: Final = 2e-4
 
 
@@ -62,9 +62,9 @@ class Shots:
     Attributes:
         names: file names.
         world_from_cam: (N, 4, 4) in the frame of the file.
-        measured: (N, 3) GPS positions, metres east, north and up; NaN where there is none.
-        origin: place of the world's origin.
-        frame: frame that the file itself states; None where it states none.
+        measured: (N, 3) GPS positions, metres east, north and up; NaN if not measured.
+        origin: geodetic origin of the world.
+        frame: frame that the file states; None if it states none.
     """
 
     names: Sequence[str]
@@ -86,24 +86,24 @@ def topocentric(
 
     Args:
         path: file of the shots.
-        shots: shots as the file has them.
+        shots: shots in the frame of the file.
         beside: shots of the file ``TOPOCENTRIC`` in the same folder; None without one.
-        stated: frame that the user states; None where nothing is stated.
+        stated: frame that the user states; None if not stated.
 
     Raises:
-        InputError: the frame of the file cannot be told, or contradicts the files beside it or
-            what the user states.
+        InputError: the frame of the file is unknown, or contradicts the files beside it or the
+            user.
     """
     if not _is_sane(shots) or not len(shots.names):
-        return shots  # as the file has it: ``poses.posed`` says what is wrong
+        return shots  # unchanged, because ``check_poses`` reports the error
     if path.name == TOPOCENTRIC:
         return _alone(path, shots, stated)
     if beside is not None and not _is_sane(beside):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if beside is not None:
-        found = _from_beside(path, shots, beside, stated)
-        if found is not None:
-            return found
+        topocentric_shots = _from_beside(path, shots, beside, stated)
+        if topocentric_shots is not None:
+            return topocentric_shots
     system = _system_of(path)
     if system is not None:
         return _from_system(path, shots, *system, stated)
@@ -115,24 +115,24 @@ def _is_sane(shots: Shots) -> bool:
 
 
 def _near(path: Path, shots: Shots) -> Shots:
-    """Refuse cameras that no flight around the origin has."""
+    """Return the shots; refuse cameras too far from the origin."""
     if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
         raise InputError(
             f"{path}: its shots are not in metres from reference_lla but in a projected system, as "
-            f"export_geocoords writes: give the reconstruction from before, or {TOPOCENTRIC}"
+            f"export_geocoords writes: give OpenSfM's own reconstruction, or {TOPOCENTRIC}"
         )
     return shots
 
 
 def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) -> Shots | None:
-    """Return the poses of the topocentric file, where it has all shots."""
+    """Return the poses of the topocentric file; None if it lacks a shot."""
     row = {name: k for k, name in enumerate(beside.names)}
     if not set(shots.names) <= row.keys():
         return None
     if not is_same_place(shots.origin, beside.origin, _SAME_M):
         raise InputError(
-            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: move the file that "
-            "is of another reconstruction away"
+            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: remove the file of "
+            "the other reconstruction"
         )
     there = beside.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
@@ -149,7 +149,12 @@ def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) 
 
 
 def _is_moved(projected: Array, there: Array) -> bool:
-    """Return whether a turn about the vertical, a shift and a scale near one map both."""
+    """Return whether a vertical rotation, a shift and a scale near one map the two sets of poses.
+
+    Args:
+        projected: (N, 4, 4) world_from_cam.
+        there: (N, 4, 4) world_from_cam in metres east, north and up.
+    """
     left, _, right = np.linalg.svd(
         (projected[:, :3, :3] @ there[:, :3, :3].transpose(0, 2, 1)).sum(0)
     )
@@ -191,7 +196,7 @@ def _read_system(file: Path) -> tuple[NamedSystem, Array]:
 def _from_system(
     path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: Frame | None
 ) -> Shots:
-    """Undo ODM's move where there was one."""
+    """Return the shots with ODM's move undone, if the file was moved."""
     linear, shift = _move(path, shots.origin, system, offset)
     turn = math.atan2(linear[1, 0], linear[0, 0])
     back = _undo_shift(shots, linear, shift)
@@ -205,13 +210,13 @@ def _from_system(
 
 
 def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> tuple[Array, Array]:
-    """Return the linear part (3, 3) and shift (3,) of what export_geocoords does."""
+    """Return the linear part (3, 3) and shift (3,) of the affine map of export_geocoords."""
     steps = np.vstack([np.zeros(3), np.eye(3)])
     places = [geodetic_from_enu(step, origin) for step in steps]
     seen = np.array([system.projection.from_geodetic(place) for place in places])
     if not np.isfinite(seen).all():
         raise InputError(f"{path}: reference_lla is no place in {system.projection.name}")
-    # OpenSfM leaves the altitude as it is: the system's own heights have no part in it.
+    # OpenSfM keeps the altitude: the system's own heights do not matter.
     seen[:, 2] = [place.altitude for place in places]
     shift = seen[0] - [*offset, 0.0]
     if np.abs(shift[:2]).max() > _FARTHEST_M:
@@ -228,15 +233,15 @@ def _undo_shift(shots: Shots, linear: Array, shift: Array) -> Shots:
 
 
 def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
-    """Check the frame of a file that nothing of ODM lies beside, or whose name tells its frame."""
+    """Check the frame of a file without ODM's files beside it, or with a telling name."""
     _near(path, shots)
     zone = utm_zone(shots.origin.longitude)
     grid = f"a UTM grid as of zone {zone}"
     frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
     if frame.value == "projected":
         raise InputError(
-            f"{path}: its poses are in a projected system by {frame.source}, and nothing tells its "
-            f"offset: {_REMEDY}"
+            f"{path}: its poses are in a projected system by {frame.source}, and its offset is "
+            f"unknown: {_REMEDY}"
         )
     return shots
 
@@ -244,24 +249,24 @@ def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
 def _frame(
     path: Path, shots: Shots, turn: float, stated: Frame | None, grid: str
 ) -> Reading[Frame]:
-    """Return the frame of a file as everything that tells it agrees.
+    """Return the frame of a file on which all sources agree.
 
     Args:
         path: file of the shots.
-        shots: shots as the file has them.
+        shots: shots in the frame of the file.
         turn: angle from east and north to the axes of the projected system, radians.
         stated: frame that the user states.
         grid: name of the projected system, for messages.
 
     Raises:
-        InputError: nothing tells the frame, or two things contradict each other.
+        InputError: no source states the frame, or two contradict each other.
     """
-    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], turn)
+    axes = infer_axes(shots.centres[:, :2], shots.measured[:, :2], turn)
     why, seen = axes.why, None
     if axes.value is not None and abs(turn) > _SMALL_TURN:
         seen = _FRAMES[axes.value]
     elif axes.value is not None:
-        why = f"{axes.source} cannot tell axes that are turned by less than 0.02 degrees"
+        why = f"{axes.source} cannot distinguish axes within 0.02 degrees"
     frame = _agree(
         path,
         {
@@ -280,17 +285,17 @@ def _frame(
     return frame
 
 
-def _agree(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
-    """Return the frame that sources tell, from the first of them; unknown where none tells it.
+def _agree(path: Path, sources: Mapping[str, Frame | None]) -> Reading[Frame]:
+    """Return the frame that the sources state; unknown if none states one.
 
     Raises:
         InputError: two sources contradict each other.
     """
-    heard = [(source, frame) for source, frame in told.items() if frame is not None]
-    if not heard:
-        return unknown(", ".join(told))
-    first, frame = heard[0]
-    for source, other in heard[1:]:
+    stated = [(source, frame) for source, frame in sources.items() if frame is not None]
+    if not stated:
+        return unknown(", ".join(sources))
+    first, frame = stated[0]
+    for source, other in stated[1:]:
         if other != frame:
             remedy = f"leave out {_OPTION}" if source == _OPTION else "give OpenSfM's own file"
             raise InputError(
@@ -300,6 +305,6 @@ def _agree(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
 
 
 def _is_plain(folder: Path) -> bool:
-    """Return whether a folder is a project of OpenSfM that ODM has not made."""
-    made = all((folder / name).exists() for name in _OF_OPENSFM)
-    return made and not (folder / _OF_ODM).exists()
+    """Return whether a folder is a project of plain OpenSfM, not of ODM."""
+    is_project = all((folder / name).exists() for name in _OF_OPENSFM)
+    return is_project and not (folder / _OF_ODM).exists()

@@ -1,10 +1,10 @@
-"""Poses of OpenDroneMap and OpenSfM: ``reconstruction.json``.
+"""Reader of poses from ``reconstruction.json`` of OpenDroneMap and OpenSfM.
 
-A shot's rotation is the axis-angle vector of cam_from_world and its translation that of
-cam_from_world; camera axes are OpenCV's. The world is east, north, up in metres from
-``reference_lla``, or anywhere and of any scale where that is 0, 0. Pixels are in units of the
-longer side, from the middle of the picture (https://opensfm.org/docs/geometry.html). ODM leaves a
-file in a projected system under the same name: see ``odm_frame``.
+A shot holds the axis-angle vector and the translation of cam_from_world; camera axes are OpenCV's.
+The world is east, north, up in metres from ``reference_lla``; if that is 0, 0, position and scale
+of the world are arbitrary. Pixels are in units of the longer side, from the middle of the picture
+(https://opensfm.org/docs/geometry.html). ODM writes a file in a projected system under the same
+name: see ``odm_frame``.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Lens(_Part):
         """Return the camera.
 
         Raises:
-            InputError: the projection is unknown, or the numbers are those of no camera.
+            InputError: the projection is unknown, or the parameters are invalid.
         """
         size = max(self.width, self.height)
         fx = self.focal_x if self.focal_x is not None else self.focal
@@ -88,7 +88,7 @@ class _Reference(_Part):
 
     @property
     def place(self) -> Geodetic:
-        """Return the reference as a place."""
+        """Return the geodetic coordinates of the reference."""
         return Geodetic(self.latitude, self.longitude, self.altitude)
 
 
@@ -104,11 +104,11 @@ class _Reconstructions(RootModel[list[_Reconstruction]]):
 
 
 def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
-    """Read the reconstruction of most photographs; others are in frames of their own."""
-    found = read_json(path, _Reconstructions, "reconstruction").root
-    if not found:
+    """Read the largest reconstruction; the others have frames of their own."""
+    reconstructions = read_json(path, _Reconstructions, "reconstruction").root
+    if not reconstructions:
         raise InputError(f"{path} holds no reconstruction")
-    best = max(found, key=lambda one: len(one.shots))
+    best = max(reconstructions, key=lambda one: len(one.shots))
     used = {shot.camera for shot in best.shots.values()}
     missing = sorted(used - best.cameras.keys())
     if missing:
@@ -142,12 +142,12 @@ def _matrices(reconstruction: _Reconstruction) -> NDArray[np.float64]:
 
 
 def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
-    """Return the shots as the file has them; None where nothing places them on earth."""
+    """Return the shots in the frame of the file; None if it has no place on earth."""
     origin = _origin(path, reconstruction.reference_lla)
     if origin is None:
         return None
     if origin[:2] == (0.0, 0.0) and reconstruction.frame is None:
-        log.warning("%s: reference_lla 0, 0 is OpenSfM's without GPS: it places nothing", path)
+        log.warning("%s: reference_lla is 0, 0, OpenSfM's value without GPS: it is ignored", path)
         return None
     nowhere = (np.nan, np.nan, np.nan)
     measured = [shot.gps_position or nowhere for shot in reconstruction.shots.values()]
@@ -161,12 +161,14 @@ def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
 
 
 def _beside(path: Path) -> Shots | None:
-    """Return the shots of ODM's topocentric file in the same folder; None without one."""
+    """Return the shots of ODM's topocentric file in the same folder; None if there is none."""
     other = path.parent / TOPOCENTRIC
     if path.name == TOPOCENTRIC or not other.is_file():
         return None
-    found = read_json(other, _Reconstructions, "reconstruction").root
-    return _shots(other, max(found, key=lambda one: len(one.shots))) if found else None
+    reconstructions = read_json(other, _Reconstructions, "reconstruction").root
+    if not reconstructions:
+        return None
+    return _shots(other, max(reconstructions, key=lambda one: len(one.shots)))
 
 
 def _world_from_cam(shot: _Shot) -> NDArray[np.float64]:
@@ -182,7 +184,7 @@ def _world_from_cam(shot: _Shot) -> NDArray[np.float64]:
 
 
 def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
-    """Return the origin that the reconstruction states, or else the file beside it."""
+    """Return the origin of the reconstruction, or else of ``reference_lla.json`` beside it."""
     file = path.parent / "reference_lla.json"
     other = read_json(file, _Reference, "reference") if file.is_file() else None
     reference = stated or other
@@ -194,7 +196,7 @@ def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
     if other is not None and not is_same_place(origin, other.place):
         raise InputError(
             f"{path}: its reference_lla is not that of {file.name} beside it: "
-            "move the file that is of another reconstruction away"
+            "remove the file of the other reconstruction"
         )
     return origin
 

@@ -1,4 +1,4 @@
-"""What the readers of this room return, and what a reader is."""
+"""The result of a reader of poses, the description of a format, and checks of poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic
 Frame = Literal["topocentric", "projected"]
 """Metres east, north and up of a place, or coordinates of a projected system, such as UTM."""
 
-# Largest departure of a rotation matrix from orthonormal rows; files hold six digits or more.
+# Largest deviation of a rotation matrix from orthonormal rows; files hold six digits or more.
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -26,14 +26,13 @@ class ForeignPoses:
     """N photographs of another program, in this project's conventions.
 
     Attributes:
-        names: names as the file has them: paths, file names, or labels without an ending; times in
-            seconds for a trajectory. Each is there once.
-        cameras: calibrated camera of each photograph; None where the file tells none.
-        cam_from_world: (N, 4, 4) float64, OpenCV axes; NaN where the file tells a position alone.
+        names: unique names as in the file: paths, file names, or labels without a suffix; times in
+            seconds for a trajectory.
+        cameras: calibrated camera of each photograph; None if the file has none.
+        cam_from_world: (N, 4, 4) float64, OpenCV axes; NaN if the file has positions only.
         positions: camera centres, (N, 3) float64 in the file's world.
-        origin: place of the world's origin, where the world is east-north-up in metres; None where
-            the file does not place its world on earth. Its scale and vertical may then be
-            arbitrary.
+        origin: geodetic origin of a world that is east-north-up in metres; None if the file has
+            none, when scale and vertical of its world may be arbitrary.
     """
 
     names: tuple[str, ...]
@@ -44,7 +43,7 @@ class ForeignPoses:
 
     @property
     def has_attitude(self) -> bool:
-        """Return whether the file tells poses, rather than positions alone."""
+        """Return whether the file has poses rather than positions only."""
         return bool(np.isfinite(self.cam_from_world).all())
 
     def __len__(self) -> int:
@@ -56,18 +55,18 @@ class Format:
     """A reader of one format.
 
     Attributes:
-        is_one: tells whether a path is of this format, whole or damaged, from its name and first
+        matches: returns whether a path is of this format, whole or damaged, from its name and first
             bytes.
-        read: reads it, and raises InputError for a missing or wrong file.
-        holds: what such a file or folder is called, for error messages.
-        read_in: reads it with the frame that the user states, or none; None for a format whose
-            files leave no doubt of their frame.
+        read: reads a path, and raises InputError for a missing or invalid file.
+        description: phrase for such a file or folder in error messages.
+        read_in_frame: reads a path with the frame that the user states; None if the frame of the
+            format is always known.
     """
 
-    is_one: Callable[[Path], bool]
+    matches: Callable[[Path], bool]
     read: Callable[[Path], ForeignPoses]
-    holds: str
-    read_in: Callable[[Path, Frame | None], ForeignPoses] | None = None
+    description: str
+    read_in_frame: Callable[[Path, Frame | None], ForeignPoses] | None = None
 
 
 def check_poses(
@@ -77,18 +76,18 @@ def check_poses(
     world_from_cam: NDArray[np.float64],
     origin: Geodetic | None = None,
 ) -> ForeignPoses:
-    """Return poses after checking them.
+    """Return poses after checking them; rotations become exactly orthonormal.
 
     Args:
         path: file or folder, for messages.
         names: N names.
         cameras: N cameras.
-        world_from_cam: (N, 4, 4); rotations are made exactly orthonormal.
+        world_from_cam: (N, 4, 4).
         origin: as in ``ForeignPoses``.
 
     Raises:
-        InputError: there is no photograph, a name is there twice, a number is not finite, a camera
-            is further away than any place on earth, or a matrix is not a rotation.
+        InputError: there is no photograph, a name is repeated, a number is not finite, a camera is
+            not on earth, or a matrix is not a rotation.
     """
     _require_names(path, names)
     rotation, centres = world_from_cam[:, :3, :3], world_from_cam[:, :3, 3]
@@ -109,7 +108,7 @@ def check_poses(
 def check_positions(
     path: Path, names: Sequence[str], positions: NDArray[np.float64], origin: Geodetic | None
 ) -> ForeignPoses:
-    """Return positions (N, 3) without attitudes, after checking them; see ``posed``."""
+    """Return positions (N, 3) without attitudes after checking them; see ``check_poses``."""
     _require_names(path, names)
     _require_finite(path, names, positions, positions)
     unknown = np.full((len(names), 4, 4), np.nan)
@@ -117,7 +116,7 @@ def check_positions(
 
 
 def begins_with(path: Path, first: str) -> bool:
-    """Return whether a file is a text whose first character but white space is ``first``."""
+    """Return whether the first character of a file, ignoring white space, is ``first``."""
     if not path.is_file():
         return False
     try:
@@ -134,7 +133,7 @@ def _require_names(path: Path, names: Sequence[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise InputError(f"{path}: {name!r} is there twice")
+            raise InputError(f"{path}: {name!r} is listed twice")
         seen.add(name)
 
 

@@ -1,8 +1,8 @@
-"""Poses of 3D Gaussian splatting: the ``cameras.json`` that its training writes.
+"""Reader of poses from ``cameras.json`` of 3D Gaussian splatting.
 
-``rotation`` is that of world_from_cam, row by row, and ``position`` the camera's centre; camera
-axes are OpenCV's (``camera_to_JSON`` in its ``utils/camera_utils.py``). The world is that of the
-COLMAP model it was trained on. The file leaves principal points out, so that it tells no camera.
+``rotation`` is the rotation of world_from_cam, row by row, and ``position`` the camera centre;
+camera axes are OpenCV's (``camera_to_JSON`` in its ``utils/camera_utils.py``). The world is that of
+the COLMAP model it was trained on. Cameras are not read: the file lacks principal points.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _read(path: Path) -> ForeignPoses:
     return check_poses(path, [entry.img_name for entry in entries], [None] * len(entries), matrices)
 
 
-def _is_one(path: Path) -> bool:
+def _matches(path: Path) -> bool:
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
     try:
@@ -50,4 +50,4 @@ def _is_one(path: Path) -> bool:
         return False
 
 
-FORMAT = Format(_is_one, _read, "a cameras.json of 3D Gaussian splatting")
+FORMAT = Format(_matches, _read, "a cameras.json of 3D Gaussian splatting")

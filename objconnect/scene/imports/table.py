@@ -1,7 +1,7 @@
-"""Positions without attitudes: a CSV with the columns name and lat, lon, alt, or name and e, n, u.
+"""Reader of positions from a CSV file with the columns name,lat,lon,alt or name,e,n,u.
 
-Latitudes and longitudes are degrees (WGS84), altitudes are metres above the ellipsoid, and e, n, u
-are metres east, north and up.
+Latitudes and longitudes are degrees (WGS84), altitudes metres above the ellipsoid; e, n, u are
+metres east, north and up.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Trajectories of the TUM RGB-D benchmark: lines "timestamp tx ty tz qx qy qz qw".
+"""Reader of trajectories of the TUM RGB-D benchmark: lines "timestamp tx ty tz qx qy qz qw".
 
-They are world_from_cam in metres. A photograph's name is the text of its timestamp, in seconds.
+The poses are world_from_cam in metres. A photograph's name is the text of its timestamp (seconds).
 """
 
 from __future__ import annotations

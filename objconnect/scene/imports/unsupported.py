@@ -1,6 +1,6 @@
-"""Files of poses, lenses and places that no reader of this room takes, by their names.
+"""Detection of unsupported pose files by their contents, for a helpful error message.
 
-Their endings are those of files that are read, so that they are told by their contents.
+Their suffixes are those of supported formats, so the contents decide.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from objconnect.scene.storage.files import parse_json, read_text
 _HEAD_BYTES: Final = 4096
 _SHOWN: Final = 4
 
-# Beginnings of texts, what they are, and what to give instead.
+# Pattern of a text's beginning, its format, and what to do.
 _TEXTS: Final = (
     (r"# Bundle file", "a bundle of Bundler", "export to COLMAP"),
     (r"NVM_V3", "a model of VisualSFM", "export to COLMAP"),
@@ -27,13 +27,11 @@ _TEXTS: Final = (
 )
 
 
-def refuse_stranger(path: Path) -> None:
-    """Refuse a file that is known, or seen, to be of none of the formats of this room.
-
-    A damaged file, and a folder, are left to the readers.
+def refuse_unsupported(path: Path) -> None:
+    """Refuse a file of an unsupported format; damaged files and folders are left to the readers.
 
     Raises:
-        InputError: it is such a file; the message names what it is.
+        InputError: the file is of another format, which the message names if it is known.
     """
     if not path.is_file():
         return
@@ -42,20 +40,20 @@ def refuse_stranger(path: Path) -> None:
             head = stream.read(_HEAD_BYTES).decode("utf-8", "replace").lstrip("\ufeff \t\r\n")
     except OSError:
         return
-    found = _json(path) if head[:1] in ("{", "[") else _text(head)
-    if found is not None:
-        what, remedy = found
+    described = _describe_json(path) if head[:1] in ("{", "[") else _describe_text(head)
+    if described is not None:
+        what, remedy = described
         raise InputError(f"{path} is no file of poses that is known: it is {what}: {remedy}")
 
 
-def _text(head: str) -> tuple[str, str] | None:
+def _describe_text(head: str) -> tuple[str, str] | None:
     for pattern, what, remedy in _TEXTS:
         if re.match(pattern, head, re.IGNORECASE):
             return what, f"{remedy} and give that"
     return None
 
 
-def _json(path: Path) -> tuple[str, str] | None:
+def _describe_json(path: Path) -> tuple[str, str] | None:
     try:
         value = parse_json(read_text(path, "file of poses"))
     except (ValueError, InputError):
@@ -64,7 +62,7 @@ def _json(path: Path) -> tuple[str, str] | None:
         first = value[0] if value and isinstance(value[0], dict) else None
         if first is None or "shots" in first or "cameras" in first or _is_splatting(first):
             return None
-        return _unknown(first)
+        return _describe_keys(first)
     if not isinstance(value, dict) or "frames" in value:
         return None
     if value.get("type") == "FeatureCollection":
@@ -72,13 +70,13 @@ def _json(path: Path) -> tuple[str, str] | None:
     lenses = value.values()
     if value and all(isinstance(one, dict) and "projection_type" in one for one in lenses):
         return "lenses without poses, as cameras.json of ODM", "give reconstruction.json"
-    return _unknown(value)
+    return _describe_keys(value)
 
 
 def _is_splatting(first: Mapping[str, Any]) -> bool:
     return {"img_name", "position", "rotation"} <= first.keys()
 
 
-def _unknown(keys: Mapping[str, Any]) -> tuple[str, str]:
+def _describe_keys(keys: Mapping[str, Any]) -> tuple[str, str]:
     names = ", ".join(repr(key) for key in list(keys)[:_SHOWN]) or "nothing"
     return f"JSON with {names[:200]}", "give a file of COLMAP, ODM, nerfstudio or Metashape"

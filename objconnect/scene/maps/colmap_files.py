@@ -1,11 +1,11 @@
 """A reader of COLMAP's binary model that does not need COLMAP.
 
 COLMAP's own reader ends the process (a failed CHECK, not an exception) on a truncated file, and
-allocates as much memory as a damaged count claims. Files of unknown origin are therefore read
-here: every count is compared with the bytes that are left before anything is allocated.
+allocates as much memory as a damaged count claims. This reader compares every count with the bytes
+that are left before it allocates anything.
 
-The layout is that of https://colmap.github.io/format.html (binary). It stores the pose of every
-image in ``images.bin`` also when rigs and frames are written beside it.
+The layout is the binary one of https://colmap.github.io/format.html. ``images.bin`` holds the pose
+of every image, also if rigs and frames are written beside it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.files import is_safe_path, require_readable
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
-"""The files that ``read_model`` reads."""
+"""Files that ``read_model`` reads."""
 
 RIG_FILES: Final = ("rigs.bin", "frames.bin")
-"""The files that COLMAP writes beside them from version 3.12 on."""
+"""Further files of COLMAP from version 3.12 on."""
 
 # The point identifier of a keypoint that observes no point.
 _NO_POINT = np.uint64(2**64 - 1)
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<u8")])
-# Largest departure of a quaternion's length from one.
+# Largest deviation of a quaternion's length from one.
 _UNIT_TOLERANCE = 1e-3
 
 
@@ -107,7 +107,7 @@ class _Reader:
         return values
 
     def count(self, record_size: int) -> int:
-        """Read a number of records and refuse one that the rest of the file cannot hold."""
+        """Read a number of records; refuse it if the rest of the file cannot hold them."""
         (n,) = self.unpack(_COUNT)
         if n * record_size > len(self.data) - self.offset:
             raise InputError(
@@ -149,7 +149,7 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
 
 
 def _camera(reader: _Reader, model_id: int, width: int, height: int) -> Camera:
-    """Read the parameters of a camera."""
+    """Read the parameters of a camera and return the equal supported model."""
     model = MODEL_IDS.get(model_id, f"number {model_id}")
     count = len(MODELS[model]) if model in MODELS else parameter_count(model)
     if count is None:
@@ -178,7 +178,7 @@ def _read_images(
         observed = np.frombuffer(reader.data, _OBSERVATION, count, start)
         check_pose(quaternion, translation, f"{path}: image {name}")
         if record[8] not in cameras:
-            raise InputError(f"{path}: image {name} has camera {record[8]:.0f}, which is not there")
+            raise InputError(f"{path}: image {name} has the unknown camera {record[8]:.0f}")
         if not is_safe_path(name):
             raise InputError(f"{path}: image {name!r} does not lie in the folder of images")
         if name in images:
@@ -198,11 +198,10 @@ def _rows_of(
 ) -> NDArray[np.int64]:
     """Return the row of each observed identifier in the sorted identifiers, -1 for no point."""
     rows = np.full(len(observed), -1, np.int64)
+    if len(ids) == 0:
+        return rows
     seen = observed != _NO_POINT
     nearest = np.searchsorted(ids, observed[seen])
-    if len(ids) == 0:
-        rows[:] = -1
-        return rows
     if (ids[np.minimum(nearest, len(ids) - 1)] != observed[seen]).any():
         raise InputError(f"{path}: image {name} observes a point that points3D.bin does not have")
     rows[seen] = nearest
@@ -256,11 +255,11 @@ def check_pose(
     Args:
         quaternion: (4,).
         translation: (3,) metres.
-        where: beginning of the message.
+        where: subject of the message: file and image.
 
     Raises:
-        InputError: a number is not finite, the camera is further away than anything on earth, or
-            the quaternion is not of unit length.
+        InputError: a number is not finite, the camera is more than ``FARTHEST_M`` away, or the
+            quaternion is not of unit length.
     """
     if not (np.isfinite(quaternion).all() and np.isfinite(translation).all()):
         raise InputError(f"{where} has a pose that is not finite")

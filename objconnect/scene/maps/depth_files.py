@@ -1,4 +1,4 @@
-"""Arrays of COLMAP's dense stereo: depth and normal maps.
+"""Depth and normal maps in the file format of COLMAP's dense stereo.
 
 https://colmap.github.io/format.html#dense-reconstruction
 """
@@ -18,7 +18,7 @@ _HEADER_BYTES = 64
 
 
 def write_array(path: Path, array: NDArray[np.float32]) -> None:
-    """Write (C, H, W) as COLMAP does: "width&height&channels&", then float32 row by row.
+    """Write an array (C, H, W): the header "width&height&channels&", then float32 row by row.
 
     Raises:
         InputError: the folder cannot be written, or the disk is full.
@@ -30,7 +30,7 @@ def write_array(path: Path, array: NDArray[np.float32]) -> None:
 
 
 def read_array(path: Path, channels: int) -> NDArray[np.float32]:
-    """Read what ``write_array`` or COLMAP wrote, (C, H, W).
+    """Read an array (C, H, W) of ``channels`` channels.
 
     Raises:
         InputError: the file is missing or damaged, or has another number of channels.

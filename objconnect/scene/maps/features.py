@@ -20,10 +20,10 @@ from objconnect.scene.storage.hdf5_writing import hdf5_file
 if TYPE_CHECKING:
     from torch import Tensor
 
-# A group is named like its image, with "\" for "/". The group of an image whose name contains "\"
-# has a number for a name instead, and the image's name in this attribute.
+# A group has the name of its image with "\" for "/". If the image's name contains "\", the group is
+# numbered and this attribute holds the name.
 _NAME = "name"
-# What the features of a file depend on: see ``features_key``.
+# Attribute with the digest of ``features_key``.
 _MADE_OF = "made_of"
 
 
@@ -53,7 +53,7 @@ class Features:
 
 
 def unit_descriptors(descriptors: NDArray[Any]) -> Tensor:
-    """Return vector descriptors (N, D) as float32 of unit length, ready to match."""
+    """Return vector descriptors (N, D) as float32 of unit length."""
     import torch
 
     return torch.nn.functional.normalize(torch.from_numpy(descriptors).float(), dim=-1)
@@ -62,8 +62,8 @@ def unit_descriptors(descriptors: NDArray[Any]) -> Tensor:
 def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
     """Return binary descriptors (N, D) uint8 as (N, 8 D) float32 of unit length.
 
-    Bits become signs, so that the squared distance of two descriptors is 4 / (8 D) times their
-    Hamming distance.
+    Bits become signs: the squared distance of two descriptors is 4 / (8 D) times their Hamming
+    distance.
     """
     import torch
 
@@ -72,11 +72,11 @@ def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
 
 
 def features_key(photographs: Mapping[str, str], options: str) -> str:
-    """Return a digest of all that features depend on.
+    """Return a digest of the inputs of feature extraction.
 
     Args:
-        photographs: digests of their bytes by name.
-        options: of the extractor, as text.
+        photographs: digest of each photograph's bytes by name.
+        options: options of the extractor as text.
     """
     return sha256(f"{list(photographs.items())} {options} None ")
 
@@ -86,12 +86,12 @@ def _image_name(group_name: str, node: h5py.Group) -> str:
 
 
 def write_features(path: Path, features: Mapping[str, Features], made_of: str = "") -> None:
-    """Write a file with the features of several images, by image name, atomically.
+    """Write the features of several images to an HDF5 file atomically.
 
     Args:
-        path: of the file.
-        features: of the images.
-        made_of: what ``features_key`` returned; empty where it is not known.
+        path: file to write.
+        features: features by image name.
+        made_of: digest of ``features_key``; empty if unknown.
 
     Raises:
         InputError: the folder cannot be written.
@@ -100,7 +100,7 @@ def write_features(path: Path, features: Mapping[str, Features], made_of: str = 
         if made_of:
             set_text(file, _MADE_OF, made_of)
         for name, item in features.items():
-            # HDF5 would take the slashes of a name for nested groups.
+            # HDF5 would make nested groups of a name with slashes.
             if "\\" in name:
                 group = file.create_group(f"\\{len(file)}")
                 set_text(group, _NAME, name)
@@ -111,17 +111,16 @@ def write_features(path: Path, features: Mapping[str, Features], made_of: str = 
 
 
 class FeatureFile(Mapping[str, Features]):
-    """A mapping from image name to features that reads each image from the file when asked for it.
+    """A mapping from image name to features that reads from the file on each access.
 
-    Nothing is cached. The file stays open, so it may be removed in the meantime. The mapping can be
-    shared between threads.
+    It caches nothing and keeps the file open, which may be removed meanwhile. Threads may share it.
 
     Attributes:
-        path: of the file.
-        made_of: digest of all that the features depend on; empty where it is not known.
+        path: path of the file.
+        inputs_digest: digest of ``features_key``; empty if the file has none.
 
     Raises:
-        InputError: the file is missing or damaged; this can also be raised on access.
+        InputError: the file is missing or damaged; access may raise it too.
     """
 
     def __init__(self, path: Path) -> None:

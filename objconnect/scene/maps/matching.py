@@ -13,9 +13,8 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
 
     Args:
         a: descriptors of one image, (N, D) float of unit length.
-        b: descriptors of the other image, (M, D) likewise.
-        ratio: a match is kept when its distance is below ``ratio`` times that of the second
-            nearest.
+        b: descriptors of the other image, (M, D) float of unit length.
+        ratio: largest ratio of the distances to the nearest and the second nearest descriptor.
 
     Returns:
         (K, 2) row in ``a`` and row in ``b`` of each match.
@@ -28,7 +27,7 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), np.int64)
     best_b, distinct = _nearest(a, b, ratio)
-    # Few rows pass, so the reverse search is done for their matches only.
+    # Few rows pass, so the reverse search needs only their matches.
     rows = distinct.nonzero()[:, 0]
     columns = best_b[rows]
     best_a, distinct = _nearest(b[columns], a, ratio)

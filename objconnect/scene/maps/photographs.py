@@ -1,4 +1,4 @@
-"""The photographs that a map is built from, with a known pose or without."""
+"""Photographs that a map is built from, with or without a known pose."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Photograph:
     Attributes:
         name: path relative to the folder of all images.
         camera: calibration, or a first guess of it.
-        lens: name of the lens; photographs with the same lens share one camera, which is refined
-            from all of them.
+        lens: name of the lens; photographs of one lens share one camera.
         calibrated: whether ``camera`` is exact and must not be refined.
-        focal_known: whether the focal length of ``camera`` was measured, for example from EXIF.
-        focal_doubt: why the photograph's own fields do not tell it; empty where they say nothing.
+        focal_known: whether the focal length of ``camera`` is known, for example from EXIF.
+        focal_doubt: why EXIF and XMP do not determine the focal length; empty if they have no
+            such field.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""A sparse map as plain arrays, whatever program built it."""
+"""A sparse map as plain arrays, independent of the program that built it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from objconnect.scene.storage.digests import sha256
 if TYPE_CHECKING:
     from objconnect.scene.geometry.pose import Pose
 
-# Number of nearest points that the height of the ground is taken from.
+# Number of nearest points whose median height is that of the ground.
 _GROUND_POINTS = 50
 
 
@@ -77,7 +77,7 @@ class SparseMap:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Return the image names, sorted; per-image arrays of the project are in this order."""
+        """Return the sorted image names; per-image arrays are in this order."""
         return tuple(sorted(self.images))
 
     @cached_property
@@ -88,8 +88,8 @@ class SparseMap:
     def height_above(self, position: NDArray[np.float64]) -> float:
         """Return the height (m) of a position (3,) above the map's points below it.
 
-        The height of the points is the median of the nearest ones on the plane, so that points on
-        roofs and walls have no effect unless they are the majority.
+        It uses the median of the horizontally nearest points, so points on roofs and walls have no
+        effect unless they are the majority.
         """
         nearest = self._nearest_points(position[:2], _GROUND_POINTS)
         return float(position[2] - np.median(self.xyz[nearest, 2]))
@@ -112,8 +112,7 @@ class SparseMap:
         )
 
     def transform(self, similarity: NDArray[np.float64]) -> SparseMap:
-        """Return the map under a similarity of its world, (3, 4): scale times rotation, and
-        translation."""
+        """Return the map under a similarity transform (3, 4): scale times rotation, translation."""
         linear = similarity[:, :3]
         scale = float(np.cbrt(np.linalg.det(linear)))
         images = {}
@@ -130,8 +129,7 @@ class SparseMap:
 
     @cached_property
     def sha256(self) -> str:
-        """Return a digest of everything that localizers read: cameras, poses, observations and
-        points.
+        """Return a digest of what localizers read: cameras, poses, observations and points.
 
         Colours and reprojection errors are not part of it.
         """

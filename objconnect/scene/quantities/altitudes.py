@@ -1,8 +1,8 @@
-"""How high a photograph was taken: the altitude of EXIF, of XMP, or unknown.
+"""The altitude of a photograph from EXIF or XMP.
 
 ``GPSAltitudeRef`` is 0 or 1 in EXIF 2.3 (above or below sea level) and 0 to 3 in EXIF 3.0 (above or
-below the ellipsoid, above or below sea level). It has a default, 0, in both. Drones write heights
-of either kind as 0, so that only 2 and 3 tell which it is.
+below the ellipsoid, above or below sea level), with the default 0. Drones write 0 for both
+references, so only 2 and 3 are unambiguous.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 
 # No aircraft flies higher than this (m).
 _HIGHEST_M: Final = 1e6
-# The ellipsoid and the sea are at most this far from each other (m), and barometers drift.
-_APART_M: Final = 150.0
+# Largest difference (m) of altitudes above the ellipsoid and above the sea, with barometer drift.
+_LARGEST_DIFFERENCE_M: Final = 150.0
 OF_SEA_LEVEL: Final = "says sea level, which may be 100 m from the ellipsoid"
-"""How the doubt ends on an altitude whose reference says that it is above or below sea level."""
+"""End of the doubt about an altitude that refers to sea level."""
 
 _BELOW: Final = (1, 3)
 _OF_THE_SEA: Final = (2, 3)
@@ -29,30 +29,30 @@ _REFERENCES: Final = (0, 1, 2, 3)
 def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[float]:
     """Return the altitude of a photograph, metres.
 
-    EXIF's altitude counts where it is whole, then XMP's. Where they contradict each other by more
-    than two height systems do, it is unknown. A height above the take-off is none.
+    EXIF takes precedence over XMP. The altitude is unknown if the two differ by more than two
+    height references can. A height above the take-off does not count.
 
     Args:
-        gps: Fields of EXIF's GPS directory by name.
-        xmp: Fields of XMP by name without prefix.
+        gps: fields of EXIF's GPS directory by name.
+        xmp: fields of XMP by name without prefix.
     """
-    told, said = _of_exif(gps, ""), _of_xmp(xmp)
-    if told.value is not None and said.value is not None:
-        if abs(told.value - said.value) > _APART_M:
-            why = f"{told.source} {told.value:.0f} m contradicts {said.source} {said.value:.0f} m"
-            return unknown(told.source, why)
-        # What only one of them tells is the sign where the reference is missing.
-        return told if gps.get("GPSAltitudeRef") is not None else said
-    if told.value is not None:
-        return told
-    if said.value is not None:
-        stated = [doubt for doubt in told.doubts if not doubt.endswith("is missing")]
-        return said.with_doubts(*stated)
-    relative = [f"{name} is above the take-off" for name in ("RelativeAltitude",) if name in xmp]
-    return told.with_doubts(*said.doubts, *relative)
+    exif, drone = _read_exif(gps, ""), _read_xmp(xmp)
+    if exif.value is not None and drone.value is not None:
+        if abs(exif.value - drone.value) > _LARGEST_DIFFERENCE_M:
+            why = f"{exif.source} {exif.value:.0f} m contradicts {drone.source} {drone.value:.0f} m"
+            return unknown(exif.source, why)
+        # Without its reference, EXIF's altitude has no sign.
+        return exif if gps.get("GPSAltitudeRef") is not None else drone
+    if exif.value is not None:
+        return exif
+    if drone.value is not None:
+        stated = [doubt for doubt in exif.doubts if not doubt.endswith("is missing")]
+        return drone.with_doubts(*stated)
+    relative = ["RelativeAltitude is above the take-off"] if "RelativeAltitude" in xmp else ()
+    return exif.with_doubts(*drone.doubts, *relative)
 
 
-def _of_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
+def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
     source = f"{prefix}GPSAltitude"
     value = fields.get("GPSAltitude")
     if value is None:
@@ -62,11 +62,11 @@ def _of_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
         return unknown(source, f"{source} is no number of metres")
     reference = fields.get("GPSAltitudeRef")
     if reference is None:
-        # A default of the standard, which is true where a program left it out for that reason.
+        # 0 is the default of the standard.
         return known(metres, source, f"{source}Ref is missing: taken as above, EXIF's default")
     number = _reference(reference)
     if number is None:
-        return unknown(source, f"{source}Ref {plain_text(reference)!r} is none of 0 to 3")
+        return unknown(source, f"{source}Ref {plain_text(reference)!r} is not 0 to 3")
     if number in _BELOW and metres < 0:
         return unknown(source, f"{source} is negative and {source}Ref says below as well")
     metres = -metres if number in _BELOW else metres
@@ -76,7 +76,7 @@ def _of_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
 
 
 def _quotient(value: object) -> object:
-    """Return the number of a text such as ``198600/1000``, and anything else as it is."""
+    """Return the value of a fraction such as ``198600/1000``; anything else unchanged."""
     if not isinstance(value, str) or "/" not in value:
         return value
     top, _, bottom = value.partition("/")
@@ -85,20 +85,20 @@ def _quotient(value: object) -> object:
 
 
 def _reference(value: object) -> int | None:
-    """Return the number of a reference, which may be a byte, a digit or a number."""
+    """Return the number of an altitude reference, which is a byte, a digit or a number."""
     if isinstance(value, bytes) and len(value) == 1 and value[0] in _REFERENCES:
         return value[0]
     number = to_number(value) if plain_text(value) else math.nan
     return int(number) if number in _REFERENCES else None
 
 
-def _of_xmp(xmp: Mapping[str, str]) -> Reading[float]:
-    """Return the absolute altitude of a drone, or that of EXIF's fields in XMP."""
+def _read_xmp(xmp: Mapping[str, str]) -> Reading[float]:
+    """Return the altitude of ``AbsoluteAltitude``, or of EXIF's fields in XMP."""
     if "AbsoluteAltitude" in xmp:
         metres = to_number(xmp["AbsoluteAltitude"])
         if abs(metres) <= _HIGHEST_M:
             return known(metres, "XMP's AbsoluteAltitude")
         return unknown("XMP's AbsoluteAltitude", "XMP's AbsoluteAltitude is no number of metres")
     if "GPSAltitude" in xmp:
-        return _of_exif(xmp, "XMP's ")
+        return _read_exif(xmp, "XMP's ")
     return unknown("XMP's AbsoluteAltitude")

@@ -1,7 +1,7 @@
-"""Latitudes and longitudes, in every spelling that photographs have for them.
+"""Latitudes and longitudes in the notations of photographs.
 
-EXIF has degrees, minutes and seconds without a sign, and the hemisphere in a tag of its own. XMP
-has a text: ``46,50.556N`` in the namespace ``exif``, and signed decimal degrees in those of drones.
+EXIF has unsigned degrees, minutes and seconds, and the hemisphere in a tag of its own. XMP has
+text: ``46,50.556N`` in the namespace ``exif``, and signed decimal degrees in those of drones.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Final
 from objconnect.scene.quantities.numbers import parse_number, plain_text, to_number
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
-# A number that differs from a whole one by less is whole.
+# Tolerance of whole numbers.
 _WHOLE: Final = 1e-9
 _PARTS: Final = ("degrees", "minutes", "seconds")
-# Marks of a text that divide degrees, minutes and seconds.
+# Separators of degrees, minutes and seconds.
 _DIVIDE = re.compile(r"[\s,;:°º'\"′″]+")
 _LETTER = re.compile(r"^(.*?)\s*([A-Za-z]+)\.?$", re.DOTALL)
 
@@ -28,10 +28,10 @@ class Axis:
     """Latitude or longitude.
 
     Attributes:
-        tag: Name of its field in EXIF.
-        positive: Name of the hemisphere of positive values, in lower case.
-        negative: Name of that of negative ones.
-        limit: The largest value, degrees.
+        tag: name of its field in EXIF.
+        positive: hemisphere of positive values, in lower case.
+        negative: hemisphere of negative values, in lower case.
+        limit: largest value, degrees.
     """
 
     tag: str
@@ -41,7 +41,7 @@ class Axis:
 
     @property
     def reference(self) -> str:
-        """Return the name of the field of its hemisphere in EXIF."""
+        """Return the name of EXIF's field of the hemisphere."""
         return f"{self.tag}Ref"
 
 
@@ -50,10 +50,7 @@ LONGITUDE: Final = Axis("GPSLongitude", "east", "west", 180.0)
 
 
 def read_hemisphere(value: object, axis: Axis) -> Reading[int]:
-    """Return the sign of a hemisphere, 1 or -1.
-
-    It is a letter or an English word, in capitals or not, padded or not.
-    """
+    """Return the sign of a hemisphere, 1 or -1, from its letter or English word in any case."""
     if value is None:
         return unknown(axis.reference, f"{axis.reference} is missing")
     text = plain_text(value).rstrip(".").lower()
@@ -69,9 +66,9 @@ def read_degrees(value: object, axis: Axis) -> Reading[float]:
     """Return an angle without its hemisphere, degrees from 0 to the limit of the axis.
 
     Args:
-        value: One to three numbers, or a text of them. The last number that is there may have a
-            fraction; those after it are missing, zero or 0/0.
-        axis: What it is.
+        value: one to three numbers, or a text of them. Only the last one may have a fraction; those
+            after it are missing, zero or 0/0.
+        axis: latitude or longitude.
     """
     if isinstance(value, str | bytes):
         parts = _split(plain_text(value))
@@ -83,7 +80,7 @@ def read_degrees(value: object, axis: Axis) -> Reading[float]:
 
 
 def read_coordinate(value: object, reference: object, axis: Axis) -> Reading[float]:
-    """Return a latitude or longitude of EXIF, degrees, negative in the south and west."""
+    """Return a latitude or longitude from EXIF, degrees, negative in the south and west."""
     if value is None:
         return unknown(axis.tag, f"{axis.tag} is missing")
     degrees, sign = read_degrees(value, axis), read_hemisphere(reference, axis)
@@ -95,13 +92,13 @@ def read_coordinate(value: object, reference: object, axis: Axis) -> Reading[flo
 
 
 def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Reading[float]:
-    """Return a latitude or longitude of a text, degrees, negative in the south and west.
+    """Return a latitude or longitude from a text, degrees, negative in the south and west.
 
     Args:
-        text: As ``46,50.556N``, ``46,50,33.36N`` or ``+46.8426``.
-        axis: What it is.
-        source: Name of the field.
-        signed: Whether the field is one of signed degrees, where no sign means north and east.
+        text: a text like ``46,50.556N``, ``46,50,33.36N`` or ``+46.8426``.
+        axis: latitude or longitude.
+        source: name of the field.
+        signed: whether the field holds signed degrees, where no sign means north or east.
     """
     text = plain_text(text)
     lettered = _LETTER.match(text)
@@ -110,28 +107,28 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
         if value is None:
             return unknown(source, f"{source} {text!r} is no number of degrees")
         if not signed and text[0] not in "+-":
-            return unknown(source, f"{source} {text!r} tells no hemisphere")
+            return unknown(source, f"{source} {text!r} has no hemisphere")
         if not abs(value) <= axis.limit:
             return unknown(source, f"{source} {text!r} is beyond {axis.limit:.0f} degrees")
         return known(value, source)
     sign = read_hemisphere(lettered[2], axis)
     degrees = _degrees(_split(lettered[1]), axis, source)
     if sign.value is None:
-        return unknown(source, f"{source} {text!r} tells no hemisphere")
+        return unknown(source, f"{source} {text!r} has no hemisphere")
     if degrees.value is None:
         return degrees
     return known(sign.value * degrees.value, source)
 
 
 def _parse_decimal(text: str) -> float | None:
-    """Return decimal degrees; a comma with few digits after it may divide degrees and minutes."""
+    """Return decimal degrees; None if a comma may separate degrees and minutes."""
     if "," in text and len(text.rpartition(",")[2]) <= 2:
         return None
     return parse_number(text)
 
 
 def _split(text: str) -> list[float]:
-    """Return the numbers of a text, which may be fractions; NaN where one is no number."""
+    """Return the numbers of a text, which may be fractions; NaN for other words."""
     words = [word for word in _DIVIDE.split(text) if word]
     return [_fraction(word) for word in words]
 
@@ -143,8 +140,8 @@ def _fraction(word: str) -> float:
 
 
 def _degrees(parts: Sequence[float], axis: Axis, source: str) -> Reading[float]:
-    """Return degrees, minutes and seconds as degrees, or why they do not tell them."""
-    why = _fault(parts)
+    """Convert degrees, minutes and seconds to degrees; unknown with the reason if invalid."""
+    why = _find_fault(parts)
     if why:
         return unknown(source, f"{source} {why}")
     degrees = sum(part / 60**k for k, part in enumerate(parts) if not math.isnan(part))
@@ -153,28 +150,29 @@ def _degrees(parts: Sequence[float], axis: Axis, source: str) -> Reading[float]:
     return known(float(degrees), source)
 
 
-def _fault(parts: Sequence[float]) -> str:
-    """Return what is wrong with degrees, minutes and seconds; empty where nothing is."""
+def _find_fault(parts: Sequence[float]) -> str:
+    """Return what is wrong with degrees, minutes and seconds; empty if they are valid."""
     if not parts:
         return "is empty"
     if len(parts) > 3:
         return f"has {len(parts)} numbers"
-    there = list(parts)
-    while there and math.isnan(there[-1]):
-        there.pop()
-    if not there:
+    values = list(parts)
+    while values and math.isnan(values[-1]):
+        values.pop()
+    if not values:
         return "is 0/0"
-    if not all(map(math.isfinite, there)):
-        return f"has {_PARTS[there.index(next(p for p in there if not math.isfinite(p)))]} of 0/0"
-    if min(there) < 0 or math.copysign(1, min(there)) < 0:
+    for name, value in zip(_PARTS, values, strict=False):
+        if not math.isfinite(value):
+            return f"has {name} of 0/0"
+    if min(values) < 0 or math.copysign(1, min(values)) < 0:
         return "has a sign, which only its reference has in EXIF"
-    for name, part in zip(_PARTS[1:], there[1:], strict=False):
-        if part > 60:  # programs round 59.99999 to 60
-            return f"has {part:g} {name}"
-    for k, part in enumerate(there):
-        if abs(part - round(part)) > _WHOLE and any(there[k + 1 :]):
+    for name, value in zip(_PARTS[1:], values[1:], strict=False):
+        if value > 60:  # programs round 59.99999 to 60
+            return f"has {value:g} {name}"
+    for k, value in enumerate(values):
+        if abs(value - round(value)) > _WHOLE and any(values[k + 1 :]):
             return f"has a fraction of {_PARTS[k]} and {_PARTS[k + 1]} as well"
-    last = there[-1]
-    if len(there) < len(_PARTS) and abs(last - round(last)) <= _WHOLE:
-        return f"ends with whole {_PARTS[len(there) - 1]}"
+    last = values[-1]
+    if len(values) < len(_PARTS) and abs(last - round(last)) <= _WHOLE:
+        return f"ends with whole {_PARTS[len(values) - 1]}"
     return ""

@@ -1,4 +1,4 @@
-"""Colours of the bands of a picture, by what its file says each band is."""
+"""The bands that hold the colours of a raster, by the metadata of its file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 _COLOURS = ("red", "green", "blue")
 _ALPHA, _PALETTE = "alpha", "palette"
 _GREY = ("gray", "pan", "undefined")
-# What a file says of bands whose writer said nothing.
+# Colour interpretation of bands whose writer stated none.
 _SILENT = ("gray", "undefined")
 _INFRARED = re.compile(r"\bn?ir\b|\bpir\b|nir|infra")
 _WORDS = re.compile(r"[^\W\d_]+")
-# Words of other languages; a letter alone stands for its colour.
+# Colour words of other languages, and single letters.
 _OTHER_WORDS = {
     **dict.fromkeys(("rouge", "rot", "rojo", "roja", "rosso", "vermelho", "rood"), "red"),
     **dict.fromkeys(("vert", "verte", "grün", "gruen", "verde", "groen"), "green"),
@@ -26,12 +26,12 @@ _LETTERS = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "n": "nir"}
 
 @dataclass(frozen=True)
 class ColourBands:
-    """Which bands of a picture hold its colours.
+    """The bands of a raster that hold its colours.
 
     Attributes:
         colours: numbers of the red, green and blue band, or of one band, from 1.
-        alpha: number of the band that tells which pixels have data; None where there is none.
-        palette: whether the one band holds numbers of colours in a table.
+        alpha: number of the alpha band; None if there is none.
+        palette: whether the one band holds indices of a colour table.
     """
 
     colours: tuple[int, ...]
@@ -42,12 +42,12 @@ class ColourBands:
 def colour_bands(
     interpretations: Sequence[str], descriptions: Sequence[str | None]
 ) -> Reading[ColourBands]:
-    """Return which bands hold the colours of a picture.
+    """Return the bands that hold the colours of a raster.
 
     Args:
         interpretations: GDAL's colour interpretation of each band, such as ``red``.
-        descriptions: description of each band, such as ``Band 1 (Red)``, which is asked where the
-            interpretation says nothing.
+        descriptions: description of each band, such as ``Band 1 (Red)``; it counts where the
+            interpretation states nothing.
     """
     source = "ColorInterp"
     names = []
@@ -62,23 +62,23 @@ def colour_bands(
                 f"{described[number - 1]!r}",
             )
         names.append(word if word and silent else interpretation)
-    said = f"it has {len(names)} bands: {', '.join(names)}"
-    places = {colour: [n for n, name in enumerate(names, 1) if name == colour] for colour in names}
-    alphas = places.get(_ALPHA, [])
+    listing = f"it has {len(names)} bands: {', '.join(names)}"
+    numbers = {colour: [n for n, name in enumerate(names, 1) if name == colour] for colour in names}
+    alphas = numbers.get(_ALPHA, [])
     if len(alphas) > 1:
-        return unknown(source, said)
+        return unknown(source, listing)
     alpha = alphas[0] if alphas else None
-    if all(len(places.get(colour, ())) == 1 for colour in _COLOURS):
-        return known(ColourBands(tuple(places[colour][0] for colour in _COLOURS), alpha), source)
+    if all(len(numbers.get(colour, ())) == 1 for colour in _COLOURS):
+        return known(ColourBands(tuple(numbers[colour][0] for colour in _COLOURS), alpha), source)
     others = [n for n, name in enumerate(names, 1) if name != _ALPHA]
     if len(others) == 1 and names[others[0] - 1] in (*_GREY, _PALETTE):
         palette = names[others[0] - 1] == _PALETTE
         return known(ColourBands((others[0],), alpha, palette), source)
-    return unknown(source, said)
+    return unknown(source, listing)
 
 
 def _parse_colour(description: str | None) -> str | None:
-    """Return the colour that a description names, ``nir``, ``alpha``, or None."""
+    """Return the colour that a description names, ``nir``, ``rededge``, ``alpha``, or None."""
     text = (description or "").lower()
     if _INFRARED.search(text):
         return "nir"
@@ -87,5 +87,5 @@ def _parse_colour(description: str | None) -> str | None:
     if text.strip() in _LETTERS:
         return _LETTERS[text.strip()]
     words = [_OTHER_WORDS.get(word, word) for word in _WORDS.findall(text)]
-    found = {word for word in words if word in (*_COLOURS, _ALPHA)}
-    return found.pop() if len(found) == 1 else None
+    colours = {word for word in words if word in (*_COLOURS, _ALPHA)}
+    return colours.pop() if len(colours) == 1 else None

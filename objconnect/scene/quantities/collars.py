@@ -1,4 +1,4 @@
-"""Rims of pictures that are all white or all black, which their files do not declare as no data."""
+"""White or black collars of orthophotos that their files do not declare as no data."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 _COLOURS: Final = {255: "white", 0: "black"}
-# The least share of the picture, and of its edge, that is worth a remark.
+# Smallest share of the picture, and of its edge, that is reported.
 _SHARE, _EDGE_SHARE = 0.01, 0.1
 
 
-def collar_of(strips: Iterable[NDArray[np.float32]]) -> str | None:
-    """Return a phrase where much of a picture and of its edge is white or black.
+def describe_collar(strips: Iterable[NDArray[np.float32]]) -> str | None:
+    """Return a phrase about a white or black collar; None if the picture has none.
 
     Args:
         strips: pieces of the picture from top to bottom, (bands, H, W) in 0..255; NaN where the
-            file itself says that there is no data, which is no part of the picture.
+            file declares no data.
     """
     inside, edge = dict.fromkeys(_COLOURS, 0), dict.fromkeys(_COLOURS, 0)
     known = around = 0

@@ -1,4 +1,4 @@
-"""Which number of a pair of coordinates is the latitude, told by checks of a drone's track."""
+"""The order of latitude and longitude in a drone's track, found by plausibility checks."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from typing import Final, Literal
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 Order = Literal["latitude", "longitude"]
-"""What the first number of a pair is."""
+"""The quantity of the first number of a pair."""
 Pair = tuple[float, float]
 
 ORDERS: Final[tuple[Order, Order]] = ("latitude", "longitude")
 REACH_M: Final = 50_000.0
-"""A drone is not further from its map or its place of take-off."""
+"""Largest distance of a drone from its map or its take-off."""
 # No drone is faster (m/s).
 _FASTEST: Final = 100.0
-# A stated speed or distance may differ from the track's by this share, and by this length (m).
+# Tolerance of a stated speed or distance: a share, and a length (m).
 _SHARE: Final = 0.1
 _SLACK_M: Final = 15.0
 _DEGREE_M: Final = 111_320.0
-# Steps of a track over which its speed is taken, s.
+# Length of the steps of a track whose speed is computed, s.
 _STEP_S: Final = 1.0
 
 
 @dataclass(frozen=True)
 class PairedTrack:
-    """Pairs of coordinates whose order is not written.
+    """Pairs of coordinates whose order the file does not state.
 
     Attributes:
-        seconds: Time of each pair.
-        pairs: Degrees, in the order of times.
-        homes: Places of take-off in the order of the pairs, if the file tells them.
-        home_places: Places of take-off as latitude and longitude, where letters tell.
-        distances: For some pairs, their index and the stated distance from take-off, metres.
-        speeds: Stated speeds over ground, m/s; empty unless every pair has one.
+        seconds: time of each pair.
+        pairs: degrees, in the order of times.
+        homes: take-off positions in the order of ``pairs``.
+        home_places: take-off positions as latitude and longitude, if letters mark them.
+        distances: index of a pair and its stated distance from take-off, metres.
+        speeds: stated speeds over ground, m/s; empty unless every pair has one.
     """
 
     seconds: Sequence[float]
@@ -48,16 +48,16 @@ class PairedTrack:
     speeds: Sequence[float] = field(default=())
 
 
-def order_of(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
-    """Return what the first number of a track's pairs is.
+def infer_order(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
+    """Return the quantity of the first number of a track's pairs.
 
-    Each check leaves out orders that cannot be: numbers beyond 90 degrees, a map or a place of
-    take-off out of reach, a speed that no drone has or that is not the stated one, and stated
-    distances from take-off.
+    Each check excludes orders: latitudes beyond 90 degrees, a map or a take-off out of reach, a
+    distance from take-off that differs from the stated one, and a speed that no drone has or that
+    differs from the stated one.
 
     Args:
-        track: At least one pair.
-        near: Latitude and longitude of the map, degrees; None where that is not known.
+        track: track of at least one pair.
+        near: latitude and longitude of the map, degrees; None if unknown.
     """
     source = "GPS"
     if all(first == second for first, second in track.pairs):
@@ -67,16 +67,16 @@ def order_of(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
         f"is within {REACH_M / 1000:.0f} km of the map": lambda order: _is_near(track, order, near),
         "agrees with HOME": lambda order: _agrees_with_home(track, order),
     }
-    left: list[Order] = list(ORDERS)
+    orders: list[Order] = list(ORDERS)
     for check, holds in checks.items():
-        left = [order for order in left if holds(order)]
-        if not left:
+        orders = [order for order in orders if holds(order)]
+        if not orders:
             return unknown(source, f"no order of the numbers of GPS(a, b) {check}")
-    for decide in (_by_distance, _by_speed):
-        left = decide(track, left) or left
-    if len(left) == 1:
-        return known(left[0], source)
-    return unknown(source, "which number of GPS(a, b) is the latitude is not told")
+    for select in (_select_by_distance, _select_by_speed):
+        orders = select(track, orders) or orders
+    if len(orders) == 1:
+        return known(orders[0], source)
+    return unknown(source, "the order of latitude and longitude in GPS(a, b) is unknown")
 
 
 def to_lat_lon(pair: Pair, order: Order) -> Pair:
@@ -116,8 +116,8 @@ def _agrees_with_home(track: PairedTrack, order: Order) -> bool:
     return all(ground_distance(here, home) <= REACH_M for home in homes)
 
 
-def _by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
-    """Return the orders in which the pairs are as far from take-off as is stated."""
+def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
+    """Return the orders whose distances from take-off match the stated ones."""
     if not track.distances or not (track.homes or track.home_places):
         return []
     tolerance = max(_SLACK_M, _SHARE * median(stated for _, stated in track.distances))
@@ -126,18 +126,18 @@ def _by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
         homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
         misfits[order] = median(
             min(
-                abs(ground_distance(to_lat_lon(track.pairs[row], order), home) - said)
+                abs(ground_distance(to_lat_lon(track.pairs[row], order), home) - stated)
                 for home in homes
             )
-            for row, said in track.distances
+            for row, stated in track.distances
         )
     fitting = [order for order in orders if misfits[order] <= tolerance]
     others = [order for order in orders if misfits[order] > 2 * tolerance]
     return fitting if len(fitting) + len(others) == len(orders) else []
 
 
-def _by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
-    """Return the orders in which the track is not faster than a drone, or than it says to be."""
+def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
+    """Return the orders in which the track is not faster than stated, or than a drone can fly."""
     most = (1 + 2 * _SHARE) * max(track.speeds) if track.speeds else _FASTEST
     steps, last = [], 0
     for row, seconds in enumerate(track.seconds):
@@ -159,20 +159,20 @@ def _by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
 
 
 def without_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> list[Pair | None]:
-    """Return the places of a track without those to which no drone can have flown.
+    """Return the positions of a track with None for those that no drone can have reached.
 
-    A place is compared with the middle of the five before and after it, and with that of the whole
-    track.
+    Each position is compared with the median of up to five neighbours on each side, and with the
+    median of the track.
 
     Args:
-        seconds: Times, ascending.
-        places: Latitude and longitude, degrees; None where there is none.
+        seconds: times, ascending.
+        places: latitude and longitude, degrees; None if unknown.
     """
     fixed = [row for row, place in enumerate(places) if place is not None]
     known_places = [place for place in places if place is not None]
-    left = list(places)
+    plausible = list(places)
     if len(fixed) < 3:
-        return left
+        return plausible
     whole = _middle(known_places)
     for at, row in enumerate(fixed):
         near = range(max(0, at - 5), min(len(fixed), at + 6))
@@ -183,5 +183,5 @@ def without_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> li
             ground_distance(here, middle) > 200 + _FASTEST * span
             or ground_distance(here, whole) > REACH_M
         ):
-            left[row] = None
-    return left
+            plausible[row] = None
+    return plausible

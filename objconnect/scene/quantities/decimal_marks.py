@@ -1,4 +1,4 @@
-"""The decimal mark of a file: a point or a comma, as its own numbers tell."""
+"""The decimal mark of a file, point or comma, inferred from its numbers."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from objconnect.scene.quantities.numbers import parse_number
 
 _WITH_COMMA: Final = re.compile(r"[-+]?\d*,\d+")
 _WITH_POINT: Final = re.compile(r"[-+]?\d*\.\d+")
-# A mark before three digits may divide thousands.
+# A mark before three digits may separate thousands.
 _THOUSANDS: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
 
 
 @dataclass(frozen=True)
 class DecimalMarks:
-    """Which marks of a file's numbers are decimal marks.
+    """The decimal marks of a file's numbers.
 
     Attributes:
-        comma: A comma is one.
-        point: A point is one, also before three digits.
-        doubt: Why a comma is none although numbers have commas; empty where it is clear.
+        comma: whether a comma is a decimal mark.
+        point: whether a point is one, also before three digits.
+        doubt: why commas are not understood; empty if there is no doubt.
     """
 
     comma: bool
@@ -31,11 +31,11 @@ class DecimalMarks:
 
     @staticmethod
     def of(texts: Iterable[str]) -> DecimalMarks:
-        """Return the marks of a file from the texts of its numbers.
+        """Infer the decimal marks of a file from the texts of its numbers.
 
-        A comma is a decimal mark where no number has a point and some comma cannot divide
-        thousands. Where a file has both marks, numbers with a comma are not understood, and
-        neither are those with a point that may divide thousands.
+        A comma is a decimal mark if no number has a point and some comma cannot separate
+        thousands. In a file with both marks, numbers with a comma are not understood, nor those
+        with a point that may separate thousands.
 
         Example:
             >>> DecimalMarks.of(["47,0004", "60,000"]).parse("60,000")
@@ -55,11 +55,11 @@ class DecimalMarks:
         return DecimalMarks(
             comma=False,
             point=not sure,
-            doubt=f"whether the comma of {example} is a decimal mark is not told by the file",
+            doubt=f"the comma of {example} may be a decimal mark or separate thousands",
         )
 
     def parse(self, text: str) -> float | None:
-        """Return the number that a text holds and nothing else; None where that is not sure."""
+        """Return the number in a text; None if it is ambiguous or no number."""
         text = text.strip()
         if "," in text and not self.comma:
             return None

@@ -1,4 +1,4 @@
-"""Doubts of many files as a few lines."""
+"""Summary of the doubts about many files in a few lines."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from typing import Final
 
 from objconnect.scene.runtime.escaping import for_terminal
 
-# Most kinds of doubts that are told one by one.
+# Largest number of kinds of doubts that are listed.
 _SHOWN: Final = 8
 
 
-def said_of(doubts: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the doubts of files, a line for each kind with the file that first had it.
+def summarize_doubts(doubts: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a line for each kind of doubt, with the first file that has it.
 
-    Doubts that differ in their numbers alone are of one kind.
+    Doubts that differ only in numbers are of one kind.
 
     Example:
-        >>> said_of({"a.jpg": ["GPSAltitude is missing"], "b.jpg": ["GPSAltitude is missing"]})
+        >>> doubt = "GPSAltitude is missing"
+        >>> summarize_doubts({"a.jpg": [doubt], "b.jpg": [doubt]})
         ['a.jpg and 1 more: GPSAltitude is missing']
     """
     first: dict[str, tuple[str, str]] = {}

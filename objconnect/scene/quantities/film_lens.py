@@ -1,9 +1,8 @@
-"""Focal lengths on 35 mm film and digital zoom, as drones write them.
+"""35 mm equivalent focal lengths and digital zoom in the telemetry of drones.
 
-A focal length is written in millimetres (``162.00``) or in tenths (``240``), and a zoom as a ratio
-(``2.00``) or in ten-thousandths (``20000, delta:0``). The size of a number does not tell which: a
-tele camera has 162 mm and a wide one 24.0. What tells is how the file writes its numbers, or the
-lens of the map.
+A focal length is in millimetres (``162.00``) or in tenths (``240``), a zoom is a ratio (``2.00``)
+or in ten-thousandths (``20000, delta:0``). The value alone is ambiguous: tele cameras have 162 mm,
+wide ones 24.0 mm. The number format of the file or the lens of the map decides.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from typing import Final
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 SAME_LENS: Final = 0.15
-"""Focal lengths of one lens differ by less than this share: equivalent focal lengths are whole
-millimetres, and some makers refer them to the width instead of the diagonal."""
-# No lens of a drone is shorter or longer on 35 mm film (mm); no digital zoom is larger.
+"""Largest relative difference of focal lengths of one lens: equivalents are whole millimetres, and
+some makers refer them to the width instead of the diagonal."""
+# Range of drones' equivalent focal lengths (mm), and the largest digital zoom.
 _SHORTEST_MM: Final = 8.0
 _LONGEST_MM: Final = 3000.0
 _MOST_ZOOM: Final = 100.0
-# No lens has a larger f-number.
+# Largest f-number of a lens.
 _MOST_F_NUMBER: Final = 64.0
 _TEN_THOUSANDTHS: Final = 1e4
 
@@ -31,15 +30,15 @@ def has_decimals(text: str) -> bool:
 
 
 def scales_whole_numbers(f_numbers: Collection[str], zooms_with_delta: bool) -> bool | None:
-    """Return whether a file writes whole numbers for parts of a unit.
+    """Return whether a file writes fractions as scaled whole numbers.
 
     Args:
-        f_numbers: Texts of the aperture, such as ``2.8`` or ``280``.
-        zooms_with_delta: Whether the file writes zooms in ten-thousandths, with a ``delta``.
+        f_numbers: texts of the aperture, such as ``2.8`` or ``280``.
+        zooms_with_delta: whether the file writes zooms in ten-thousandths, with a ``delta``.
 
     Returns:
-        True where some number of the file can be nothing else, False where a whole number stands
-        for itself; None where nothing tells, or both.
+        True if a number must be scaled, False if a whole number cannot be; None if there is
+        evidence of neither or of both.
     """
     whole = [float(text) for text in f_numbers if text.isdecimal() and float(text) > 0]
     scaled = zooms_with_delta or any(number > _MOST_F_NUMBER for number in whole)
@@ -53,13 +52,13 @@ def millimetres_per_unit(
     scaled: bool | None,
     lenses: Collection[float] = (),
 ) -> Reading[float]:
-    """Return by what the numbers of ``focal_len`` in a file are to be multiplied to be millimetres.
+    """Return the factor from the numbers of ``focal_len`` to millimetres.
 
     Args:
-        texts: The numbers as they are written; at least one.
-        numbers: Their values.
-        scaled: What ``scales_whole_numbers`` says.
-        lenses: Focal lengths of the map's cameras on 35 mm film, mm.
+        texts: the numbers as they are written; at least one.
+        numbers: their values.
+        scaled: result of ``scales_whole_numbers``.
+        lenses: equivalent focal lengths of the map's cameras, mm.
     """
     source = "focal_len"
     if any(map(has_decimals, texts)):
@@ -73,43 +72,41 @@ def millimetres_per_unit(
         if any(abs(unit * value / lens - 1) < SAME_LENS for value in numbers for lens in lenses)
     ]
     if len(fitting) == 1:
-        told = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, as the map's lens is"
-        return known(fitting[0], source, told)
-    return unknown(
-        source, f"whether focal_len {number:g} is in millimetres or in tenths is not told"
-    )
+        doubt = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, as the map's lens is"
+        return known(fitting[0], source, doubt)
+    return unknown(source, f"focal_len {number:g} may be in millimetres or in tenths of them")
 
 
 def focal_on_film(focal_mm: float) -> float | None:
-    """Return a focal length on 35 mm film, mm; None where no lens has it."""
+    """Return an equivalent focal length, mm; None if no lens has it."""
     return focal_mm if _SHORTEST_MM <= focal_mm <= _LONGEST_MM else None
 
 
 def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) -> Reading[float]:
     """Return a digital zoom as a ratio, at least 1.
 
-    A whole number below 10 is a ratio in every scale that could be meant. A larger one is known
-    only where the file writes ten-thousandths.
+    A whole number below 10 is a ratio. A larger one is known only if the file writes
+    ten-thousandths.
 
     Args:
-        text: The number as it is written.
-        number: Its value.
-        in_ten_thousandths: Whether the file writes whole numbers with a ``delta``.
-        name: Name of the field.
+        text: the number as it is written.
+        number: its value.
+        in_ten_thousandths: whether the file writes whole numbers with a ``delta``.
+        name: name of the field.
 
     Example:
         >>> zoom_ratio("2.00", 2.0, False, "dzoom_ratio").value
         2.0
         >>> zoom_ratio("20000", 20000.0, True, "dzoom_ratio").value
         2.0
-        >>> zoom_ratio("20000", 20000.0, False, "dzoom_ratio").known
+        >>> zoom_ratio("20000", 20000.0, False, "dzoom_ratio").is_known
         False
     """
     if not has_decimals(text):
         if in_ten_thousandths:
             number /= _TEN_THOUSANDTHS
         elif number >= 10:
-            return unknown(name, f"the scale of {name} {text} is not told")
+            return unknown(name, f"the scale of {name} {text} is unknown")
     if 1 <= number <= _MOST_ZOOM:
         return known(number, name)
     return unknown(name, f"{name} {text} is no digital zoom")

@@ -1,4 +1,4 @@
-"""Heights of a band: its numbers in metres, by its scale, its offset and its unit."""
+"""Conversion of a band's numbers to metres, from its scale, offset and unit."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 NO_UNIT: Final = "no unit"
-"""The doubt on a band whose heights have no unit."""
+"""The doubt about a band whose heights have no unit."""
 
-# Feet of the two kinds differ by less, and no two other units do.
+# Largest relative difference of equal units: it is that of the two kinds of feet.
 _SAME = 1e-5
 
 
 @dataclass(frozen=True)
 class MetresOfBand:
-    """Metres of the numbers of a band: ``factor * number + offset``."""
+    """The conversion of a band's numbers to metres: ``factor * number + offset``."""
 
     factor: float = 1.0
     offset: float = 0.0
@@ -36,18 +36,18 @@ def metres_of_band(
     system_unit_m: float | None,
     key: float | str | None = None,
 ) -> Reading[MetresOfBand]:
-    """Return how a band's numbers become metres.
+    """Return the conversion of a band's numbers to metres.
 
     Args:
-        unit: the band's unit, as ``US survey foot``; None or empty where the file names none.
-        scale: what numbers are multiplied with, which gives the unit after ``offset`` is added.
-        offset: what is added, in the unit.
-        system_unit_m: length of the unit of heights in the reference system, metres; None where it
-            has no heights. A band without a unit has this one.
-        key: unit of heights in the file's own keys, metres; its name where it is not known.
+        unit: the band's unit, such as ``US survey foot``; None or empty if the file names none.
+        scale: the height in the unit is ``scale * number + offset``.
+        offset: see ``scale``.
+        system_unit_m: length of the reference system's unit of heights, metres, which holds for a
+            band without a unit; None if the system has no heights.
+        key: unit of heights in the GeoTIFF keys, metres; its name if the unit is not known.
 
     Returns:
-        The metres. Where nothing names a unit, they are the file's numbers, with a doubt.
+        The conversion. If nothing names a unit, numbers are taken as metres, with a doubt.
     """
     if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
         return unknown("the height", f"the band's scale is {scale:g}, its offset {offset:g}")
@@ -60,8 +60,8 @@ def metres_of_band(
     others = {"the reference system": system_unit_m, "VerticalUnitsGeoKey": key}
     for other, other_m in others.items():
         if length and other_m and abs(length / other_m - 1) > _SAME:
-            said = repr(named[:40]) if named else f"of {length:g} m"
-            return unknown("the band's unit", f"it is {said}, that of {other} {other_m:g} m")
+            own = repr(named[:40]) if named else f"of {length:g} m"
+            return unknown("the band's unit", f"it is {own}, that of {other} {other_m:g} m")
     length = length or key
     if length is None:
         return known(MetresOfBand(scale, offset), "the band", NO_UNIT)

@@ -1,4 +1,4 @@
-"""Heights that stand for no data although the file does not say so."""
+"""Detection of no-data heights that a surface model does not declare."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ HIGHEST_M: Final = 9_000.0
 """No ground on earth is higher."""
 
 _BINS = round(HIGHEST_M - LOWEST_M)
-# A constant that stands for no data is this far below all other heights, metres.
+# A no-data constant is at least this far below all other heights, metres.
 _STEP_M = 10
-# A constant above all others is no roof where it is this far above them, metres.
+# A no-data constant above all other heights is at least this far above them, metres.
 _CLIFF_M = 100
-# From this share and this far below all others, heights of 0 are worth a remark.
+# Smallest share of heights of 0, and their distance below all others (m), that is reported.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
-# Heights of 0 between others are remarked where those within a metre are at most so many times as
-# many: rasters in steps of a tenth of a metre have more.
+# Heights of 0 between others are reported if at most so many times as many lie within a metre:
+# rasters in steps of a tenth of a metre have more.
 _CROWD = 4
-# The fewest pixels of a constant that stands for no data, and their least share.
+# Fewest pixels of a no-data constant, and their least share.
 _FEWEST, _LEAST_SHARE = 16, 1e-4
-# The most pixels within the step above the constant, as a share of its own: resampling leaves some.
+# Most pixels in the step above the constant, as a share of the constant's: resampling leaves some.
 _BETWEEN = 0.1
 _MOST_HOLES = 4
-# Constants in fewer steps, or in a lesser share of the steps between them, are made surfaces.
+# A raster of constants in fewer steps, or in a smaller share of the steps, is a synthetic surface.
 _FEW_STEPS, _CROWDED = 5, 0.5
-# Heights beside no data that are further outside all others are resampled with it, metres.
+# Heights beside no data that are this far outside all others (m) come from resampling.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
-# So many pixels beside no data are not asked for the lowest and highest ground.
+# The lowest and highest ground is taken from pixels farther than this from no data.
 _BESIDE = 2
-# The fewest pixels that tell the lowest and the highest ground.
+# Fewest pixels that determine the lowest and the highest ground.
 _ENOUGH = 256
 
 Heights = NDArray[np.float32]
 
 
 @dataclass
-class Census:
-    """Counts of heights by steps of a metre, with the ends of each step.
+class Histogram:
+    """A histogram of heights in steps of a metre.
 
     Attributes:
         counts: number of pixels in each step from ``LOWEST_M``.
-        low: lowest height in each, infinite where there is none.
-        high: highest one.
+        low: lowest height in each step, infinite if it is empty.
+        high: highest height in each step, minus infinity if it is empty.
         edge: heights at the edge of the raster.
-        zeros: number of heights of 0.
+        zeros: number of pixels of height 0.
     """
 
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS, np.int64))
@@ -76,14 +76,14 @@ class Census:
 
 @dataclass(frozen=True)
 class Hole:
-    """A height that stands for no data.
+    """A height that stands for no data, or may.
 
     Attributes:
         height: the height, metres.
         share: share of the pixels that have it.
-        sure: whether it is no data; otherwise it can be a plain.
-        where: where it lies among the other heights.
-        remark: whether it can also be water, and is kept.
+        sure: whether it is no data; otherwise it may be a plain.
+        where: its relation to the other heights, a phrase for messages.
+        remark: whether it may be water: it is kept and only reported.
     """
 
     height: float
@@ -93,14 +93,14 @@ class Hole:
     remark: bool = False
 
 
-def holes(census: Census) -> list[Hole]:
-    """Return heights that many pixels share, far below or above all others, as no ground does.
+def find_holes(histogram: Histogram) -> list[Hole]:
+    """Return the constant heights of many pixels that lie far below or above all others.
 
-    A plain of one height with towers on it looks the same where the plain is most of the raster and
-    the towers have flat roofs; it is kept. Holes above 0 that are most of the raster are not sure.
-    Heights of 0 a little below all others, or between them, can be the sea and are only remarked.
+    A plain of one height with flat-roofed towers looks the same if most of the raster is plain; it
+    is kept. Holes above 0 that fill most of the raster are not sure. Heights of 0 a little below
+    all others, or between them, may be the sea and are only reported.
     """
-    counts = census.counts.copy()
+    counts = histogram.counts.copy()
     total = int(counts.sum())
     found: list[Hole] = []
     while len(found) < _MOST_HOLES:
@@ -108,13 +108,13 @@ def holes(census: Census) -> list[Hole]:
         if not steps.size:
             break
         first = int(steps[0])
-        height, share = float(census.low[first]), counts[first] / total
+        height, share = float(histogram.low[first]), counts[first] / total
         rest = int(counts.sum() - counts[first])
-        constant = census.low[first] == census.high[first]
+        constant = histogram.low[first] == histogram.high[first]
         enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
-        # Water and plains of one height reach the edge too, but nothing rises from them by a cliff.
-        placed = height in census.edge or height == 0
-        if not (constant and enough and placed and rest) or _is_flat(census, steps[1:]):
+        # Water and plains reach the edge too, but no cliff rises from them.
+        placed = height in histogram.edge or height == 0
+        if not (constant and enough and placed and rest) or _is_flat(histogram, steps[1:]):
             break
         if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
             near = counts[first + 1 : first + 1 + _REMARK_M].sum()
@@ -123,50 +123,50 @@ def holes(census: Census) -> list[Hole]:
             break
         found.append(Hole(height, float(share), sure=counts[first] <= rest or height <= 0))
         counts[first] = 0
-    found += _above(census, counts, total)
+    found += _find_above(histogram, counts, total)
     if total and not any(hole.height == 0 for hole in found):
-        found += _zeros(census, counts, total)
+        found += _find_zeros(histogram, counts, total)
     return found
 
 
-def _above(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
-    """Return the height that many pixels share far above all others, and remove it."""
+def _find_above(histogram: Histogram, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return the constant far above all other heights, and clear its count."""
     steps = np.flatnonzero(counts)
     if len(steps) < 2:
         return []
     last = int(steps[-1])
-    height, share = float(census.high[last]), counts[last] / total
-    constant = census.low[last] == census.high[last] and height in census.edge
+    height, share = float(histogram.high[last]), counts[last] / total
+    constant = histogram.low[last] == histogram.high[last] and height in histogram.edge
     enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
     near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
-    if not (constant and enough) or near or _is_flat(census, steps[:-1]):
+    if not (constant and enough) or near or _is_flat(histogram, steps[:-1]):
         return []
     sure = bool(2 * counts[last] <= counts.sum())
     counts[last] = 0
     return [Hole(height, float(share), sure, "far above all others")]
 
 
-def _zeros(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
-    """Return heights of exactly 0 between others that are many, as a remark."""
+def _find_zeros(histogram: Histogram, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return many heights of exactly 0 between others, as a remark."""
     zero = round(-LOWEST_M)
     below = np.flatnonzero(counts[:zero])
-    share = census.zeros / total
+    share = histogram.zeros / total
     beside = int(counts[zero - 1 : zero + 1].sum())
-    whole = bool((census.low[below] == census.high[below]).all())
-    if whole or share < _REMARK_SHARE or _CROWD * census.zeros < beside:
+    whole = bool((histogram.low[below] == histogram.high[below]).all())
+    if whole or share < _REMARK_SHARE or _CROWD * histogram.zeros < beside:
         return []
     return [Hole(0.0, float(share), False, "between the others", remark=True)]
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Which heights of a surface model are ground.
+    """The valid heights of a surface model.
 
     Attributes:
         lowest: lower heights are no data, metres.
         highest: higher heights are no data, metres.
         holes: heights that stand for no data, metres.
-        doubts: what was found out; a phrase each.
+        doubts: phrases for the user.
     """
 
     lowest: float = LOWEST_M
@@ -175,47 +175,46 @@ class Ground:
     doubts: tuple[str, ...] = ()
 
 
-def ground_of(
+def find_ground(
     strips: Callable[[], Iterator[Heights]], declared: bool, pixel_m: float, where: str
 ) -> Ground:
-    """Find no data that a surface model does not declare.
+    """Find the no-data heights that a surface model does not declare.
 
     Args:
-        strips: returns pieces of the raster from top to bottom, (H, W) metres; what is declared as
-            no data, and what is no ground on earth, is NaN.
-        declared: whether the file declares a value of no data.
+        strips: returns pieces of the raster from top to bottom, (H, W) metres; NaN where there is
+            declared no data or an impossible height.
+        declared: whether the file declares a no-data value.
         pixel_m: size of a pixel on the ground, metres.
         where: words for the raster in messages.
 
     Raises:
-        InputError: most pixels share one height far from all others: no data or a plain.
+        InputError: most pixels have one height far from all others: no data or a plain.
     """
-    census, unknown, last = Census(), False, None
+    histogram, unknown, last = Histogram(), False, None
     for strip in strips():
         finite = np.isfinite(strip)
         unknown |= not finite.all()
-        census.add(strip[finite])
+        histogram.add(strip[finite])
         sides = np.concatenate(
             [strip[:, 0], strip[:, -1], *([] if last is not None else [strip[0]])]
         )
-        census.add_edge(sides[np.isfinite(sides)])
+        histogram.add_edge(sides[np.isfinite(sides)])
         last = strip[-1]
     if last is not None:
-        census.add_edge(last[np.isfinite(last)])
+        histogram.add_edge(last[np.isfinite(last)])
     doubts, values = [], []
-    for hole in holes(census):
-        said = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
+    for hole in find_holes(histogram):
+        share = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
+        fact = f"{share}, {hole.where}"
         if hole.remark:
-            doubts.append(
-                f"{said}, {hole.where}: if it is no data, gdal_edit -a_nodata declares it"
-            )
+            doubts.append(f"{fact}: if it is no data, gdal_edit -a_nodata declares it")
         elif not hole.sure and not declared:
             raise InputError(
-                f"{where}: {said}, {hole.where}: no data or a plain? gdal_edit -a_nodata "
-                f"{hole.height:g} declares it, or another value where it is a plain"
+                f"{where}: {fact}: no data or a plain? gdal_edit -a_nodata {hole.height:g} "
+                "declares no data; declare another value if it is a plain"
             )
         elif hole.sure:
-            doubts.append(f"{said}, {hole.where}: taken as no data, which it is not declared as")
+            doubts.append(f"{fact}: taken as no data, although the file does not declare it")
             values.append(hole.height)
     if not (unknown or values):
         return Ground(doubts=tuple(doubts))
@@ -232,20 +231,20 @@ def ground_of(
 def _ends(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]:
     """Return the lowest and the highest height that is not beside no data.
 
-    They are those of no ground on earth where too few pixels tell.
+    With too few such pixels they are ``LOWEST_M`` and ``HIGHEST_M``.
     """
     low, high, count = np.inf, -np.inf, 0
-    for heights, rows in _overlapping(strips):
+    for heights, rows in _overlap_strips(strips):
         unknown = ~np.isfinite(heights) | np.isin(heights, np.array(values, np.float32))
-        apart = heights[rows][~_beside(unknown)[rows]]
-        count += apart.size
-        if apart.size:
-            low, high = min(low, float(apart.min())), max(high, float(apart.max()))
+        ground = heights[rows][~_dilate(unknown)[rows]]
+        count += ground.size
+        if ground.size:
+            low, high = min(low, float(ground.min())), max(high, float(ground.max()))
     return (low, high) if count >= _ENOUGH else (LOWEST_M, HIGHEST_M)
 
 
-def _overlapping(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
-    """Yield strips with rows of their neighbours, and which rows were not yielded before."""
+def _overlap_strips(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
+    """Yield strips with rows of their neighbours, and the slice of rows that are new."""
     before: Heights | None = None
     for strip in strips:
         joined = strip if before is None else np.concatenate([before, strip])
@@ -255,8 +254,8 @@ def _overlapping(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
         yield before, slice(-_BESIDE, None)
 
 
-def _beside(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels that are unknown or have an unknown one nearby."""
+def _dilate(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels within ``_BESIDE`` pixels of an unknown one."""
     near = np.pad(unknown, _BESIDE)
     for axis, size in enumerate(unknown.shape):
         parts = [np.take(near, range(k, k + size), axis) for k in range(2 * _BESIDE + 1)]
@@ -264,12 +263,12 @@ def _beside(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _is_flat(census: Census, others: NDArray[np.intp]) -> bool:
-    """Return whether heights in steps are a few constants, as in made surfaces.
+def _is_flat(histogram: Histogram, others: NDArray[np.intp]) -> bool:
+    """Return whether the other heights are a few constants, as in synthetic surfaces.
 
-    Ground in whole metres has constants too, but in most steps between its lowest and highest.
+    Ground in whole metres consists of constants too, but in most steps of its range.
     """
-    if not (census.low[others] == census.high[others]).all():
+    if not (histogram.low[others] == histogram.high[others]).all():
         return False
     span = int(others[-1] - others[0]) + 1 if others.size else 0
     return len(others) < _FEW_STEPS or len(others) < _CROWDED * span

@@ -1,7 +1,7 @@
-"""Whether coordinates run along east and north, or along the grid of a projected system.
+"""The horizontal axes of coordinates: east and north, or the grid of a projected system.
 
-Away from the middle of its zone, a grid is turned against east and north by the convergence of
-meridians. Positions that GPS measured, which run along east and north, tell which of both it is.
+Away from the central meridian of its zone, a grid is rotated against east and north by the
+meridian convergence. GPS positions, which are along east and north, show which of the two it is.
 """
 
 from __future__ import annotations
@@ -18,46 +18,45 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 Axes = Literal["east and north", "grid"]
 
 _ZONE_DEG: Final = 6.0
-# A turn is that of one of both axes where the other one is this many times as far away,
+# The measured rotation decides for one of the axes if the other is so many times as far away,
 _CLEARER: Final = 3.0
-# and where the scatter of positions tells turns this many times as small as their difference. Few
-# positions tell their own scatter badly, so that they need more (of Student's distribution).
+# and if the convergence exceeds so many standard deviations of the rotation. Few positions need
+# more, as in Student's distribution.
 _SIGMAS, _FEW = 3.0, 5.0
 
 
 def utm_zone(longitude: float) -> int:
-    """Return the number of the UTM zone at a longitude (degrees), without the exceptions."""
+    """Return the UTM zone of a longitude (degrees), ignoring Norway's and Svalbard's exceptions."""
     return int((longitude + 180) % 360 // _ZONE_DEG) + 1
 
 
 def convergence(place: Geodetic, zone: int) -> float:
-    """Return the angle from true north to a UTM grid's axes at a place, radians.
+    """Return the meridian convergence of a UTM grid at a place, radians.
 
-    True north points to the left of the grid's north where the angle is positive.
+    If it is positive, true north points to the left of the grid's north.
     """
     middle = zone * _ZONE_DEG - 180 - _ZONE_DEG / 2
     beside = math.radians(longitude_difference(place.longitude, middle))
     return math.atan(math.tan(beside) * math.sin(math.radians(place.latitude)))
 
 
-def axes_of(
+def infer_axes(
     positions: NDArray[np.float64], measured: NDArray[np.float64], grid_turn: float
 ) -> Reading[Axes]:
-    """Tell the horizontal axes of positions.
+    """Infer the horizontal axes of positions from GPS.
 
     Args:
         positions: (N, 2) metres along unknown axes, with any shift.
         measured: (N, 2) metres east and north; NaN where not measured.
-        grid_turn: angle by which the grid's coordinates of a line are turned, radians
-            (``convergence``).
+        grid_turn: rotation of the grid against east and north, radians (``convergence``).
 
     Returns:
-        The axes; unknown where the positions fit both, or none.
+        The axes; unknown if the positions fit both or neither.
     """
     source = "gps_position"
     there = (np.abs(measured) <= FARTHEST_M).all(1)
     if there.sum() < 3:
-        return unknown(source, f"{source} is there for {there.sum()} photographs")
+        return unknown(source, f"{source} is known for {there.sum()} photographs")
     own, gps = positions[there], measured[there]
     own, gps = own - own.mean(0), gps - gps.mean(0)
     spread = float(np.linalg.norm(gps))
@@ -70,11 +69,11 @@ def axes_of(
     free = 2 * len(own) - 4
     sigma = float(np.sqrt((off**2).sum() / free)) / spread
     from_east, from_grid = abs(turn), abs(turn - grid_turn)
-    said = f"turned by {math.degrees(turn):.2f} degrees against {source}"
+    rotation = f"turned by {math.degrees(turn):.2f} degrees against {source}"
     if _SIGMAS * (1 + _FEW / free) * sigma > abs(grid_turn):
         return unknown(source, f"{source} scatters too much to tell the axes")
     if from_grid > _CLEARER * from_east:
         return known("east and north", source)
     if from_east > _CLEARER * from_grid:
-        return known("grid", source, said)
-    return unknown(source, said)
+        return known("grid", source, rotation)
+    return unknown(source, rotation)

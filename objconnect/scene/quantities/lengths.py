@@ -1,4 +1,4 @@
-"""Units of length by the names that files give them."""
+"""Units of length by their names in files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 _FOOT: Final = 0.3048
 _US_FOOT: Final = 1200 / 3937
 
-# Names without white space, marks and a plural s, in lower case.
+# Keys are lower case, without white space, punctuation and plural s.
 _METRES: Final = {
     "m": 1.0,
     "metre": 1.0,
@@ -49,7 +49,7 @@ _METRES: Final = {
 
 
 def metres_per(unit: str) -> float | None:
-    """Return the length of a unit, metres; None where the name is not known.
+    """Return the length of a unit, metres; None if the name is unknown.
 
     Example:
         >>> metres_per("Metres"), metres_per("foot"), round(metres_per("US survey foot"), 9)

@@ -1,4 +1,4 @@
-"""What the heights of mission plans are above: MAVLink's frames and QGroundControl's modes."""
+"""Height references of mission plans: MAVLink's frames and QGroundControl's modes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,14 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 
 
 class Above(Enum):
-    """What a height is above.
+    """The reference that a height is above."""
 
-    Attributes:
-        SEA: Mean sea level, which is the geoid and not the ellipsoid.
-        HOME: The home position of the aircraft.
-        GROUND: The ground below the position itself.
-    """
-
-    SEA = "mean sea level"
-    HOME = "home"
-    GROUND = "the ground below"
+    SEA = "mean sea level"  # the geoid, not the ellipsoid
+    HOME = "home"  # the home position of the aircraft
+    GROUND = "the ground below"  # the ground at the position itself
 
 
-# MAV_FRAME, each with its variant for integer coordinates.
+# MAV_FRAME: each reference has a variant for integer coordinates.
 _FRAMES: Final = {
     0: Above.SEA,
     5: Above.SEA,
@@ -43,7 +37,7 @@ _MEANT_AS: Final = _SENT_AS | {_CALCULATED: Above.GROUND}
 
 
 def above_of_frame(frame: int | None) -> Reading[Above]:
-    """Return what a height is above by its MAV_FRAME; unknown in local and mission frames."""
+    """Return the height reference of a MAV_FRAME; unknown for local and mission frames."""
     above = None if frame is None else _FRAMES.get(frame)
     if above is None:
         why = "frame is missing" if frame is None else f"MAV_FRAME {frame} is not one of heights"
@@ -52,10 +46,9 @@ def above_of_frame(frame: int | None) -> Reading[Above]:
 
 
 def check_mode(mode: float | None, frame: Above) -> str | None:
-    """Return how the AltitudeMode of an item contradicts its frame; None where it does not.
+    """Return how the AltitudeMode of an item contradicts its frame; None if it does not.
 
-    An item without AltitudeMode says nothing. The mode "calculated above terrain" is sent to the
-    aircraft as a height above the sea.
+    The mode "calculated above terrain" is sent to the aircraft as a height above the sea.
     """
     if mode is None:
         return None
@@ -70,15 +63,12 @@ def check_mode(mode: float | None, frame: Above) -> str | None:
 def above_of_survey(
     mode: float | None, relative: bool | None, follows_terrain: bool | None
 ) -> Reading[Above]:
-    """Return what the DistanceToSurface of a survey is above.
+    """Return the height reference of a survey's DistanceToSurface; unknown if fields disagree.
 
     Args:
-        mode: DistanceMode, which newer files have.
-        relative: DistanceToSurfaceRelative, which older files have.
-        follows_terrain: FollowTerrain, which older files have; it goes before ``relative``.
-
-    Returns:
-        The reference. It is unknown where no field tells it or two of them disagree.
+        mode: DistanceMode of newer files.
+        relative: DistanceToSurfaceRelative of older files.
+        follows_terrain: FollowTerrain of older files; it overrides ``relative``.
     """
     newer = None if mode is None else _MEANT_AS.get(int(mode)) if mode == int(mode) else None
     if mode is not None and newer is None:

@@ -1,4 +1,4 @@
-"""Numbers in texts, whose decimal mark may be a point or a comma."""
+"""Parsing of numbers whose decimal mark may be a point or a comma."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?")
 
 
 def parse_number(text: str) -> float | None:
-    """Return the number that a text holds and nothing else; None where there is none.
+    """Return the number in a text; None if the text is anything else.
 
-    A single comma is a decimal mark. A text with several marks, as ``1.234,5``, is not a number:
-    either mark may divide thousands.
+    A single comma is a decimal mark. A text with several marks, such as ``1.234,5``, is no number:
+    either mark may separate thousands.
 
     Example:
         >>> parse_number(" 47.5 "), parse_number("47,5"), parse_number("1.234,5")
@@ -26,7 +26,7 @@ def parse_number(text: str) -> float | None:
 
 
 def to_number(value: object) -> float:
-    """Return a number of EXIF, which may be a rational or a text; NaN where it is none, as 0/0."""
+    """Return a number of EXIF, which may be a rational or a text; NaN if invalid, such as 0/0."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
     if isinstance(value, str | bytes):
@@ -39,7 +39,7 @@ def to_number(value: object) -> float:
 
 
 def plain_text(value: object) -> str:
-    """Return a text of EXIF without the zero bytes and white space that programs pad it with."""
+    """Return a text of EXIF without its padding of zero bytes and white space."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
     if isinstance(value, bytes):

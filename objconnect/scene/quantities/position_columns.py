@@ -1,4 +1,4 @@
-"""Columns of tables of positions: their names tell the frame and the unit of the numbers."""
+"""Position columns of tables: their names determine frame and unit."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 
 
 class Frame(StrEnum):
-    """What the numbers of a position are counted from."""
+    """The coordinate frame of a position."""
 
     MAP = "the map"
     EARTH = "the earth"
 
 
-# The three axes of each frame, and all names that one column of it may have. A name that says
-# nothing of its frame, as x, or that has another unit, as alt_ft, is not among them.
+# Accepted column names by frame and axis. Names without a frame (x) or with another unit (alt_ft)
+# are not accepted.
 _AXES: Final = {
     Frame.MAP: (("e", "e_m"), ("n", "n_m"), ("u", "u_m")),
     Frame.EARTH: (
@@ -27,7 +27,7 @@ _AXES: Final = {
         ("alt", "altitude", "alt_m", "altitude_m"),
     ),
 }
-_OF: Final = {
+_FRAME_AND_AXIS: Final = {
     name: (frame, axis)
     for frame, axes in _AXES.items()
     for axis, names in enumerate(axes)
@@ -37,7 +37,7 @@ _OF: Final = {
 POSITION_COLUMNS: Final = (
     "write e, n, u (metres in the map's frame) or lat, lon, alt (degrees, metres)"
 )
-"""What a person can do about columns that are not known."""
+"""The remedy in messages about unknown columns."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class PositionColumns:
     """The columns of a table that hold a position.
 
     Attributes:
-        frame: what the numbers are counted from.
+        frame: frame of the numbers.
         horizontal: columns of east and north in metres, or of latitude and longitude in degrees.
-        vertical: column of metres upwards; None where the table has none.
+        vertical: column of the height in metres; None if the table has none.
     """
 
     frame: Frame
@@ -58,12 +58,12 @@ class PositionColumns:
 def position_columns(header: Sequence[str], others: Collection[str]) -> Reading[PositionColumns]:
     """Return the columns of a table that hold a position.
 
-    They are unknown where a column has no known meaning or unit, where two columns hold one
-    number, or where numbers of both frames are given.
+    They are unknown if a column has no known meaning or unit, if two columns hold the same number,
+    or if the table has columns of both frames.
 
     Args:
         header: names of all columns.
-        others: names of columns that are known and hold no position.
+        others: names of known columns that hold no position.
 
     Example:
         >>> position_columns(["name", "lat", "lon"], ["name"]).value
@@ -74,18 +74,18 @@ def position_columns(header: Sequence[str], others: Collection[str]) -> Reading[
     doubts = [
         f"the column {name!r} has no known meaning or unit"
         for name in header
-        if name and name not in _OF and name not in others
+        if name and name not in _FRAME_AND_AXIS and name not in others
     ]
     named: dict[Frame, dict[int, str]] = {}
     for name in header:
-        if name in _OF:
-            frame, axis = _OF[name]
+        if name in _FRAME_AND_AXIS:
+            frame, axis = _FRAME_AND_AXIS[name]
             first = named.setdefault(frame, {}).setdefault(axis, name)
             if first != name:
                 doubts.append(f"{first} and {name} are two columns for one number")
     if len(named) > 1:
-        given = (", ".join(columns.values()) for columns in named.values())
-        doubts.append(" and ".join(given) + " are of two frames")
+        columns_of_frame = (", ".join(columns.values()) for columns in named.values())
+        doubts.append(" and ".join(columns_of_frame) + " are of two frames")
     if not named:
         doubts.append("there are no columns of a position")
     for frame, columns in named.items():

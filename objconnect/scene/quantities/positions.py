@@ -1,8 +1,7 @@
-"""Where a photograph was taken: latitude and longitude of EXIF, of XMP, or unknown."""
+"""The latitude and longitude of a photograph from EXIF or XMP."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Final
@@ -15,22 +14,23 @@ from objconnect.scene.quantities.angles import (
     read_coordinate,
     read_degrees,
 )
+from objconnect.scene.quantities.coordinate_order import ground_distance
 from objconnect.scene.quantities.numbers import plain_text
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 LatLon = tuple[float, float]
 """Latitude and longitude, degrees."""
 
-# Positions of one photograph may differ by a correction afterwards, and by short numbers (m).
-_APART_M: Final = 100.0
-_METRES_PER_DEGREE: Final = 111_320.0
-# Names of XMP's fields, without prefix and in lower case. The second is a slip of DJI's.
+# Largest distance of two positions of one photograph, from corrections and rounding (m).
+_LARGEST_DISTANCE_M: Final = 100.0
+
+# Names of XMP's fields without prefix. GpsLongtitude is a misspelling of DJI's.
 _XMP: Final = (
     ("GpsLatitude", ("GpsLongitude", "GpsLongtitude")),
     ("Latitude", ("Longitude",)),
     ("GPSLatitude", ("GPSLongitude",)),
 )
-# The only one whose values have a letter and no sign.
+# The only field whose values have a letter instead of a sign.
 _LETTERED: Final = "GPSLatitude"
 # Datums that lie within a few metres of each other.
 _DATUMS: Final = (
@@ -40,56 +40,48 @@ _DATUMS: Final = (
 
 
 def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[LatLon]:
-    """Return where a photograph was taken.
+    """Return the latitude and longitude of a photograph.
 
-    EXIF's position counts where it is whole, and XMP's where it is not. Where they contradict each
-    other, the position is unknown.
+    EXIF's position counts if it is complete, else XMP's. It is unknown if they contradict each
+    other.
 
     Args:
-        gps: Fields of EXIF's GPS directory by name.
-        xmp: Fields of XMP by name without prefix.
+        gps: fields of EXIF's GPS directory by name.
+        xmp: fields of XMP by name without prefix.
     """
-    said = _of_xmp(xmp)
+    drone = _read_xmp(xmp)
     if not any(axis.tag in gps for axis in (LATITUDE, LONGITUDE)):
-        return said
-    told = _of_exif(gps)
-    if told.value is not None and said.value is not None:
-        apart = apart_m(told.value, said.value)
-        if apart > _APART_M:
-            return unknown(told.source, *_contradict(said.source, apart))
-        return told
-    if told.value is not None:
-        return told.with_doubts(*said.doubts)
-    if said.value is None:
-        return told.with_doubts(*said.doubts)
+        return drone
+    exif = _read_exif(gps)
+    if exif.value is not None and drone.value is not None:
+        distance = ground_distance(exif.value, drone.value)
+        if distance > _LARGEST_DISTANCE_M:
+            return unknown(exif.source, _contradiction(drone.source, distance))
+        return exif
+    if exif.value is not None or drone.value is None:
+        return exif.with_doubts(*drone.doubts)
     sizes = [
         read_degrees(gps.get(axis.tag), axis).value if axis.tag in gps else None
         for axis in (LATITUDE, LONGITUDE)
     ]
     unsigned = [
-        abs(value) if size is None else size for value, size in zip(said.value, sizes, strict=True)
+        abs(value) if size is None else size for value, size in zip(drone.value, sizes, strict=True)
     ]
-    apart = apart_m((unsigned[0], unsigned[1]), (abs(said.value[0]), abs(said.value[1])))
+    distance = ground_distance(
+        (unsigned[0], unsigned[1]), (abs(drone.value[0]), abs(drone.value[1]))
+    )
     no_fix = sizes == [0, 0]
-    if apart > _APART_M and not no_fix:
-        return unknown(told.source, *told.doubts, *_contradict(said.source, apart))
-    return known(said.value, said.source, *told.doubts, f"the position is that of {said.source}")
+    if distance > _LARGEST_DISTANCE_M and not no_fix:
+        return unknown(exif.source, *exif.doubts, _contradiction(drone.source, distance))
+    return known(drone.value, drone.source, *exif.doubts, f"the position is that of {drone.source}")
 
 
-def apart_m(first: LatLon, second: LatLon) -> float:
-    """Return roughly how far two places are from each other, metres."""
-    north = first[0] - second[0]
-    east = (first[1] - second[1] + 180) % 360 - 180
-    across = math.cos(math.radians(min(abs(first[0]), abs(second[0]))))
-    return math.hypot(north, east * across) * _METRES_PER_DEGREE
+def _contradiction(source: str, distance: float) -> str:
+    text = f"{distance / 1000:.0f} km" if distance > 2000 else f"{distance:.0f} m"
+    return f"GPSLatitude and GPSLongitude contradict {source} by {text}"
 
 
-def _contradict(source: str, apart: float) -> tuple[str]:
-    far = f"{apart / 1000:.0f} km" if apart > 2000 else f"{apart:.0f} m"
-    return (f"GPSLatitude and GPSLongitude contradict {source} by {far}",)
-
-
-def _of_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
+def _read_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
     source = f"{LATITUDE.tag} and {LONGITUDE.tag}"
     latitude, longitude = (
         read_coordinate(gps.get(axis.tag), gps.get(axis.reference), axis)
@@ -103,14 +95,14 @@ def _of_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
     if datum and not datum.startswith(_DATUMS):
         name = plain_text(gps.get("GPSMapDatum"))
         return unknown(source, f"GPSMapDatum {name!r} is not WGS84")
-    # A receiver that has lost its satellites goes on with the last position.
+    # A receiver without satellites repeats its last position.
     void = plain_text(gps.get("GPSStatus")).upper() == "V"
     doubts = ["GPSStatus V says that the receiver had no fix"] if void else []
     return known((latitude.value, longitude.value), source, *doubts)
 
 
-def _of_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
-    """Return XMP's position; unknown where two of its own contradict each other."""
+def _read_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
+    """Return XMP's position; unknown if its fields contradict each other."""
     found: Reading[LatLon] = unknown("XMP")
     for latitude, longitudes in _XMP:
         longitude = next((name for name in longitudes if name in xmp), longitudes[0])
@@ -118,8 +110,7 @@ def _of_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
             continue
         one = _pair(xmp, latitude, longitude)
         if one.value is not None and found.value is not None:
-            apart = apart_m(one.value, found.value)
-            if apart > _APART_M:
+            if ground_distance(one.value, found.value) > _LARGEST_DISTANCE_M:
                 why = f"{found.source} and {one.source} contradict each other in XMP"
                 return unknown("XMP", why)
         elif one.value is not None or found.value is None:

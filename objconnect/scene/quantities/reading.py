@@ -1,4 +1,4 @@
-"""What a file says of a quantity: a value with its source, or unknown with the reason."""
+"""A quantity read from a file: a value with its source, or unknown with the reason."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ S = TypeVar("S")
 
 @dataclass(frozen=True)
 class Reading(Generic[T]):
-    """A quantity as a file states it.
+    """A quantity read from a file.
 
     Attributes:
-        value: The value, in the units that the reader's documentation states; None if unknown.
-        source: Field or fields that the value comes from, such as ``GPSLatitude``.
-        doubts: What is missing, contradicts the value, or makes it unknown. Each is a phrase that
-            names the fields, such as "GPSLatitudeRef is missing".
+        value: the value, in the unit that the reader documents; None if unknown.
+        source: field or fields of the value, such as ``GPSLatitude``.
+        doubts: phrases that say what is missing or contradictory and name the fields, such as
+            "GPSLatitudeRef is missing".
     """
 
     value: T | None
@@ -34,25 +34,25 @@ class Reading(Generic[T]):
 
     @property
     def why(self) -> str:
-        """Return the doubts as one phrase; empty where there is none."""
+        """Return the doubts as one phrase; empty if there are none."""
         return "; ".join(self.doubts)
 
     def require(self, where: object, remedy: str) -> T:
         """Return the value.
 
         Args:
-            where: File, or part of a file, for the message.
-            remedy: What a person can do where the value is unknown.
+            where: file or part of a file, for the message.
+            remedy: what to do if the value is unknown.
 
         Raises:
-            InputError: The value is unknown.
+            InputError: the value is unknown.
         """
         if self.value is None:
             raise InputError(f"{where}: {self.source} is unknown ({self.why}): {remedy}")
         return self.value
 
     def map(self, change: Callable[[T], S]) -> Reading[S]:
-        """Return the reading with another value, which is unknown where this one is."""
+        """Return the reading with a converted value; an unknown value stays unknown."""
         value = None if self.value is None else change(self.value)
         return Reading(value, self.source, self.doubts)
 
@@ -69,16 +69,3 @@ def known(value: T, source: str, *doubts: str) -> Reading[T]:
 def unknown(source: str, *doubts: str) -> Reading[T]:
     """Return a reading without a value; ``doubts`` say why."""
     return Reading(None, source, doubts)
-
-
-def choose_first(first: Reading[T], *others: Reading[T]) -> Reading[T]:
-    """Return the first reading that has a value, with the doubts of those before it.
-
-    Where none has a value, the first is returned with the doubts of all.
-    """
-    doubts: list[str] = []
-    for reading in (first, *others):
-        doubts += reading.doubts
-        if reading.is_known:
-            return replace(reading, doubts=tuple(doubts))
-    return replace(first, doubts=tuple(doubts))

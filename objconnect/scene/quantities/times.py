@@ -1,7 +1,7 @@
-"""When a photograph was taken: the clock of the camera, checked by that of its receiver.
+"""The time of a photograph: the camera's clock, checked against GPS time.
 
-``DateTimeOriginal`` is local time. ``OffsetTimeOriginal`` tells its zone, which many drones leave
-out; the time then counts as UTC. ``GPSTimeStamp`` is UTC.
+``DateTimeOriginal`` is local time with the offset ``OffsetTimeOriginal``; without the offset, which
+many drones omit, it counts as UTC. ``GPSTimeStamp`` is UTC.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from typing import Final
 from objconnect.scene.quantities.numbers import plain_text, to_number
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
-# Clocks of cameras are set by hand: they may be off by so much (s).
-_APART_S: Final = 600.0
+# Tolerated error of a camera's clock (s).
+_CLOCK_ERROR_S: Final = 600.0
 _DAY_S: Final = 86_400.0
 
 
 def read_time(detail: Mapping[str, object], gps: Mapping[str, object]) -> Reading[datetime]:
-    """Return when a photograph was taken, in UTC, with the decimal fraction of a second.
-
-    Without an offset from UTC, the time counts as UTC.
+    """Return the time of a photograph in UTC, with fractions of a second.
 
     Args:
-        detail: Fields of EXIF by name.
-        gps: Fields of EXIF's GPS directory by name.
+        detail: fields of EXIF by name.
+        gps: fields of EXIF's GPS directory by name.
     """
     source = "DateTimeOriginal"
     stamp = detail.get(source)
@@ -43,15 +41,15 @@ def read_time(detail: Mapping[str, object], gps: Mapping[str, object]) -> Readin
         time += timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
     except (ValueError, OverflowError):  # a datetime ends with the year 9999
         return unknown(source)
-    apart = _apart(time, gps)
-    if abs(apart) <= _APART_S:
+    error_s = abs(_clock_error(time, gps))
+    if error_s <= _CLOCK_ERROR_S:
         return known(time, source)
     field = "OffsetTimeOriginal" if zoned else f"{source} (OffsetTimeOriginal is missing)"
-    return known(time, source, f"{field} contradicts GPSTimeStamp by {abs(apart) / 3600:.1f} h")
+    return known(time, source, f"{field} contradicts GPSTimeStamp by {error_s / 3600:.1f} h")
 
 
-def _apart(time: datetime, gps: Mapping[str, object]) -> float:
-    """Return by how much a time is later than that of the receiver, seconds; 0 if that is none."""
+def _clock_error(time: datetime, gps: Mapping[str, object]) -> float:
+    """Return by how many seconds a time is later than GPS time; 0 if there is no GPS time."""
     stamp = gps.get("GPSTimeStamp")
     if not isinstance(stamp, Sequence) or isinstance(stamp, str | bytes) or len(stamp) != 3:
         return 0.0

@@ -1,4 +1,4 @@
-"""Angles of view, which state a focal length a second time."""
+"""Focal lengths from angles of view, to check stated focal lengths."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ import math
 from typing import Final
 
 DIFFERENT: Final = 0.03
-"""Focal lengths contradict each other where they differ by more than this part: programs round
-angles to two or three digits, and compute them with and without distortion."""
+"""Relative difference above which focal lengths contradict each other: programs round angles to two
+or three digits, and compute them with and without distortion."""
 
 
 def focal_lengths(angle: float, side: float, fisheye: bool) -> tuple[float, ...]:
-    """Return the focal lengths (pixels) that an angle of view may mean.
+    """Return the possible focal lengths (pixels) for an angle of view.
 
-    Programs compute the angle of a fisheye as that of a pinhole camera or as its own.
+    Programs compute the angle of a fisheye by the pinhole or by the fisheye model.
 
     Args:
         angle: angle across the picture, radians.
-        side: the side of the picture along which it is, pixels.
+        side: length of the picture along the angle, pixels.
         fisheye: whether the lens is a fisheye.
 
     Example:
         >>> [round(value) for value in focal_lengths(math.pi / 2, 1000.0, True)]
         [500, 637]
     """
-    found = []
+    focals = []
     if 0 < angle < math.pi:
-        found.append(side / 2 / math.tan(angle / 2))
+        focals.append(side / 2 / math.tan(angle / 2))
     if fisheye and angle > 0:
-        found.append(side / angle)
-    return tuple(found)
+        focals.append(side / angle)
+    return tuple(focals)
 
 
 def contradicts(focal: float, angle: float, side: float, fisheye: bool) -> bool:
-    """Return whether a focal length (pixels) is none that the angle of view may mean."""
+    """Return whether a focal length (pixels) contradicts an angle of view."""
     return all(abs(f / focal - 1) > DIFFERENT for f in focal_lengths(angle, side, fisheye))

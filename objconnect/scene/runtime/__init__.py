@@ -1,10 +1,15 @@
-"""The process and its surroundings: workers, progress, memory, packages and terminal output.
+"""The process and its environment: workers, devices, progress, memory, packages and terminal.
 
-- ``cluster``: a pool of workers, this process or a Ray cluster.
-- ``threads``: threads of torch, and work in as many of this process.
+- ``cluster``: a worker pool, in this process or on a Ray cluster.
+- ``threads``: threads of torch and of this process.
+- ``device``: the device of networks and alignment.
+- ``loops``: loops compiled by Numba.
 - ``progress``: progress bars on a terminal, lines in a log file.
-- ``memory``: resident memory now and at its peak.
+- ``memory``: resident memory and its peak.
 - ``tuning``: tuning of the whole process, which the command line enters.
-- ``debian``: system packages that no Python package brings.
+- ``script``: error handling of scripts.
+- ``lazy``: attributes of a package that are imported on demand.
+- ``extras``: packages of optional extras.
+- ``debian``: system packages that Python packages do not install.
 - ``escaping``: file names and messages escaped for a terminal or a figure.
 """

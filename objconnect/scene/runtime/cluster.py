@@ -1,7 +1,6 @@
-"""A pool of workers: this process, or the cores of a Ray cluster.
+"""A worker pool: this process, or the cores of a Ray cluster.
 
-This is the one module that imports Ray. It is written for Ray 2.48, the extra ``[cluster]``, which
-is loaded only when a cluster is asked for.
+Only this module imports Ray (2.48, the extra ``[cluster]``), and only if a cluster is requested.
 """
 
 from __future__ import annotations
@@ -24,16 +23,17 @@ from typing import Any, Final, Generic, TypeVar
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.tuning import ProcessTuning, is_tuned
 
-# How often a unit is repeated whose worker was lost, or that failed for another reason than input.
+# Number of retries of a unit whose worker is lost or that fails other than by InputError.
 _RETRIES: Final = 5
-# Timeout for an answer from the head of a cluster.
+# Timeout of the connection to the head of a cluster (s).
 _PATIENCE_S: Final = 10
-# Units submitted per core; the others wait in this process, so that few results fill Ray's memory.
+# Units submitted per core; the others wait in this process, so that results do not fill Ray's
+# memory.
 _AHEAD: Final = 2
-# Size of the object store, where this process starts Ray.
+# Size of the object store of a Ray that this process starts.
 _STORE_BYTES: Final = 200 << 20
 _ADDRESS: Final = re.compile(r"local|auto|[^/:\s]+:\d+")
-# Packages of which all nodes need the same version, for results to be the same bit for bit.
+# Packages that need equal versions on all nodes for bit-equal results.
 _COMPUTING: Final = ("objconnect", "numpy", "torch", "pycolmap", "bpy")
 
 Item = TypeVar("Item")
@@ -41,21 +41,19 @@ Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 Work = Callable[[Unit], Iterable[Result]]
-"""A function from a unit to its results. It returns the same results in the same order each time
-it is called with the same unit."""
+"""A deterministic function from a unit to its results in order."""
 
 
 @dataclass(frozen=True)
 class _Fault:
-    """An InputError returned to the driver as a result, because Ray would repeat a unit that
-    raises."""
+    """An InputError that a worker returns as a result, because Ray repeats a unit that raises."""
 
     kind: type[InputError]
     message: str
 
 
 class WorkerPool(Generic[Unit, Result]):
-    """Workers that apply one function to many units; without a cluster, this process alone.
+    """Workers that apply a function to many units; without a cluster, this process.
 
     Example:
         >>> with worker_pool(None, lambda unit: [unit * unit]) as workers:
@@ -68,25 +66,23 @@ class WorkerPool(Generic[Unit, Result]):
 
     @property
     def cores(self) -> int:
-        """Return how many units are worked on at a time."""
+        """Return the number of units that are processed at a time."""
         return 1
 
     def map(self, units: Iterable[Unit]) -> Generator[Result, None, None]:
-        """Apply the function to units; yield each result as soon as it is there, in any order of
-        units.
+        """Apply the function to units; yield results when they are ready, in any order of units.
 
         Raises:
-            InputError: a unit raised it, or was lost with its worker again and again.
+            InputError: a unit raised it, or was lost with its worker too often.
         """
         for unit in units:
             yield from self._work(unit)
 
 
 class _RayPool(WorkerPool[Unit, Result]):
-    """Worker processes, one per core.
+    """Worker processes of a Ray cluster, one per core.
 
-    A unit whose worker is lost is repeated by another one; results that it had already yielded are
-    not yielded twice.
+    A unit whose worker is lost is repeated; its results are not yielded twice.
     """
 
     def __init__(self, ray: Any, work: Work[Unit, Result]) -> None:
@@ -107,7 +103,7 @@ class _RayPool(WorkerPool[Unit, Result]):
         home, versions = str(Path.cwd()), _versions()
         try:
             while True:
-                # The number of cores is asked again each time, because nodes come and go.
+                # The number of cores changes as nodes join and leave.
                 vacant = _AHEAD * max(1, self.cores) - len(running)
                 for unit in islice(left, max(0, vacant)):
                     running.add(self._do.remote([self._put], unit, home, versions, is_tuned()))
@@ -151,12 +147,12 @@ def worker_pool(
     """Connect to a cluster; messages of its workers appear on this process's standard error.
 
     Args:
-        address: "local" starts Ray on this machine alone and stops it afterwards; "auto" is the
-            cluster that this machine is a node of; "host:port" is that of its head. None uses this
+        address: "local" starts Ray on this machine and stops it afterwards; "auto" is the cluster
+            of which this machine is a node; "host:port" is the head of a cluster. None uses this
             process alone.
-        work: picklable function. Every worker process keeps its own copy, which may cache what is
-            expensive to make. Relative paths refer to this process's folder, if the machine of the
-            worker has it.
+        work: picklable function. Every worker process keeps its own copy, which may cache state.
+            Relative paths refer to this process's working directory, if the worker's machine has
+            it.
 
     Raises:
         InputError: Ray is not installed, the cluster does not exist, or it has no core.
@@ -193,7 +189,7 @@ def worker_pool(
 
 
 def _ray() -> Any:
-    """Import Ray without usage statistics, and with patience for workers on a busy machine."""
+    """Import Ray without usage statistics and with a long timeout for busy machines."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_worker_register_timeout_seconds", "600")
     try:
@@ -212,13 +208,13 @@ def _keep_handler() -> Iterator[None]:
     try:
         yield
     finally:
-        # Only the main thread may set a handler; None means one not installed from Python.
+        # Only the main thread may set a handler; None means it was not installed from Python.
         if before is not None and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)
 
 
 def _require_answer(address: str) -> None:
-    """Raise InputError if nothing listens at the address; Ray would take two minutes to notice."""
+    """Raise InputError if nothing listens at the address; Ray takes two minutes to notice."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
@@ -229,14 +225,14 @@ def _require_answer(address: str) -> None:
 def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
     """Divide items into units, large ones first, so that all workers finish at about the same time.
 
-    Each round consists of one unit per core, all of the same size, which together hold half of the
-    items that are left; the last round takes all of them (Hummel et al., "Factoring", CACM 1992).
+    Each round has one unit of equal size per core, together half of the remaining items; the last
+    round takes all of them (Hummel et al., "Factoring", CACM 1992).
 
     Args:
         items: items in order.
         cores: number of workers.
-        least: smallest number of items worth a unit, if there are enough for every core.
-        most: largest number of items of a unit.
+        least: smallest number of items per unit, if there are enough for every core.
+        most: largest number of items per unit.
 
     Example:
         >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
@@ -253,26 +249,25 @@ def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list
     return units
 
 
-# The function that this worker process works with, by its reference in the object store.
+# The function of this worker process by its reference in the object store.
 _work_by_reference: dict[str, Work[Any, Any]] = {}
-# What is entered in this worker process until it ends.
-_of_worker = ExitStack()
+# Contexts that this worker process stays in until it ends.
+_worker_contexts = ExitStack()
 
 
 def _do(
     boxed: list[Any], unit: Any, home: str, versions: dict[str, str], tuned: bool
 ) -> Generator[Any, None, None]:
-    """Run one unit on a worker. The function is in a list because Ray would unpack a bare
-    reference."""
+    """Run one unit on a worker; the reference is in a list, because Ray unpacks a bare one."""
     try:
         if _versions() != versions:
-            raise InputError(_differing(versions))
+            raise InputError(_describe_difference(versions))
         name = boxed[0].hex()
         if name not in _work_by_reference:
             with suppress(OSError):
                 os.chdir(home)
             if tuned and not is_tuned():
-                _of_worker.enter_context(ProcessTuning())
+                _worker_contexts.enter_context(ProcessTuning())
             _work_by_reference[name] = _ray().get(boxed[0])
         yield from _work_by_reference[name](unit)
     except InputError as error:
@@ -287,7 +282,7 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def _differing(wanted: dict[str, str]) -> str:
+def _describe_difference(wanted: dict[str, str]) -> str:
     here = _versions()
     package = next(p for p in _COMPUTING if here.get(p) != wanted.get(p))
     return (

@@ -1,4 +1,4 @@
-"""Debian packages that no Python package brings."""
+"""Debian packages that Python packages do not install."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from objconnect.scene.errors import InputError
 
 
 def require_packages(missing: Callable[[], Sequence[str]], what: str, install: bool) -> None:
-    """Make sure that Debian packages are installed.
+    """Check that Debian packages are installed, or install them.
 
     Args:
-        missing: function that returns the missing ones; it is called again after installing.
-        what: what needs them, the beginning of the message.
-        install: install missing packages if this process is root and apt exists.
+        missing: returns the missing packages; it is called again after installing.
+        what: beginning of the message: what needs them.
+        install: whether to install missing packages if this process is root and apt exists.
 
     Raises:
         InputError: packages are missing; the message has the command that installs them.
@@ -35,7 +35,7 @@ def require_packages(missing: Callable[[], Sequence[str]], what: str, install: b
 
 
 def check(require: Callable[[], object]) -> int:
-    """Return the exit code of a check for the command line: 0, or 2 after an error message."""
+    """Run a check for the command line; return exit code 0, or 2 after an error message."""
     try:
         require()
     except InputError as error:

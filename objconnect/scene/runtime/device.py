@@ -1,4 +1,4 @@
-"""The device that networks and alignment compute on, and whether compiled loops serve it."""
+"""The device that networks and alignment compute on."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ log = logging.getLogger(__name__)
 
 
 def resolve_device(asked: str) -> str:
-    """Return the device that a name stands for here: ``auto`` is CUDA where torch finds it.
+    """Return the device of a name; ``auto`` is CUDA if torch finds it, else the CPU.
 
     Raises:
-        ValueError: it is no name of a device, or torch does not find that device.
+        ValueError: the name is invalid, or torch does not find the device.
     """
     import torch
 
@@ -35,22 +35,22 @@ def resolve_device(asked: str) -> str:
     if named is None:
         raise ValueError("a device is auto, cpu, cuda or cuda:NUMBER")
     if not count:
-        raise ValueError("torch finds no CUDA device here: take cpu or auto")
+        raise ValueError("torch finds no CUDA device: choose cpu or auto")
     if int(named[1] or 0) >= count:
-        raise ValueError(f"torch finds cuda:0 to cuda:{count - 1} here: take one of them")
+        raise ValueError(f"torch finds cuda:0 to cuda:{count - 1}: choose one of them")
     return asked
 
 
 Device = Annotated[
     str,
     Field(
-        description="Device that networks and alignment compute on: auto, cpu, cuda or "
-        "cuda:NUMBER. auto is cuda where torch finds a CUDA device, else cpu.",
+        description="Device of networks and alignment: auto, cpu, cuda or cuda:NUMBER. auto is "
+        "cuda if torch finds a CUDA device, else cpu.",
         validate_default=True,
     ),
     AfterValidator(resolve_device),
 ]
-"""A field of a configuration. ``auto`` becomes what it stands for, so that results record it."""
+"""A configuration field; ``auto`` is resolved, so that results record the device."""
 
 AUTO: Final = "auto"
 """The default of every ``Device``."""
@@ -58,10 +58,10 @@ AUTO: Final = "auto"
 
 @cache
 def torch_device(asked: str = AUTO) -> torch.device:
-    """Return a device for torch by its name, and log it at its first use.
+    """Return the torch device of a name, and log it at its first use.
 
     Raises:
-        InputError: it is no name of a device, or torch does not find that device.
+        InputError: the name is invalid, or torch does not find the device.
     """
     import torch
 
@@ -74,5 +74,5 @@ def torch_device(asked: str = AUTO) -> torch.device:
 
 
 def loops_serve(device: torch.device) -> bool:
-    """Return whether compiled loops can compute there: they run on the processor alone."""
+    """Return whether compiled loops can be used: they run on the CPU only."""
     return device.type == "cpu" and has_compiler()

@@ -1,19 +1,18 @@
-"""File names and messages escaped for a terminal or a figure."""
+"""Escaping of file names and messages for a terminal or a figure."""
 
 from __future__ import annotations
 
 import unicodedata
 
-# Unicode categories that control a terminal or cannot be encoded: control characters, format
-# characters such as those for text direction, surrogates, line and paragraph separators.
+# Unicode categories that control a terminal or cannot be encoded: control and format characters,
+# surrogates, line and paragraph separators.
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def for_terminal(text: object) -> str:
-    r"""Return a name or message on one line, with everything that controls a terminal escaped.
+    r"""Return a text on one line, with characters that control a terminal as Python escapes.
 
-    Control characters, marks of text direction and bytes of a file name that are not UTF-8 become
-    Python's escapes. A backslash is not changed.
+    Bytes of a file name that are not UTF-8 are escaped too. A backslash is not changed.
 
     Example:
         >>> print(for_terminal("a" + chr(27) + "[31m.jpg"))
@@ -28,6 +27,5 @@ def for_terminal(text: object) -> str:
 
 
 def for_figure(text: object) -> str:
-    """Return a name or message escaped for Matplotlib, which reads text between dollars as a
-    formula."""
+    """Return a text escaped for Matplotlib, which parses text between dollars as a formula."""
     return for_terminal(text).replace("$", r"\$")

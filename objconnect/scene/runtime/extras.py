@@ -1,4 +1,4 @@
-"""Packages of optional extras, imported where they are used."""
+"""Import of packages of optional extras."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from objconnect.scene.errors import InputError
 
 
 def import_extra(module: str, extra: str, purpose: str) -> ModuleType:
-    """Import a module of a package that only an extra of the project installs.
+    """Import a module of a package that an extra of the project installs.
 
     Args:
         module: dotted name of the module, such as ``rasterio.crs``.
         extra: extra that installs its package, such as ``geo``.
-        purpose: what needs it, the subject of the message: an option or a file format.
+        purpose: subject of the message: the option or file format that needs it.
 
     Raises:
         InputError: the package is not installed, or its libraries cannot be loaded.

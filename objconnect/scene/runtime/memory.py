@@ -1,4 +1,4 @@
-"""Resident memory of the process, now and at its peak."""
+"""Resident memory of the process and its peak."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _CLEAR = Path("/proc/self/clear_refs")
 
 
 def resident_bytes() -> int:
-    """Return the resident memory, bytes; where the system does not report it, its largest value."""
+    """Return the resident memory, bytes; its peak on systems that do not report it."""
     try:
         pages = int(_HELD.read_text().split()[1])
     except OSError:
-        return _most_ever()
+        return _lifetime_peak()
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def reset_peak() -> None:
-    """Reset the peak, where the system allows it; else it is counted since the process began."""
+    """Reset the peak if the system allows it; else it counts from the start of the process."""
     try:
         _CLEAR.write_text("5")
     except OSError:
@@ -29,18 +29,18 @@ def reset_peak() -> None:
 
 
 def peak_megabytes() -> float | None:
-    """Return the largest resident memory since ``reset_peak``, 1e6 bytes; None where unknown."""
+    """Return the peak of resident memory since ``reset_peak``, 1e6 bytes; None if unknown."""
     try:
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / 1e6
     except OSError:
         pass
-    return _most_ever() / 1e6 or None
+    return _lifetime_peak() / 1e6 or None
 
 
-def _most_ever() -> int:
-    """Return the largest resident memory since the process began, bytes; 0 where unknown."""
+def _lifetime_peak() -> int:
+    """Return the peak of resident memory since the process began, bytes; 0 if unknown."""
     if sys.platform == "win32":
         return 0
     import resource

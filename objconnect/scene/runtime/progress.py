@@ -1,6 +1,6 @@
 """Progress on standard error: bars on a terminal, lines in a log file.
 
-A bar that begins while another one is shown is a line below it, and goes when its work is done.
+A bar that starts while another one is shown appears below it.
 """
 
 from __future__ import annotations
@@ -24,26 +24,22 @@ from rich.progress import (
 
 from objconnect.scene.runtime.escaping import for_terminal
 
-# Without a terminal: seconds until the first line, seconds between lines, and the share of all
-# steps after which the next line is written sooner.
+# Without a terminal: seconds before the first line, seconds between lines, and the share of all
+# steps after which a line is written earlier.
 _FIRST_S = 10.0
 _EVERY_S = 30.0
 _EVERY_SHARE = 0.1
 PATIENCE_S: Final = 5.0
-"""Seconds after which work within a step of a bar shows steps of its own."""
+"""Seconds after which work inside a step shows a bar of its own."""
 
 
 class _Terminal:
-    """The bars on the terminal: those of all threads are lines of one display.
-
-    Attributes:
-        bars: the display; None while there is none.
-    """
+    """The one display of the bars of all threads; None while no bar is shown."""
 
     bars: Progress | None = None
 
 
-# Since when the step of a bar lasts that this thread works on.
+# Start time of this thread's step of a bar.
 _BEGAN: ContextVar[float | None] = ContextVar("began", default=None)
 
 
@@ -53,13 +49,13 @@ def progress_bar(
 ) -> Iterator[Callable[[int], None]]:
     """Show progress; call the yielded function with the number of steps done so far.
 
-    If standard error is not a terminal but a log file, a line is written now and then. Work of less
-    than ten seconds writes none there.
+    If standard error is not a terminal, it writes a line now and then, and none in the first ten
+    seconds.
 
     Args:
         what: name of the work.
         total: number of steps.
-        clock: function that returns seconds.
+        clock: returns seconds.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -86,7 +82,7 @@ def progress_bar(
 
 @contextmanager
 def one_step(clock: Callable[[], float] = monotonic) -> Iterator[None]:
-    """Work on one step of a bar, such as a query; ``progress_within`` counts time from here on."""
+    """Mark a block as one step of a bar, from whose start ``progress_within`` counts time."""
     before = _BEGAN.set(clock())
     try:
         yield
@@ -98,14 +94,14 @@ def one_step(clock: Callable[[], float] = monotonic) -> Iterator[None]:
 def progress_within(
     what: str, total: int, clock: Callable[[], float] = monotonic
 ) -> Iterator[Callable[[int], None]]:
-    """Show progress within one step of a bar, once that step has lasted for ``PATIENCE_S``.
+    """Show progress inside one step of a bar when that step has lasted ``PATIENCE_S``.
 
-    Nothing is shown outside of ``one_step``, nor without a terminal that shows a bar.
+    Nothing is shown outside of ``one_step`` or without a bar on a terminal.
 
     Args:
         what: name of the work.
         total: number of its steps.
-        clock: that of ``one_step``.
+        clock: clock of ``one_step``.
     """
     within = _Within(what, total, clock)
     try:
@@ -116,7 +112,7 @@ def progress_within(
 
 
 class _Within:
-    """A line below a bar that appears late, called with the number of steps done."""
+    """A line below a bar that appears after ``PATIENCE_S``; call it with the steps done."""
 
     def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
         self._what, self._total, self._clock = what, total, clock
@@ -132,7 +128,7 @@ class _Within:
         bars.update(task, completed=done)
 
     def end(self) -> None:
-        """Take the line away."""
+        """Remove the line."""
         if self._line is not None:
             bars, task = self._line
             bars.remove_task(task)
@@ -140,7 +136,7 @@ class _Within:
 
 @contextmanager
 def _line(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a line below a bar until the work is done."""
+    """Show a line below a bar during the block."""
     task = bars.add_task(f"  {what}", total=total)
     try:
         yield lambda done: bars.update(task, completed=done)
@@ -149,13 +145,13 @@ def _line(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], Non
 
 
 class _Lines:
-    """A writer of progress lines, called with the number of steps done."""
+    """A writer of progress lines; call it with the number of steps done."""
 
     def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
         self._what, self._total, self._clock = what, total, clock
         self._last = clock() + _FIRST_S - _EVERY_S
         self._shown = 0
-        # Time and steps of the first call; the steps of an earlier run do not count for the pace.
+        # Time and steps of the first call: steps of an earlier run do not count for the pace.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int) -> None:
@@ -173,7 +169,7 @@ class _Lines:
             print(text, file=sys.stderr, flush=True)
 
     def _seconds_left(self, now: float, done: int) -> float | None:
-        """Return the seconds left at the pace since the first call; None before there is a pace."""
+        """Return the seconds left at the pace since the first call; None without a pace."""
         assert self._first is not None
         began, before = self._first
         if done <= before or done >= self._total:

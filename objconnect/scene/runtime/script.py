@@ -1,4 +1,4 @@
-"""Scripts of a person: their words are paths, and their faults end in one line."""
+"""Entry point of scripts whose arguments are paths, with one-line errors."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
 
 INPUT_AT_FAULT: Final = 2
-"""The exit code when the input or the environment is at fault."""
+"""Exit code if the input or the environment is wrong."""
 
 
 def run_script(main: Callable[..., object], words: Sequence[str] | None = None) -> None:
-    """Call the main function of a script with paths, as ``python script.py PATH...`` gives them.
+    """Call the main function of a script with the paths of ``python script.py PATH...``.
 
-    A fault that the user can correct is printed as one line on standard error, and the process ends
-    with exit code 2, as the command line does it.
+    An InputError or OSError is printed as one line on standard error, and the process exits with
+    code 2, as in the command line.
 
     Args:
-        main: A function whose parameters are paths.
-        words: The paths; by default, those of the command line.
+        main: function whose parameters are paths.
+        words: paths; None for those of the command line.
     """
     paths = [Path(word) for word in (sys.argv[1:] if words is None else words)]
     try:

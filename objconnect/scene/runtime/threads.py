@@ -1,4 +1,4 @@
-"""Threads of torch, and work in as many threads of this process."""
+"""Threads of torch and of this process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Have torch use so many threads meanwhile, here and in threads that begin meanwhile."""
+    """Set the number of torch's threads for the block, also in threads that start in it."""
     import torch
 
     before = torch.get_num_threads()
@@ -25,17 +25,17 @@ def torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def in_threads(
+def map_in_threads(
     work: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[Result, None, None]:
     """Apply a function to items in as many threads as torch may use; yield results in order.
 
-    Torch uses one thread for each item meanwhile. That is for many small operations, for which
-    its own threads wait more than they compute.
+    Torch uses one thread per item meanwhile. This suits many small operations, for which torch's
+    own threads mostly wait.
 
     Args:
-        work: the function; it may be called from several threads at a time.
-        items: what it is applied to; they are taken as results are.
+        work: thread-safe function.
+        items: items, taken as results are consumed.
     """
     import torch
 

@@ -1,8 +1,8 @@
-"""Tuning of a whole process for queries to a network, which only the owner of the process enters.
+"""Tuning of memory, garbage collector and threads of the whole process.
 
-The command line enters ``ProcessTuning``. A program that imports this package does not, so that
-nothing of its process changes: the other functions of this module, which tell when memory may go
-back and when the collector may be spared, then do nothing.
+The command line enters ``ProcessTuning``. Importing this package changes nothing in a process: the
+other functions of this module, which mark where memory can be trimmed or objects frozen, do nothing
+unless the process is tuned.
 
 >>> with ProcessTuning():  # in a program of your own
 ...     is_tuned()
@@ -29,41 +29,41 @@ _MAPS = Path("/proc/self/maps")
 # Parameters of glibc's mallopt.
 _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3
-# Bytes that may be free at the end of the heap, and above which a block is taken from the system by
-# itself: the most that glibc takes for the latter.
+# Trim threshold: bytes that may stay free at the end of the heap.
 _FREE_AT_END: Final = 1 << 30
+# Mmap threshold: larger blocks are mapped separately. It is glibc's maximum.
 _BLOCK: Final = 1 << 25
-# Advice of madvise: the pages are not needed now.
+# MADV_DONTNEED of madvise.
 _DONTNEED: Final = 4
-# oneDNN, with which torch computes on processors, compiles each convolution for each size of
-# picture and keeps the last 1024: some 100 MB after fifty photographs that were turned by as many
-# angles. Those of a network for one or two sizes are enough: to compile some again takes 2 to 5 %
-# of a query. oneDNN reads the variable before the first convolution of the process.
+# oneDNN, torch's library on CPUs, compiles a convolution for each image size and caches the last
+# 1024: about 100 MB after fifty photographs rotated by different angles. A cache for one or two
+# sizes suffices: recompiling takes 2 to 5 % of a query. oneDNN reads the variable before the first
+# convolution of the process.
 _KERNELS: Final = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "32")
 
 
 class ProcessTuning:
-    """Tunes the process while it is entered.
+    """A context that tunes the process.
 
-    Few compiled convolutions are kept, and Pillow's warnings are not printed. Memory that was freed
-    stays for the next query up to a bound (``retain_heap``, ``return_freed_above``), Python's
-    collector leaves out what a prepared localizer holds (``spare_collector``), the code of a
-    compiler that has done its work goes back (``return_code``), and threads for compiled loops stay
-    (``worker_threads``). What the environment says of memory or convolutions is left as it is.
+    It caches few compiled convolutions and hides Pillow's warnings. Freed memory stays allocated
+    for the next query up to a bound (``retain_heap``, ``return_freed_above``). The garbage
+    collector skips the objects of a prepared localizer (``spare_collector``). The code of a
+    finished compiler is released (``return_code``). Threads for compiled loops are kept
+    (``worker_threads``). Environment variables of the user take precedence.
 
-    Leaving ends the threads, and restores the environment, the warnings and the collector.
-    Thresholds of the C library stay, for it does not tell what they were.
+    Leaving ends the threads, and restores the environment, the warnings and the collector. The
+    thresholds of the C library stay, because they cannot be read.
     """
 
     def __enter__(self) -> ProcessTuning:
-        """Tune the process from now on."""
+        """Tune the process."""
         name, value = _KERNELS
         with ExitStack() as restored:
             if name not in os.environ:
                 os.environ[name] = value
                 restored.callback(os.environ.pop, name, None)
             restored.enter_context(warnings.catch_warnings())
-            # They are about large images and damaged EXIF, which messages of ours tell.
+            # Our own messages cover large images and damaged EXIF.
             warnings.filterwarnings("ignore", module=r"PIL\.")
             self.threads = restored.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
             self._restored = restored.pop_all()
@@ -71,7 +71,7 @@ class ProcessTuning:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Leave the process as it was."""
+        """Restore the process."""
         _entered.remove(self)
         self._restored.close()
         if not _entered:
@@ -87,21 +87,21 @@ def is_tuned() -> bool:
 
 
 def _only_when_tuned(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
-    """Return a function that does nothing where the process is not tuned."""
+    """Return a function that does nothing unless the process is tuned."""
 
     @wraps(function)
-    def guard(*given: Arguments.args, **named: Arguments.kwargs) -> None:
+    def guard(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
         if is_tuned():
-            function(*given, **named)
+            function(*args, **kwargs)
 
     return guard
 
 
 @_only_when_tuned
 def trim_heap() -> None:
-    """Give memory that was freed back to the system, where its C library can.
+    """Return freed memory to the system, if the C library can.
 
-    A network that sees pictures of many sizes otherwise leaves a gigabyte that nothing uses.
+    Otherwise a network that processes images of many sizes leaves a gigabyte unused.
     """
     import ctypes
 
@@ -113,9 +113,9 @@ def trim_heap() -> None:
 
 @_only_when_tuned
 def return_freed_above(bound: int) -> None:
-    """Give memory that was freed back where the process holds more than ``bound`` bytes.
+    """Return freed memory to the system if the process holds more than ``bound`` bytes.
 
-    To take it again later costs time, which is lost where there is room.
+    Below the bound it is kept, because allocating it again costs time.
     """
     if resident_bytes() > bound:
         trim_heap()
@@ -123,12 +123,12 @@ def return_freed_above(bound: int) -> None:
 
 @_only_when_tuned
 def retain_heap() -> None:
-    """Keep memory that was freed for the next pass of a network, where the C library can.
+    """Keep freed memory for the next pass of a network, if the C library can.
 
-    glibc gives back what is free at the end of its heap, once that is twice the largest block that
-    it ever freed. The maps of a picture are some 50 MB, and to take them again costs a tenth of a
-    query. ``trim_heap`` gives it back. Thresholds that the environment gives are left as they
-    are.
+    glibc returns free memory at the end of its heap when it exceeds twice the largest block that
+    was ever freed. The feature maps of an image take about 50 MB, and allocating them again costs a
+    tenth of a query. ``trim_heap`` returns the memory. Thresholds of the environment take
+    precedence.
     """
     import ctypes
 
@@ -136,7 +136,7 @@ def retain_heap() -> None:
         return
     try:
         mallopt = ctypes.CDLL(None).mallopt
-        # Either one ends that glibc chooses both by the blocks it frees.
+        # Setting either threshold disables glibc's dynamic adjustment of both.
         if mallopt(_MMAP_THRESHOLD, _BLOCK):
             mallopt(_TRIM_THRESHOLD, _FREE_AT_END)
     except (AttributeError, OSError, TypeError):  # macOS, musl, Windows
@@ -145,12 +145,12 @@ def retain_heap() -> None:
 
 @_only_when_tuned
 def return_code(library: str) -> None:
-    """Give the code of a loaded library back to the system, which reads it again where it runs.
+    """Release the code pages of a loaded library; the system reloads them if it runs again.
 
-    A compiler that has done its work otherwise stays resident.
+    Otherwise a compiler stays resident after its work.
 
     Args:
-        library: a part of the name of its file.
+        library: part of the name of its file.
     """
     import ctypes
 
@@ -162,7 +162,7 @@ def return_code(library: str) -> None:
     madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     for line in mapped:
         span, access, *_, file = line.split(maxsplit=5)
-        # Only code is sure to be as it is in the file.
+        # Only code pages are sure to equal the file.
         if access == "r-xp" and library in file.rpartition("/")[2]:
             begin, end = (int(side, 16) for side in span.split("-"))
             madvise(begin, end - begin, _DONTNEED)
@@ -170,11 +170,10 @@ def return_code(library: str) -> None:
 
 @_only_when_tuned
 def spare_collector() -> None:
-    """Spare Python's garbage collector all objects that there are now.
+    """Collect garbage once, then freeze all live objects so that later collections skip them.
 
-    A full collection looks at every object of the process and comes when it will: with the modules
-    that a localizer loads, a pause of 100 ms in the middle of a query. Objects of now are looked
-    at once more here, and then not until the next call.
+    A full collection visits every object at an arbitrary time. With the modules that a localizer
+    loads, that is a pause of 100 ms in the middle of a query.
     """
     gc.unfreeze()
     gc.collect()
@@ -183,10 +182,10 @@ def spare_collector() -> None:
 
 @contextmanager
 def worker_threads() -> Iterator[ThreadPoolExecutor]:
-    """Yield threads for work that releases the interpreter's lock.
+    """Yield a thread pool for work that releases the interpreter's lock.
 
-    In a tuned process they stay for the next work; else they end with the block. Work in them must
-    not wait for other work in them.
+    A tuned process keeps its threads; otherwise they end with the block. Work in the pool must not
+    wait for other work in it.
     """
     if is_tuned():
         yield _entered[-1].threads

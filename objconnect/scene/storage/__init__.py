@@ -1,16 +1,21 @@
 """Files on disk: atomic writes, locks, checked reads, digests, photographs and tables.
 
-- ``atomic``: files and folders that are either whole or absent; removal of temporary ones.
+- ``atomic``: atomic writes of files and folders.
+- ``leftovers``: removal of temporary files of killed processes.
 - ``locks``: one writer per folder, and files that survive an interrupted run.
-- ``files``: what may be opened, text, JSON, digests and free disk space.
-- ``outputs``: checks of what a run will write, done before it starts.
-- ``digests``: SHA-256 of files, remembered while a file does not change.
-- ``hdf5``: safe reads of HDF5 files of unknown origin.
-- ``images``: photographs and their EXIF.
+- ``resumable``: folders that are written step by step.
+- ``scratch``: temporary folders.
+- ``files``: checked reads of text and JSON, safe paths, free disk space.
+- ``outputs``: checks of a run's outputs before it starts.
+- ``digests``: SHA-256 of values and of files, cached while a file does not change.
+- ``hdf5``, ``hdf5_writing``: safe reads of HDF5 files, and writes that survive a full disk.
+- ``packed``: texts compressed by xz.
+- ``images``, ``xmp``: photographs with EXIF and XMP.
+- ``video``, ``subtitles``: video files and their subtitles.
 - ``names``: quoting of image names in text files.
 - ``tables``: CSV files with errors that name file and line.
 - ``listing``: the files of a folder that belong to the user.
-- ``provenance``: how a figure says that this program drew it.
-- ``scratch``: temporary folders.
+- ``provenance``: marks of pictures that this program drew.
+- ``records``, ``answers``: base classes of JSON records.
 - ``lru_cache``: a cache bounded in bytes.
 """

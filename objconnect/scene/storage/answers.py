@@ -1,4 +1,4 @@
-"""Entries of files and journals that hold a pose of a photograph."""
+"""Records of poses in results files and journals."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ PoseNumbers = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Numbe
 
 
 class Named(Record):
-    """An entry of a journal, which is identified by the name of its photograph."""
+    """An entry of a journal with the name of its photograph as its key."""
 
     name: str
 
 
 def pose_of(numbers: PoseNumbers) -> Pose:
-    """Return the pose that a results file holds as qw qx qy qz tx ty tz."""
+    """Convert qw qx qy qz tx ty tz to a pose."""
     return Pose.from_quaternion(numbers[:4], numbers[4:])

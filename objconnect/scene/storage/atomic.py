@@ -1,7 +1,7 @@
 """Atomic writes: a file or folder is either whole or absent.
 
-Data is first written under a temporary name of this program, ``.objconnect-????????.partial`` and
-the like. No other file is ever removed: a folder that is replaced keeps what others wrote into it.
+Data is first written under a temporary name such as ``.objconnect-????????.partial``. A folder that
+is replaced keeps the files of other programs.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from typing import Final
 from objconnect.scene.errors import WriteError
 
 TEMPORARY_PREFIX: Final = ".objconnect-"
-"""The beginning of every temporary name; see ``is_temporary``."""
+"""Prefix of every temporary name; see ``is_temporary``."""
 PARTIAL_SUFFIX: Final = ".partial"
-"""The end of the name of a file or folder that is being written."""
+"""Suffix of a file or folder that is being written."""
 
 ASIDE_SUFFIX: Final = ".aside"
-"""The end of the name of a folder that holds the old version of one that is being replaced; after a
-kill it is the only copy."""
+"""Suffix of a folder that holds the old version of one that is being replaced. If the process is
+killed, it may be the only copy."""
 
-# A disk with fewer bytes left counts as full.
+# A disk with less free space (bytes) counts as full.
 _FULL_BYTES = 1 << 20
 
 
@@ -37,7 +37,7 @@ def is_temporary(name: str) -> bool:
 
 
 def require_regular(path: Path) -> None:
-    """Refuse to write where the path is anything that a file must not replace.
+    """Refuse to replace anything but a regular file.
 
     Raises:
         WriteError: ``path`` is a folder, a device, a pipe, a socket or a symbolic link.
@@ -61,12 +61,12 @@ def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path that becomes ``path`` if the block succeeds.
 
     Args:
-        path: of the file.
-        beside: folder of the temporary path, on the same disk; None for that of the file.
+        path: file to write.
+        beside: folder of the temporary path, on the same disk; None for the folder of the file.
 
     Raises:
-        WriteError: the folder cannot be written, the disk is full, or ``path`` is something other
-            than a regular file.
+        WriteError: the folder cannot be written, the disk is full, or ``path`` is not a regular
+            file.
 
     Example:
         >>> with tempfile.TemporaryDirectory() as folder:
@@ -85,7 +85,7 @@ def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
         )
         os.close(handle)
         partial = Path(name)
-        # mkstemp makes files that only this user may read; results get the usual permissions.
+        # mkstemp makes files private; results get the default permissions.
         partial.chmod(0o666 & ~_umask())
         yield partial
         partial.replace(path)
@@ -113,15 +113,13 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
-    """Write a folder atomically: yield a temporary folder that becomes ``path`` if the block
-    succeeds.
+    """Write a folder atomically: yield a temporary folder that becomes ``path`` on success.
 
-    Files of the old folder that the block did not write again are kept, except those of ``owned``.
+    Files of the old folder are kept unless the block writes them again or ``owned`` lists them.
 
     Args:
-        path: folder to write; if it is a symbolic link, the folder it leads to is replaced.
-        owned: paths, relative to the folder, of all files that this program may write there. Those
-            of the old folder that the block does not write again are removed.
+        path: folder to write; if it is a symbolic link, its target is replaced.
+        owned: relative paths of all files that this program may write there.
 
     Raises:
         InputError: the parent folder cannot be written, or the disk is full.
@@ -140,7 +138,7 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
     except WriteError as error:
         if partial is None or str(partial) not in str(error):
             raise
-        # What could not be written is named by where it would be, and not by a hidden folder.
+        # The message names the final path instead of the temporary one.
         raise WriteError(str(error).replace(str(partial), str(named))) from error
     except OSError as error:
         raise WriteError(f"cannot write {named}: {_reason(error, partial)}") from error
@@ -154,9 +152,7 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
 
 
 def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
-    """Replace the folder ``path`` by ``new``, which also receives the files of others in ``path``.
-
-    Files of others are those that ``new`` does not have and that are not in ``owned``.
+    """Replace the folder ``path`` by ``new``, and keep the files of other programs.
 
     Args:
         path: folder to replace; it need not exist.
@@ -179,7 +175,7 @@ def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
 
 
 def _keep_others(old: Path, new: Path, owned: Collection[str]) -> None:
-    """Link the files of ``old`` that are neither in ``new`` nor in ``owned`` into ``new``."""
+    """Link into ``new`` the files of ``old`` that are neither in ``new`` nor in ``owned``."""
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old).as_posix()
         kept = new / name
@@ -206,18 +202,18 @@ def link_or_copy(old: Path, new: Path) -> None:
 
 
 def remove_owned(folder: Path, owned: Collection[str]) -> None:
-    """Remove the files of a folder that this program wrote, and the folders that become empty.
+    """Remove this program's files from a folder, and the folders that become empty.
 
     These are the files of ``owned`` (as for ``atomic_folder``) and temporary ones.
     """
     if folder.is_symlink() or not folder.is_dir():
         return
-    held = {str(parent) for name in owned for parent in PurePosixPath(name).parents}
+    owned_folders = {str(parent) for name in owned for parent in PurePosixPath(name).parents}
     for path in sorted(folder.rglob("*"), reverse=True):
         name = path.relative_to(folder).as_posix()
         ours = any(map(is_temporary, name.split("/")))
         if path.is_dir() and not path.is_symlink():
-            if ours or name in held:
+            if ours or name in owned_folders:
                 with suppress(OSError):  # the folder is not empty
                     path.rmdir()
         elif ours or name in owned:
@@ -227,21 +223,19 @@ def remove_owned(folder: Path, owned: Collection[str]) -> None:
 
 
 def _require_room(path: Path, folder: Path, error: RuntimeError) -> None:
-    """Say that a disk is full where it is: libraries report it in many different ways.
+    """Raise WriteError if the disk of ``folder`` is full, whatever error a library reports.
 
     Raises:
-        WriteError: the disk of ``folder`` is full, which the error is taken to come from.
+        WriteError: the disk is full.
     """
     if shutil.disk_usage(folder).free < _FULL_BYTES:
         raise WriteError(f"cannot write {path}: the disk is full") from error
 
 
 def _reason(error: OSError, partial: Path | None) -> str:
-    """Return what went wrong, with the name of the file if it is not the one being written.
-
-    An error of copying names the file that is read, although it is the other disk that is full.
-    """
+    """Return the reason of an error, with the file name if another file is concerned."""
     reason = error.strerror or str(error)
+    # On a full disk an error of copying names the file that was read.
     named = None if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.filename
     if partial is None or named is None or Path(str(named)).is_relative_to(partial):
         return reason

@@ -1,14 +1,13 @@
-"""Digests, all of them SHA-256 in hex: of values, and of files, cached from one run to the next.
+"""SHA-256 digests in hex of values and of files; those of files are cached between runs.
 
-That of a file is computed from the bytes on disk, never taken from a list. A file is not read
-again as long as it is the file that was read: same device, inode and size, and same times of its
-last change, to the nanosecond. The times are only compared for equality, with one exception: a file
-system counts time in ticks, and a file that changes twice within one keeps its times. Therefore no
-digest is cached of a file that had changed just before it was read.
+The digest of a file is computed from its bytes. It is reused as long as device, inode, size and the
+times of the last change (to the nanosecond) are equal. A file that changes twice within one tick of
+the file system keeps its times; so a digest is not cached if the file changed just before it was
+read.
 
-The cache is the folder ``$XDG_CACHE_HOME/objconnect/digests`` or ``~/.cache/objconnect/digests``;
-the variable ``OBJCONNECT_DIGESTS`` names another one, and its empty value switches the cache off.
-The cache only saves time: where it is absent, damaged, or cannot be written, files are read again.
+The cache is the folder ``$XDG_CACHE_HOME/objconnect/digests`` or ``~/.cache/objconnect/digests``.
+The variable ``OBJCONNECT_DIGESTS`` names another folder; if it is empty, the cache is off. If the
+cache is absent, damaged or not writable, files are read again.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from objconnect.scene.storage.files import require_readable
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 """The environment variable that names the folder of the cache."""
 
-# The coarsest time stamps of file systems in use are FAT's, with steps of two seconds.
+# FAT has the coarsest time stamps, with steps of two seconds.
 _TICK_NS: Final = 3 * 10**9
-# When the cache is larger than this it is emptied. That is enough for about 800,000 files.
+# A larger cache is emptied; this suffices for about 800,000 files.
 _MOST_BYTES: Final = 128 << 20
 _ENDING: Final = ".digests"
 _FORMAT: Final = "objconnect digests 1"
@@ -47,36 +46,36 @@ _LONG: Final = 10**9
 
 _State = list[int]
 """Device, inode, size, and the times of the last change of content and of status (ns)."""
-# The place of the size in a state.
+# Index of the size in a state.
 _SIZE: Final = 2
 
 
 def sha256(*pieces: str | bytes | NDArray[Any]) -> str:
-    """Return the digest of pieces that follow one another: bytes, text, arrays row by row.
+    """Return the digest of concatenated bytes, texts and arrays (row by row).
 
-    It is that of records: of maps, data sets, manifests and reports.
+    It is the digest of recorded data: maps, data sets, manifests and reports.
 
     Example:
         >>> sha256("ab", "c") == sha256(b"abc")
         True
     """
-    found = hashlib.sha256()
+    state = hashlib.sha256()
     for piece in pieces:
-        found.update(_bytes(piece))
-    return found.hexdigest()
+        state.update(_bytes(piece))
+    return state.hexdigest()
 
 
 def digest_of(*parts: object) -> str:
-    """Return a digest of all that something was made of: of the bytes of arrays, else of text.
+    """Return a digest of the inputs of a result: of the bytes of arrays, else of their text.
 
-    It is that of caches and journals. Each part begins with its length.
+    It is the key of caches and journals. Each part is preceded by its length.
 
     Example:
         >>> digest_of("ab", "c") == digest_of("a", "bc")
         False
     """
-    found = [_bytes(part) for part in parts]
-    return sha256(*(each for data in found for each in (f"{len(data)} ", data)))
+    blobs = [_bytes(part) for part in parts]
+    return sha256(*(each for blob in blobs for each in (f"{len(blob)} ", blob)))
 
 
 def _bytes(part: object) -> bytes:
@@ -86,7 +85,7 @@ def _bytes(part: object) -> bytes:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the digest of a file's bytes, which are read whatever is known of the file.
+    """Return the digest of a file's bytes without using the cache.
 
     Raises:
         InputError: the path is not a regular file, see ``require_readable``.
@@ -107,52 +106,52 @@ def digest(path: Path) -> str:
 
 
 def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
-    """Return the SHA-256 of the bytes of files, in hex, in the order given.
+    """Return the SHA-256 of the bytes of files, in hex, in order.
 
     Args:
         paths: files to read.
-        missing: value returned for a file that does not exist; None if all files must exist.
+        missing: result for a file that does not exist; None if all files must exist.
 
     Raises:
         InputError: a file is missing, cannot be read, or is not a regular file.
     """
     files = list(paths)
-    places = [os.path.split(file) for file in files]
-    cache = _folder()
-    entries = {folder: _Entries(cache, Path(folder)) for folder in {folder for folder, _ in places}}
+    parts = [os.path.split(file) for file in files]
+    cache = _cache_folder()
+    entries = {folder: _Entries(cache, Path(folder)) for folder in {folder for folder, _ in parts}}
     known: list[str | None] = []
     size = 0
-    for file, (folder, name) in zip(files, places, strict=True):
+    for file, (folder, name) in zip(files, parts, strict=True):
         state = _state_of(file, missing is not None)
         known.append(missing if state is None else entries[folder].get(name, state))
         if state is not None and known[-1] is None:
             size += state[_SIZE]
-    unread = [k for k, found in enumerate(known) if found is None]
+    unread = [k for k, value in enumerate(known) if value is None]
     if unread:
-        bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_say_nothing)
+        bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_ignore)
         with bar as advance, ThreadPoolExecutor(_THREADS) as pool:
             read = pool.map(_read, [files[k] for k in unread])
-            for done, (k, (state, found)) in enumerate(zip(unread, read, strict=True), 1):
-                known[k] = found
+            for done, (k, (state, value)) in enumerate(zip(unread, read, strict=True), 1):
+                known[k] = value
                 if state is not None:
-                    folder, name = places[k]
-                    entries[folder].put(name, state, found)
+                    folder, name = parts[k]
+                    entries[folder].put(name, state, value)
                 advance(done)
         for entry in entries.values():
             entry.write()
         if cache is not None:
             _limit_size(cache)
-    return [found for found in known if found is not None]
+    return [value for value in known if value is not None]
 
 
 def digests_in(folder: Path, names: Iterable[str], missing: str | None = None) -> dict[str, str]:
     """Return the digests of files in a folder by name; see ``digests``."""
-    named = list(names)
-    return dict(zip(named, digests((folder / name for name in named), missing), strict=True))
+    keys = list(names)
+    return dict(zip(keys, digests((folder / name for name in keys), missing), strict=True))
 
 
 def require_unchanged(paths: Sequence[Path], before: Sequence[str]) -> None:
-    """Make sure that files still have the digests that were computed before.
+    """Check that files still have the digests ``before``.
 
     Raises:
         InputError: a file was changed, or as for ``digests``.
@@ -165,8 +164,7 @@ def require_unchanged(paths: Sequence[Path], before: Sequence[str]) -> None:
 class _Entries:
     """The cached digests of the files directly in one folder.
 
-    Two processes may write the same entries: the later one wins, and the digests of the other are
-    computed again in a later run.
+    If two processes write the same entries, the later one wins.
     """
 
     def __init__(self, cache: Path | None, folder: Path) -> None:
@@ -177,22 +175,22 @@ class _Entries:
         self._new = False
 
     def get(self, name: str, state: _State) -> str | None:
-        """Return the digest of a file that is still in the state it was read in, else None."""
-        was, found = self._known.get(name, (None, None))
-        return found if was == state else None
+        """Return the digest of a file whose state has not changed; else None."""
+        cached_state, value = self._known.get(name, (None, None))
+        return value if cached_state == state else None
 
-    def put(self, name: str, state: _State, found: str) -> None:
+    def put(self, name: str, state: _State, value: str) -> None:
         """Add a digest."""
-        self._known[name] = state, found
+        self._known[name] = state, value
         self._new = True
 
     def write(self) -> None:
-        """Write the entries, new and old, that still hold."""
+        """Write all entries whose files have not changed."""
         if self._path is None or not self._new:
             return
         current = {
-            name: (state, found)
-            for name, (state, found) in (self._load() | self._known).items()
+            name: (state, value)
+            for name, (state, value) in (self._load() | self._known).items()
             if _has_state(self._folder / name, state)
         }
         text = json.dumps(current)
@@ -200,7 +198,7 @@ class _Entries:
             with atomic_write(self._path) as partial:
                 partial.write_text(f"{_header(text)}\n{text}", encoding="ascii")
         except InputError:
-            return  # the cache cannot be written, which only costs time
+            return  # without a cache the program is only slower
 
     def _load(self) -> dict[str, tuple[_State, str]]:
         """Return the entries of the file; none if it is damaged."""
@@ -212,18 +210,18 @@ class _Entries:
             return {}
         if header != _header(text):
             return {}
-        return {name: (state, found) for name, (state, found) in json.loads(text).items()}
+        return {name: (state, value) for name, (state, value) in json.loads(text).items()}
 
 
-def _say_nothing(done: int) -> None:
-    """Take the place of a progress bar that is not shown."""
+def _ignore(done: int) -> None:
+    """Replace a progress bar that is not shown."""
 
 
-def _folder() -> Path | None:
-    """Return the folder of the cache, or None if it is switched off."""
-    given = os.environ.get(FOLDER_VARIABLE)
-    if given is not None:
-        return Path(given) if given else None
+def _cache_folder() -> Path | None:
+    """Return the folder of the cache; None if it is off."""
+    chosen = os.environ.get(FOLDER_VARIABLE)
+    if chosen is not None:
+        return Path(chosen) if chosen else None
     try:
         base = Path(os.environ.get("XDG_CACHE_HOME", ""))
         base = base if base.is_absolute() else Path.home() / ".cache"
@@ -244,7 +242,7 @@ def _limit_size(cache: Path) -> None:
 
 
 def _header(text: str) -> str:
-    """Return the first line of a file of digests: a check sum of the rest."""
+    """Return the first line of a file of digests: a checksum of the rest."""
     return f"{_FORMAT} {sha256(text)}"
 
 
@@ -280,19 +278,19 @@ def _has_state(path: Path, state: _State) -> bool:
 
 
 def _read(path: Path) -> tuple[_State | None, str]:
-    """Return the digest of a file, and its state, which is None if it may hide a later change."""
+    """Return a file's state and digest; the state is None if it may hide a later change."""
     began = time.time_ns()
     try:
         with path.open("rb") as stream:
             before = os.fstat(stream.fileno())
-            found = hashlib.file_digest(stream, "sha256").hexdigest()
+            value = hashlib.file_digest(stream, "sha256").hexdigest()
             after = os.fstat(stream.fileno())
     except OSError as error:
         raise _unreadable(path, error) from None
-    # On Windows st_ctime is the time at which the file was made.
+    # On Windows st_ctime is the creation time.
     changed = before.st_mtime_ns if os.name == "nt" else before.st_ctime_ns
     reliable = _state(before) == _state(after) and changed + _TICK_NS < began
-    return (_state(before) if reliable else None), found
+    return (_state(before) if reliable else None), value
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

@@ -1,4 +1,4 @@
-"""Checked reads: what may be opened, text, JSON and names of files."""
+"""Checked reads of files, text and JSON; safe paths and free disk space."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from typing import Any
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.packed import SUFFIX, unpack
 
-# The longest file name that every usual file system allows (bytes).
+# Longest file name that every common file system allows (bytes).
 _MAX_NAME_BYTES = 255
-# A text is read whole; a larger one was written by no person and by no program of ours (bytes).
+# Longest text that is read, because it is read whole (bytes).
 _LONGEST_TEXT = 1 << 30
 
 
 def require_readable(path: Path, what: str) -> None:
-    """Refuse to open anything but a regular file; a symbolic link counts as what it leads to.
+    """Refuse to open anything but a regular file or a link to one.
 
-    Reading a pipe waits for somebody to write into it, and reading a device may never end.
+    Reading a pipe waits for a writer, and reading a device may never end.
 
     Args:
         path: file to read.
-        what: what the file is, for the message.
+        what: noun for the file in the message.
 
     Raises:
-        InputError: the path is missing, a folder, a device, a pipe or a socket, or lies where this
-            user may not look.
+        InputError: the path is missing, not accessible, a folder, a device, a pipe or a socket.
     """
     try:
         mode = path.stat().st_mode
@@ -44,15 +43,15 @@ def require_readable(path: Path, what: str) -> None:
 
 
 def read_text(path: Path, what: str) -> str:
-    """Read a UTF-8 text file of at most 1 GiB, or one that xz compressed, ``NAME.xz``.
+    """Read a UTF-8 text file of at most 1 GiB; ``NAME.xz`` is decompressed.
 
     Args:
         path: file to read.
-        what: what the file is, for the message.
+        what: noun for the file in the message.
 
     Raises:
         InputError: the file is missing, not a regular file, unreadable, larger, not UTF-8, or not
-            compressed as its name says.
+            a valid xz file.
     """
     require_readable(path, what)
     try:
@@ -88,9 +87,7 @@ def parse_json(text: str) -> Any:
 
 
 def is_safe_path(name: str) -> bool:
-    """Return whether a relative path stays inside its folder and is a possible file name.
-
-    Lists of files say with such paths where each file lies in their folder.
+    """Return whether a path is relative, stays inside its folder and is a valid file name.
 
     Example:
         >>> [is_safe_path(name) for name in ("grid/images/1.jpg", "../1.jpg", "/etc/passwd")]
@@ -102,12 +99,10 @@ def is_safe_path(name: str) -> bool:
 
 
 def require_disk_space(path: Path, needed: int) -> None:
-    """Refuse to write more than the disk has space for.
-
-    It is for writers that crash or write a damaged file on a full disk.
+    """Check the free disk space, for writers that crash or write damaged files on a full disk.
 
     Args:
-        path: file or folder to write, in a folder that exists.
+        path: file or folder to write, in an existing folder.
         needed: bytes.
 
     Raises:

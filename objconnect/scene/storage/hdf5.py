@@ -1,8 +1,8 @@
 """Safe reads of HDF5 files of unknown origin.
 
-A link or a data set may lead to another file, anywhere on this machine, and a data set of a few
-bytes may claim any size. The former is refused here, and the latter is compared with the bytes
-that are stored.
+A link or a data set may refer to another file on this machine, and a data set of a few bytes may
+claim any size. These functions refuse such references, and compare claimed sizes with the stored
+bytes.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-# The largest compression ratio that Deflate can reach.
+# Largest compression ratio of Deflate.
 _MAX_RATIO: Final = 1032
 
 
 def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
-    """Return a data set of a group that is safe to read whole.
+    """Return a data set of a group after checking that it can be read whole.
 
     Raises:
         KeyError: the group has no member of this name.
@@ -38,7 +38,7 @@ def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
     if member.dtype.hasobject:
         raise ValueError(f"{name} has elements of variable length")
     stored = min(member.id.get_storage_size(), member.file.id.get_filesize())
-    # Chunks are unpacked whole; an array without elements has none.
+    # Chunks are decompressed whole; an empty array has none.
     chunk = math.prod(member.chunks or (0,)) if member.size else 0
     claimed = member.dtype.itemsize * max(member.size, chunk)
     if claimed > _MAX_RATIO * stored:
@@ -47,19 +47,19 @@ def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def array(group: h5py.Group, name: str) -> NDArray[Any]:
-    """Read a whole data set; see ``dataset`` for what is refused."""
+    """Read a whole data set; see ``dataset`` for the checks."""
     return np.asarray(dataset(group, name)[...])
 
 
 def attribute(node: h5py.HLObject, name: str) -> Any:
-    """Return an attribute; text, which must be of fixed length, as ``str``.
+    """Return an attribute; text of fixed length becomes ``str``.
 
     Raises:
         KeyError: there is no attribute of this name.
         ValueError: it is of variable length, or claims more than the file has.
     """
     stored = node.attrs.get_id(name)
-    # On damaged attributes of variable length the HDF5 library can crash or never return.
+    # The HDF5 library can crash or hang on damaged attributes of variable length.
     if stored.dtype.hasobject:
         raise ValueError(f"attribute {name} is of variable length")
     if stored.get_storage_size() > node.file.id.get_filesize():
@@ -69,7 +69,7 @@ def attribute(node: h5py.HLObject, name: str) -> Any:
 
 
 def set_text(node: h5py.HLObject, name: str, text: str) -> None:
-    """Write text as an attribute of fixed length, as ``attribute`` requires it."""
+    """Write text as an attribute of fixed length, which ``attribute`` can read."""
     data = text.encode()
     node.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", len(data)))
 

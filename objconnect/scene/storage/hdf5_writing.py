@@ -1,9 +1,8 @@
-"""Writing of HDF5 files, also on a disk that becomes full.
+"""Writing of HDF5 files that survives a full disk.
 
-The HDF5 library does not survive a failed write: what it holds in memory can never be stored, and
-the process ends in a crash. So it writes to a file of ours, which never fails. What has no room on
-the disk is kept in memory, the next use of the file raises the error, and HDF5 closes as if all
-were well.
+The HDF5 library crashes after a failed write. It therefore writes to a file object that never
+fails: after an error of the disk, data is kept in memory, the next use of the HDF5 file raises
+WriteError, and HDF5 closes normally.
 """
 
 from __future__ import annotations
@@ -24,24 +23,18 @@ from objconnect.scene.storage.atomic import atomic_write
 
 @contextmanager
 def hdf5_file(path: Path, beside: Path | None = None) -> Iterator[h5py.File]:
-    """Write an HDF5 file that is whole or absent.
-
-    The arguments are those of ``atomic_write``.
-
-    Raises:
-        WriteError: as for ``atomic_write``; the disk is full.
-    """
+    """Write an HDF5 file atomically; arguments and errors are those of ``atomic_write``."""
     with atomic_write(path, beside) as partial, open_hdf5(partial, called=path) as file:
         yield file
 
 
 @contextmanager
 def open_hdf5(path: Path, called: Path | None = None) -> Iterator[h5py.File]:
-    """Write an HDF5 file in its place.
+    """Write an HDF5 file in place, not atomically.
 
     Args:
-        path: of the file.
-        called: name of the file in messages, where it is not that of the path.
+        path: file to write.
+        called: path in messages; None for ``path``.
 
     Raises:
         WriteError: the file cannot be written; it is then damaged.
@@ -52,17 +45,17 @@ def open_hdf5(path: Path, called: Path | None = None) -> Iterator[h5py.File]:
     except OSError as error:
         raise WriteError(f"cannot write {called}: {error.strerror or error}") from None
     with disk:
-        kept = _Disk(disk, called)
+        safe_file = _Disk(disk, called)
         try:
-            with _File(kept, "w") as file:
+            with _File(safe_file, "w") as file:
                 yield file
         finally:
-            # An error that a full disk led to is not what a person is to read.
-            kept.require_room()
+            # The error of the disk replaces errors that follow from it.
+            safe_file.require_room()
 
 
 class _Disk(io.RawIOBase):
-    """A file on a disk, or in memory what the disk has no room for."""
+    """A file object whose writes never fail: after an error it keeps data in memory."""
 
     def __init__(self, disk: Any, called: Path) -> None:
         super().__init__()
@@ -73,11 +66,7 @@ class _Disk(io.RawIOBase):
         self._left: list[tuple[int, bytes]] = []
 
     def require_room(self) -> None:
-        """Raise an error if something could not be written.
-
-        Raises:
-            WriteError: the disk is full.
-        """
+        """Raise WriteError if a write has failed."""
         if self._error is not None:
             reason = self._error.strerror or str(self._error)
             if self._error.errno == errno.ENOSPC:
@@ -143,11 +132,11 @@ class _Disk(io.RawIOBase):
         return size
 
     def flush(self) -> None:
-        """Do nothing: the disk's file has no buffer."""
+        """Do nothing: the file has no buffer."""
 
 
 class _File(h5py.File):  # type: ignore[misc]
-    """A file that raises the disk's error when something is put into it or taken from it."""
+    """An HDF5 file that raises the disk's error on each access."""
 
     def __init__(self, disk: _Disk, mode: str) -> None:
         self._disk = disk

@@ -1,4 +1,4 @@
-"""Photographs: reading with one clear error, writing with the EXIF of a drone."""
+"""Reading of photographs and their metadata, and writing of photographs with EXIF."""
 
 from __future__ import annotations
 
@@ -52,26 +52,26 @@ _DAMAGE: Final = (
 )
 # A file of a few bytes may claim any size. Pillow refuses twice the number that it warns of.
 _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
-# The largest payload of a segment of a JPEG, with its identifier (bytes).
+# Largest payload of a JPEG segment with its identifier (bytes).
 _SEGMENT: Final = 65_500
 _TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"
-# A number that we write has this denominator.
-_PARTS: Final = 10_000
-# How a segment of XMP begins.
+# Denominator of the numbers that we write.
+_DENOMINATOR: Final = 10_000
+# Identifier of an XMP segment.
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\0"
-# EXIF's unit of resolution that we write.
+# EXIF's code of the unit of resolution.
 _CENTIMETRE = 3
 
 
 def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     """Read a photograph as stored, (H, W, 3) uint8 RGB; an EXIF rotation is not applied.
 
-    Grey values of more than 8 bits are scaled from the smallest to the largest value of the
-    photograph, because thermal and machine vision cameras use a small part of their range.
+    Grey values of more than 8 bits are scaled from the range of the photograph, because thermal and
+    machine vision cameras use a small part of their range.
 
     Args:
         path: file to read.
-        camera: if given, the photograph must have the size of this camera.
+        camera: camera whose size the photograph must have; None for any size.
 
     Raises:
         InputError: the file is missing, not a regular file, truncated, not an image, of more than
@@ -92,9 +92,9 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[Image.Image]:
-    """Open an image file; errors of the block are reported like those of opening it."""
+    """Open an image file; errors inside the block are reported like those of opening it."""
     if not path.exists() and not path.is_symlink():
-        hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
+        hint = ": the model that names it was made on Windows" if "\\" in path.name else ""
         raise InputError(f"image {path} does not exist{hint}")
     require_readable(path, "image")
     try:
@@ -123,9 +123,9 @@ def _stretch(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
 
 
 def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
-    """Make sure that photographs exist, are whole, and have the size of their cameras.
+    """Check that photographs exist, are whole, and have the size of their cameras.
 
-    COLMAP silently skips what it cannot read, and decodes half of a truncated file.
+    COLMAP silently skips unreadable files, and decodes half of a truncated file.
 
     Args:
         root: folder that the names are relative to.
@@ -140,21 +140,19 @@ def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
 
 @dataclass(frozen=True)
 class Exif:
-    """The metadata that a drone writes into a photograph.
+    """The metadata of a photograph.
 
     Attributes:
-        position: measured position of the aircraft, or None. Its altitude is NaN where unknown.
+        position: measured position of the aircraft, or None; an unknown altitude is NaN.
         time: time of the photograph, or None.
         make: maker of the camera.
         model: model of the camera.
         focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
-        xmp: what the drone wrote into the XMP; it is read only.
-        place_doubts: what is unknown or contradicts itself of the position, with the names of
-            fields.
-        lens_doubts: the same of the focal length.
-        other_doubts: the same of time and attitude.
-        focals: focal lengths in longest sides that its fields state where none of them can be
-            believed before it is checked.
+        xmp: XMP of the drone; it is never written.
+        place_doubts: phrases about an unknown or contradictory position, with names of fields.
+        lens_doubts: phrases about the focal length.
+        other_doubts: phrases about time and attitude.
+        focals: candidate focal lengths in longest sides if none of them is reliable.
     """
 
     position: Geodetic | None
@@ -170,7 +168,7 @@ class Exif:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Return all that is unknown or contradicts itself."""
+        """Return all doubts."""
         return (*self.place_doubts, *self.lens_doubts, *self.other_doubts)
 
     @property
@@ -179,10 +177,10 @@ class Exif:
         return any(doubt.endswith(OF_SEA_LEVEL) for doubt in self.place_doubts)
 
     def above_ellipsoid(self, undulation_m: float) -> Exif:
-        """Return the metadata with an altitude above the ellipsoid, where it is above the sea.
+        """Return the metadata with an altitude above sea level converted to the ellipsoid.
 
         Args:
-            undulation_m: height of the geoid above the ellipsoid at its position, metres.
+            undulation_m: height of the geoid above the ellipsoid at the position, metres.
         """
         if self.position is None or not self.is_above_sea:
             return self
@@ -192,8 +190,8 @@ class Exif:
 
     @property
     def gimbal(self) -> tuple[float, float, float] | None:
-        """Return yaw clockwise from north, pitch above the horizon and roll of the camera, degrees;
-        None if unknown."""
+        """Return the camera's yaw, pitch and roll as in ``gimbal_pose``, degrees; None if
+        unknown."""
         return self.xmp.gimbal
 
     @property
@@ -215,7 +213,7 @@ def image_size(path: Path) -> tuple[int, int]:
 def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
     """Write a photograph (H, W, 3) uint8 with EXIF.
 
-    Chroma is not subsampled, so that the compression has little effect on features.
+    Chroma is not subsampled, to preserve features.
 
     Raises:
         InputError: the folder cannot be written, or the disk is full.
@@ -237,7 +235,7 @@ def resize_file(source: Path, out: Path, longest: int, *, over: bool = False) ->
         source: photograph to copy.
         out: JPEG to write.
         longest: largest width and height, pixels.
-        over: rotate the image by 180 degrees.
+        over: whether to rotate the image by 180 degrees.
 
     Raises:
         InputError: the photograph is missing or damaged, or ``out`` cannot be written.
@@ -274,7 +272,7 @@ def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
     if exif.focal_35mm is not None:
         detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
         detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
-        # The tag above holds whole millimetres only; the pixel pitch gives the exact value.
+        # The tag above holds whole millimetres; the pixel pitch gives the exact value.
         detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * max(size) / FILM_LENGTH)
         detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
         detail[ExifTags.Base.ExifImageWidth], detail[ExifTags.Base.ExifImageHeight] = size
@@ -292,9 +290,9 @@ def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read a photograph's metadata; fields that are missing or meaningless are None.
+    """Read a photograph's metadata; missing and invalid fields are None.
 
-    Fields that contradict each other are ``doubts``.
+    Contradictory fields are reported in ``doubts``.
 
     Raises:
         InputError: the file is missing or not an image.
@@ -316,8 +314,8 @@ def read_exif(path: Path) -> Exif:
     if not focal.agrees:
         drone = replace(drone, camera=None)
     if drone.gimbal and is_turned(fields, size, tags.get(ExifTags.Base.Orientation)):
-        turned = "it was turned, and GimbalYawDegree is of the picture as it was taken"
-        drone = replace(drone, gimbal=None, doubts=(*drone.doubts, turned))
+        doubt = "it was turned, and GimbalYawDegree is of the picture as it was taken"
+        drone = replace(drone, gimbal=None, doubts=(*drone.doubts, doubt))
     time = read_time(fields, places)
     position = read_position(places, drone.places)
     altitude = read_altitude(places, drone.places)
@@ -325,7 +323,6 @@ def read_exif(path: Path) -> Exif:
     if position.value is not None:
         up = math.nan if altitude.value is None else altitude.value
         where = Geodetic(*position.value, up)
-    # A calibration in XMP alone is no field of EXIF.
     exact = focal.reading.value
     return Exif(
         position=where,
@@ -342,7 +339,7 @@ def read_exif(path: Path) -> Exif:
 
 
 def _packets(image: Image.Image) -> list[bytes]:
-    """Return the packets of XMP, of which some programs write several into a JPEG."""
+    """Return the XMP packets; some programs write several into a JPEG."""
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     packets = [data[len(_XMP) :] for data in segments if data.startswith(_XMP)]
     whole = image.info.get("xmp", b"")
@@ -350,14 +347,14 @@ def _packets(image: Image.Image) -> list[bytes]:
 
 
 def _blocks(image: Image.Image) -> int:
-    """Return the number of different blocks of EXIF in a JPEG, of which the first is read."""
+    """Return the number of different EXIF blocks in a JPEG; only the first is read."""
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     begins = (b"Exif\0\0II*\0", b"Exif\0\0MM\0*")
     return len({data for data in segments if data.startswith(begins)})
 
 
 def _text(value: object) -> str:
-    """Return a text field without the zero bytes that cameras pad it with."""
+    """Return a text field without its padding of zero bytes."""
     return str(value or "").strip("\0 ")
 
 
@@ -366,16 +363,18 @@ def _names(tags: Mapping[int, object], known: Mapping[int, str]) -> dict[str, ob
     return {known[tag]: value for tag, value in tags.items() if tag in known}
 
 
-def _lens(made: Camera | None, sized: bool) -> Lens | None:
-    return None if made is None else Lens(made.focal[0] / max(made.width, made.height), sized)
+def _lens(camera: Camera | None, sized: bool) -> Lens | None:
+    if camera is None:
+        return None
+    return Lens(camera.focal[0] / max(camera.width, camera.height), sized)
 
 
-def _rational(value: float, denominator: int = _PARTS) -> IFDRational:
+def _rational(value: float, denominator: int = _DENOMINATOR) -> IFDRational:
     return IFDRational(Fraction(round(value * denominator), denominator))
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
-    # Rounded first, so that no seconds become 60.
-    seconds = Fraction(round(degrees * 3600 * _PARTS), _PARTS)
+    # Round first, so that seconds stay below 60.
+    seconds = Fraction(round(degrees * 3600 * _DENOMINATOR), _DENOMINATOR)
     minutes, seconds = divmod(seconds, 60)
     return _rational(minutes // 60, 1), _rational(minutes % 60, 1), _rational(float(seconds))

@@ -1,4 +1,4 @@
-"""Temporary files and folders that killed processes left, told from those that are in use."""
+"""Removal of temporary files and folders of killed processes."""
 
 from __future__ import annotations
 
@@ -17,26 +17,25 @@ from objconnect.scene.storage.atomic import ASIDE_SUFFIX, PARTIAL_SUFFIX, TEMPOR
 _TEMPORARY: Final = re.compile(
     rf"{re.escape(TEMPORARY_PREFIX)}[a-z0-9_]{{8}}({PARTIAL_SUFFIX}|{ASIDE_SUFFIX})"
 )
-# A lock that the process of a temporary folder holds; the system ends it with the process.
+# Lock file inside a temporary folder; the system releases it when the process ends.
 _IN_USE: Final = f"{TEMPORARY_PREFIX}in-use"
 
 
 @contextmanager
 def in_use(folder: Path) -> Iterator[None]:
-    """Mark a temporary folder as one of a living process during the block."""
+    """Mark a temporary folder as in use by a living process during the block."""
     with FileLock(folder / _IN_USE, thread_local=False):
         yield
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove the temporary files and folders that killed processes left below ``folder``.
+    """Remove temporary files and folders of killed processes below ``folder``.
 
-    A folder that was being replaced when its process was killed is put back. Those that are
-    ``in_use`` stay, and what they hold.
+    A folder that was being replaced is restored. Folders ``in_use`` and their contents stay.
     """
     used: set[Path] = set()
-    found = [item for item in folder.rglob(f"{TEMPORARY_PREFIX}*") if _is_temporary(item)]
-    for path in sorted(found):  # folders before what they hold
+    temporary = [item for item in folder.rglob(f"{TEMPORARY_PREFIX}*") if _is_temporary(item)]
+    for path in sorted(temporary):  # folders before their contents
         if used.intersection(path.parents):
             continue
         if _is_used(path):
@@ -53,7 +52,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove the folders in ``folder`` that killed processes had marked as ``in_use``."""
+    """Remove temporary folders in ``folder`` that killed processes had marked as ``in_use``."""
     for path in folder.glob(f"{TEMPORARY_PREFIX}*{PARTIAL_SUFFIX}"):
         if _is_temporary(path) and (path / _IN_USE).exists() and not _is_used(path):
             shutil.rmtree(path, ignore_errors=True)
@@ -69,5 +68,5 @@ def _is_used(path: Path) -> bool:
     try:
         with FileLock(path / _IN_USE, blocking=False):
             return False
-    except (OSError, Timeout):  # Timeout: its process lives; OSError: of another user
+    except (OSError, Timeout):  # Timeout: its process lives; OSError: it is another user's
         return True

@@ -10,18 +10,16 @@ from typing import Final
 from objconnect.scene.errors import InputError
 
 PHOTOGRAPHS: Final = (".jpg", ".jpeg", ".png")
-"""The suffixes of the photographs that are read, in lower case."""
+"""Suffixes of photographs, in lower case."""
 
-# Names that file managers leave behind, besides hidden files.
+# Files and folders that file managers create, besides hidden ones.
 _LEFT_BEHIND: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
 
 
 def is_stray(name: str) -> bool:
-    """Return whether a file or folder belongs to a file manager or a running program, not to the
-    user.
+    """Return whether a file or folder is not the user's: hidden, or made by a file manager.
 
-    These are hidden ones, such as ``.DS_Store`` and macOS's ``._a.jpg``, and Windows'
-    ``Thumbs.db``.
+    Examples are ``.DS_Store``, ``._a.jpg`` and ``Thumbs.db``.
     """
     return name.startswith(".") or name.lower() in _LEFT_BEHIND
 
@@ -33,7 +31,7 @@ def list_files(folder: Path, endings: Collection[str], depth: int | None = 1) ->
 
     Args:
         folder: folder to search.
-        endings: suffixes in lower case, with the dot; those of the files may be of any case.
+        endings: suffixes in lower case with the dot; files may have them in any case.
         depth: number of folder levels, 1 for the folder itself; None for all, without following
             links to folders.
 
@@ -63,4 +61,4 @@ def _files(folder: Path, endings: frozenset[str], depth: int | None) -> Iterator
                 elif path.suffix.lower() in endings:
                     yield path
     except OSError as error:
-        raise InputError(f"cannot look through {folder}: {error.strerror}") from None
+        raise InputError(f"cannot list the folder {folder}: {error.strerror}") from None

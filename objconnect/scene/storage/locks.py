@@ -1,4 +1,4 @@
-"""Locks that keep two runs out of one folder, and files that survive an interrupted run."""
+"""Locks against two runs in one folder, and files that survive an interrupted run."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _LOCK = f"{TEMPORARY_PREFIX}lock"
 def write_lock(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder during the block, so that no second run writes there.
 
-    The operating system ends the lock with the process, however that ends. The lock file is removed
-    after the block, and so are folders that did not exist before and are still empty.
+    The operating system releases the lock when the process ends. The lock file is removed after the
+    block, and so are new folders that are still empty.
 
     Raises:
         InputError: another process holds the lock, or the folder cannot be made or written.
@@ -45,7 +45,7 @@ def hold_lock(lock: Path, what: Path) -> Iterator[None]:
 
     Args:
         lock: lock file; its folder exists.
-        what: what the lock protects, for the message.
+        what: path that the lock protects, for the message.
 
     Raises:
         InputError: another process holds the lock, or the file cannot be made.
@@ -61,8 +61,8 @@ def hold_lock(lock: Path, what: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # Unlink before the release: a process that has opened the file then sees that it is gone
-        # and tries again. Windows does not allow it and keeps the file.
+        # Unlink before the release: a process that has opened the file then notices and tries
+        # again. Windows does not allow this and keeps the file.
         with suppress(OSError):
             lock.unlink()
         file_lock.release()
@@ -72,13 +72,13 @@ def hold_lock(lock: Path, what: Path) -> Iterator[None]:
 def resumable_file(folder: Path, name: str) -> Iterator[Path]:
     """Yield the path of a file that a later run can resume from.
 
-    The file survives an interruption of the block and a place that could not be written (a full
-    disk). It is removed when the block succeeds, and when it fails in any other way. Files of other
-    names, which an earlier run left in the folder, are removed at the start.
+    The file survives an interruption of the block and a WriteError, such as a full disk. It is
+    removed if the block succeeds or fails with another error. Files of other names in the folder
+    are removed at the start.
 
     Args:
-        folder: folder for this file alone; it is made here and removed at the end.
-        name: file name that identifies the work, so that no run resumes from different work.
+        folder: folder for this file alone; it is created and removed here.
+        name: file name that identifies the work, so that no run resumes other work.
 
     Raises:
         InputError: the folder cannot be written.
@@ -86,7 +86,7 @@ def resumable_file(folder: Path, name: str) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for other in folder.iterdir():
-            # The journals of a database begin with its name.
+            # The names of a database's journals begin with the name of the database.
             if not other.name.startswith(name) and other.is_file():
                 other.unlink()
     except OSError as error:

@@ -23,29 +23,27 @@ V = TypeVar("V", bound=_Sized)
 
 
 def room(bound_mb: int) -> int:
-    """Return the bytes that a cache may take so that the whole process stays below a bound.
+    """Return the bytes that a cache may use so that the process stays below a memory bound.
 
-    This is half of what is left below the bound now, after memory that was freed has been given
-    back to the system. The other half is for another cache and what a query needs.
+    It is half of the memory that is left below the bound after trimming the heap. The other half is
+    for a second cache and for queries.
 
     Args:
-        bound_mb: memory of the process, megabytes.
+        bound_mb: memory bound of the process, megabytes.
     """
     trim_heap()
     return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
 
 
 class LruCache(Generic[K, V]):
-    """A cache bounded in bytes that drops the least recently used.
-
-    Threads may share it.
+    """A cache bounded in bytes that drops the least recently used; threads may share it.
 
     Args:
-        read: reads the value of a key that is not in the cache.
-        memory: bytes that the values may take; a single larger value is kept all the same.
+        read: returns the value of a key that is not in the cache.
+        memory: bytes that the values may use; a single larger value is kept.
 
     Attributes:
-        nbytes: bytes that the values take now.
+        nbytes: bytes that the values use.
 
     Example:
         >>> import numpy as np

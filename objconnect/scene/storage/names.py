@@ -1,8 +1,8 @@
-"""Quoting of image names in text files: a file system allows names that a line of text does not.
+"""Quoting of image names in text files.
 
-A name is written in double quotes with JSON's escapes, all ASCII, if it contains white space, a
-control character or a byte that is not UTF-8, or begins with ``#`` or a quote. Quoted names cannot
-end their line or begin another. All other names are written as they are, as hloc does.
+A name is written in double quotes with JSON's escapes in ASCII if it contains white space, a
+control character or a byte that is not UTF-8, or begins with ``#`` or a quote. All other names are
+written unchanged, as in hloc.
 """
 
 from __future__ import annotations
@@ -18,10 +18,7 @@ _FORMULA: Final = ("=", "+", "-", "@")
 
 
 def is_utf8(name: str) -> bool:
-    """Return whether a name is valid text.
-
-    File systems also allow names that are not UTF-8; Python represents those bytes by surrogates.
-    """
+    """Return whether a name is UTF-8; Python represents other bytes of names by surrogates."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -55,10 +52,10 @@ def unquote_cell(text: str) -> str:
     if text.startswith('"'):
         name, end = _parse_quoted(text, 0)
         if end < len(text):
-            raise ValueError(f"{text!r} goes on after its closing quote")
+            raise ValueError(f"{text!r} continues after its closing quote")
         return name
     if any(character in text for character in "\n\r\0"):
-        raise ValueError(f"{text[:40]!r} is no name: is a quote missing?")
+        raise ValueError(f"{text[:40]!r} is no name: a quote may be missing")
     return text
 
 
@@ -82,12 +79,12 @@ def split_words(line: str) -> list[str]:
 
 
 def split_name(line: str, columns: int) -> tuple[str, list[str]]:
-    """Split a line into the name it begins with and the words after it.
+    """Split a line into a name and the words after it.
 
-    A name without quotes may contain spaces if exactly ``columns`` words follow it.
+    A name without quotes may contain spaces.
 
     Args:
-        line: line that is not empty.
+        line: non-empty line.
         columns: number of words after the name.
 
     Raises:
@@ -98,7 +95,7 @@ def split_name(line: str, columns: int) -> tuple[str, list[str]]:
         rest = line[end:].split()
     else:
         name, *rest = line.rsplit(maxsplit=columns)
-        # If the name's last word is a number, the line more likely has one column too many.
+        # A name that ends with a number more likely means one column too many.
         if name != (words_of := name.split())[0] and _is_number(words_of[-1]):
             rest = line.split()[1:]
     if len(rest) != columns:
@@ -113,7 +110,7 @@ def _parse_quoted(line: str, start: int) -> tuple[str, int]:
     except ValueError:
         raise ValueError(f"{line[start : start + 40]!r} is not closed, or is no JSON") from None
     if end < len(line) and not line[end].isspace():
-        raise ValueError(f"{line[start : end + 1]!r} goes on after its closing quote")
+        raise ValueError(f"{line[start : end + 1]!r} continues after its closing quote")
     return str(name), end
 
 

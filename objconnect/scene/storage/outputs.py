@@ -1,4 +1,4 @@
-"""Checks of what a run will write, made before it starts; every command uses them."""
+"""Checks of a run's outputs before it starts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, require_regular
 
-# The mark of a file lies within this many bytes from its beginning.
+# A mark lies within so many bytes from the beginning of a file.
 _HEAD_BYTES = 4096
 
 
@@ -21,9 +21,9 @@ class OutputFile:
 
     Attributes:
         path: file to write.
-        mark: bytes that every file written there by this program has among its first 4096. A file
-            without them, unless it is empty, belongs to another program and is not replaced. If
-            ``mark`` is empty, any file there may be replaced.
+        mark: bytes among the first 4096 by which this program recognizes its own file. An existing
+            file without them is not replaced unless it is empty. An empty mark allows to replace
+            any file.
     """
 
     path: Path
@@ -33,12 +33,12 @@ class OutputFile:
 def check_outputs(
     outputs: Iterable[OutputFile | Path], inputs: Iterable[Path] = (), within: Path | None = None
 ) -> None:
-    """Refuse, before any work, outputs that would destroy something or cannot be written.
+    """Refuse outputs that would overwrite other files or cannot be written.
 
     Args:
-        outputs: files that the run will write.
+        outputs: files that the run writes.
         inputs: files and folders that it reads.
-        within: folder that all outputs must lie in.
+        within: folder in which all outputs must lie; None for any.
 
     Raises:
         InputError: an output is an input, is another output, or lies outside ``within``.
@@ -64,7 +64,7 @@ def check_outputs(
 
 
 def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
-    """Refuse, before any work, an output folder that is an input or cannot be written.
+    """Refuse an output folder that is an input or cannot be written.
 
     Raises:
         InputError: the folder is one of the inputs.
@@ -77,7 +77,7 @@ def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def check_outside(outputs: Iterable[OutputFile], folder: Path) -> None:
-    """Refuse outputs in a folder of photographs or one below it, which others read as theirs.
+    """Refuse outputs inside a folder of photographs, where they would be taken for input.
 
     Raises:
         InputError: an output lies there.
@@ -90,10 +90,10 @@ def check_outside(outputs: Iterable[OutputFile], folder: Path) -> None:
 
 
 def require_empty(folder: Path) -> None:
-    """Make sure that a folder is new or empty.
+    """Refuse a folder that is not new or empty.
 
     Raises:
-        InputError: the folder holds something, or cannot be read.
+        InputError: the folder is not empty, or cannot be read.
     """
     try:
         occupied = folder.exists() and any(folder.iterdir())
@@ -104,10 +104,10 @@ def require_empty(folder: Path) -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Refuse a folder that cannot be written or made; the trial leaves nothing behind.
+    """Refuse a folder that cannot be written or created.
 
     Raises:
-        WriteError: the folder cannot be written or made.
+        WriteError: the folder cannot be written or created.
     """
     existing = folder
     while not os.path.lexists(existing) and existing != existing.parent:
@@ -115,7 +115,7 @@ def require_writable(folder: Path) -> None:
     try:
         if not stat.S_ISDIR(existing.stat().st_mode):
             raise WriteError(f"cannot write {folder}: {existing} is not a folder")
-        # Permissions are not enough: the file system may be read-only.
+        # Try it, because permissions do not show a read-only file system.
         trial = existing / f"{TEMPORARY_PREFIX}trial-{os.getpid()}"
         trial.mkdir(exist_ok=True)
         trial.rmdir()
@@ -127,11 +127,11 @@ def require_writable(folder: Path) -> None:
 
 
 def require_name(name: str, what: str) -> None:
-    """Refuse a word that cannot be the name of a file or folder.
+    """Refuse a word that cannot name a file or folder.
 
     Args:
         name: word that becomes part of a file name.
-        what: what it names, for the message.
+        what: noun for the word in the message.
 
     Raises:
         InputError: the name is empty, hidden, too long, not UTF-8, or holds a slash or a control
@@ -145,7 +145,7 @@ def require_name(name: str, what: str) -> None:
 
 
 def _place(path: Path) -> Path:
-    """Return the absolute path of a file; its folder is resolved, a link in its place is not."""
+    """Return the absolute path of a file; its folder is resolved, the file itself is not."""
     try:
         return path.parent.resolve() / path.name if path.name else path.resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -172,7 +172,7 @@ def _require_ours(output: OutputFile) -> None:
 
 
 def foreign_file_error(path: Path) -> WriteError:
-    """Return the error for an output that is a file of another program."""
+    """Return the error for an output path with a file of another program."""
     return WriteError(
         f"cannot write {path}: another file stands there: remove it or choose another output"
     )

@@ -1,4 +1,4 @@
-"""Texts compressed by xz: files that end in ``.xz`` are read as what they hold."""
+"""Compression of texts with xz, for files ``NAME.xz``."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import lzma
 from typing import Final
 
 SUFFIX: Final = ".xz"
-"""The end of the name of a compressed file."""
+"""Suffix of a compressed file."""
 
 MAGIC: Final = b"\xfd7zXZ\0"
-"""The first bytes of every compressed file."""
+"""First bytes of a compressed file."""
 
-# What a file of a few kilobytes may become; a larger one would be made to fill the memory (bytes).
+# Largest decompressed size (bytes), against files that are made to fill the memory.
 _LONGEST: Final = 1 << 26
-# The largest window that xz makes by a preset takes less (bytes).
+# Memory limit of the decoder (bytes); the presets of xz need less.
 _MOST_MEMORY: Final = 1 << 27
 
 
 def pack(text: str) -> bytes:
-    """Return a UTF-8 text compressed.
+    """Compress a text as UTF-8.
 
     Example:
         >>> unpack(pack("the same again"))
@@ -28,10 +28,10 @@ def pack(text: str) -> bytes:
 
 
 def unpack(content: bytes) -> bytes:
-    """Return what was compressed.
+    """Decompress the content of an xz file.
 
     Raises:
-        ValueError: the content is not that of one whole xz file, or is longer than 64 MiB.
+        ValueError: the content is not one whole xz file, or decompresses to more than 64 MiB.
     """
     reader = lzma.LZMADecompressor(lzma.FORMAT_XZ, _MOST_MEMORY)
     try:

@@ -1,7 +1,4 @@
-"""Marks of pictures that this program drew, so that it replaces no file of another program.
-
-These are the marks of ``objconnect.scene.storage.outputs.OutputFile``.
-"""
+"""Marks of pictures that this program drew, for ``objconnect.scene.storage.outputs.OutputFile``."""
 
 from __future__ import annotations
 
@@ -9,10 +6,10 @@ from typing import Final
 
 SOFTWARE: Final = "ObjConnect"
 PNG_METADATA: Final = {"Software": SOFTWARE}
-"""The metadata that Matplotlib writes into a PNG."""
+"""Metadata that Matplotlib writes into a PNG."""
 
 PNG_MARK: Final = b"Software\0ObjConnect"
-"""The bytes near the beginning of a PNG with this metadata."""
+"""Bytes near the beginning of a PNG with this metadata."""
 
 JPEG_MARK: Final = b"drawn by ObjConnect"
-"""The comment of a JPEG drawn by this program."""
+"""Comment of a JPEG drawn by this program."""

@@ -1,4 +1,4 @@
-"""Base class of what files of ours hold as JSON."""
+"""Base class of the JSON records in our files."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Record(BaseModel):
-    """Immutable; an unknown key, an infinite number or one that is none is an error."""
+    """An immutable record; unknown keys, infinite numbers and NaN are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

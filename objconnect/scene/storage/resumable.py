@@ -1,8 +1,7 @@
-"""Folders that are written step by step, which the same command continues after an interruption.
+"""Folders that are written step by step and resumed after an interruption.
 
-A record in such a folder contains the request. It is written before the first step. A later command
-with the same request continues, and a command with another request refuses the folder or starts
-again.
+A record with the request is written to the folder before the first step. A later command with the
+same request resumes; one with another request refuses the folder or starts again.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from objconnect.scene.storage.leftovers import remove_partial
 
 @dataclass(frozen=True)
 class ResumableFolder:
-    """A folder, and what is asked for in it.
+    """A folder that is written step by step, with the request of the present command.
 
     Attributes:
-        path: The folder that is written step by step.
-        record: The file in it that says what was asked for.
-        request: The text of the record: what is asked for now.
-        difference: Compares what was recorded, at the path it is given, with what is asked for
-            now. It returns None where they are the same and otherwise says in what they differ; it
-            raises ``InputError`` where the record is damaged.
+        path: the folder.
+        record: the file in it that records the request.
+        request: text of the record for the present command.
+        difference: compares the record at a path with the present request. It returns None if they
+            are equal, else a phrase with the difference, and raises ``InputError`` if the record is
+            damaged.
     """
 
     path: Path
@@ -36,25 +35,25 @@ class ResumableFolder:
     difference: Callable[[Path], str | None]
 
     def is_begun(self) -> bool:
-        """Return whether the folder holds a record, of this request or of another one."""
+        """Return whether the folder holds a record of any request."""
         return self.record.is_file()
 
     def is_same(self) -> bool:
-        """Return whether the folder holds the record of this very request.
+        """Return whether the folder holds a record of the same request.
 
         Raises:
-            InputError: The record is damaged.
+            InputError: the record is damaged.
         """
         return self.is_begun() and self.difference(self.record) is None
 
     def resume(self, refusal: Callable[[str], str]) -> bool:
-        """Return whether there is work of this request to go on with.
+        """Return whether there is work of the same request to resume.
 
         Args:
-            refusal: Makes the message for a folder of another request out of what differs.
+            refusal: returns the message for a folder of another request, from the difference.
 
         Raises:
-            InputError: The record is damaged, or is that of another request.
+            InputError: the record is damaged, or is of another request.
         """
         if not self.is_begun():
             return False
@@ -64,16 +63,13 @@ class ResumableFolder:
         return True
 
     def require_empty(self, what: str) -> None:
-        """Check that a folder holds no files of other programs.
-
-        A command that was killed before it wrote its record leaves only temporary files of ours;
-        these do not count.
+        """Refuse a folder that holds files other than our temporary ones.
 
         Args:
-            what: What the folder is to become, for the message, as "scene".
+            what: noun for the result in the message, such as "scene".
 
         Raises:
-            InputError: The folder is not empty, or cannot be read.
+            InputError: the folder is not empty, or cannot be read.
         """
         try:
             occupied = self.path.exists() and any(
@@ -85,10 +81,10 @@ class ResumableFolder:
             raise InputError(f"{self.path} is not empty and not a {what}: choose another folder")
 
     def begin(self) -> None:
-        """Write the record and remove the half-written files of a process that was killed.
+        """Write the record, and remove temporary files of killed processes.
 
         Raises:
-            WriteError: The folder cannot be written.
+            WriteError: the folder cannot be written.
         """
         write_text(self.record, self.request)
         try:
@@ -97,10 +93,9 @@ class ResumableFolder:
             raise WriteError(f"cannot write {self.path}: {error.strerror or error}") from None
 
     def end(self) -> None:
-        """Remove the record of finished work.
+        """Remove the record of finished work; repeated calls are harmless.
 
-        The record may lie in the folder itself, or in a hidden folder of intermediate results,
-        which goes with it. Ending twice does no harm: a process may be killed at its very end.
+        A record in a subfolder of intermediate results is removed with that subfolder.
         """
         if self.record.parent == self.path:
             self.record.unlink(missing_ok=True)

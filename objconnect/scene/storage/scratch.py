@@ -16,15 +16,15 @@ from objconnect.scene.storage.leftovers import in_use, remove_abandoned
 
 @contextmanager
 def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
-    """Make a temporary folder and remove it when the block ends, however that ends.
+    """Make a temporary folder for the duration of the block.
 
-    It lies beside the results, where there is space for them: the system's folder for temporary
-    files may be small. Folders there that killed processes left are removed.
+    It lies beside the results, because the system's temporary folder may be small. Temporary
+    folders of killed processes there are removed.
 
     Args:
-        beside: folder of the cache or output; it is made if necessary, and removed again if it
-            stays empty. None uses the system's folder for temporary files.
-        needed: bytes that will be written.
+        beside: folder of the cache or output; it is created if necessary, and removed if it stays
+            empty. None uses the system's temporary folder.
+        needed: bytes that the block writes.
 
     Raises:
         WriteError: the disk has less space, or the folder cannot be written.
@@ -58,7 +58,7 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
 
 @contextmanager
 def cache_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
-    """Yield the cache's folder, or a temporary one beside the output if there is no cache."""
+    """Yield the folder of the cache, or a temporary one beside the output without a cache."""
     if cache is not None:
         yield cache
         return

@@ -1,6 +1,6 @@
-"""Subtitle files (SRT): texts with the times at which a video shows them.
+"""Subtitle files (SRT).
 
-This is the one module that imports srt, which the extra ``[video]`` installs.
+Only this module imports srt, which the extra ``[video]`` installs.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.extras import import_extra
 from objconnect.scene.storage.files import require_readable
 
-# An hour of one subtitle for each of 60 frames a second has 100 MB; what is larger is none.
+# Largest file that is read (bytes); an hour of 60 subtitles a second takes 100 MB.
 _LARGEST = 1 << 29
 # The parser takes cubic time in the digits of a number. Longer ones, which no value has, are cut.
 _MOST_DIGITS: Final = re.compile(r"([0-9]{100})[0-9]+")
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
-    # Those of UTF-32 begin as those of UTF-16.
+    # Before UTF-16, whose marks are prefixes of these.
     codecs.BOM_UTF32_LE: "utf-32",
     codecs.BOM_UTF32_BE: "utf-32",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-# A line of times; WebVTT leaves out hours, and settings follow there.
+# A line of times; WebVTT omits hours and appends settings.
 _TIME: Final = r"(?:(\d+):)?(\d{1,2}):(\d{1,2})(?:[.,](\d{1,9}))?"
 _TIMES: Final = re.compile(rf"^[ \t]*{_TIME}[ \t]*-->[ \t]*{_TIME}(?=\s|$)", re.MULTILINE)
-# Which of the first four bytes are zero, without a byte order mark.
+# Encoding without a byte order mark, by the zeros among the first four bytes.
 _ZEROS = {
     "x0x0": "utf-16-le",
     "0x0x": "utf-16-be",
@@ -44,13 +44,7 @@ _ZEROS = {
 
 @dataclass(frozen=True)
 class Subtitle:
-    """A text and when it is shown.
-
-    Attributes:
-        start_s: seconds from the start of the video.
-        end_s: seconds from the start of the video.
-        text: lines of the subtitle.
-    """
+    """A text with its first and last time, seconds from the start of the video."""
 
     start_s: float
     end_s: float
@@ -60,14 +54,14 @@ class Subtitle:
 def read_subtitles(path: Path) -> list[Subtitle]:
     """Read an SRT file in the order of its times.
 
-    The text is UTF-8, UTF-16 or UTF-32, or of an older encoding in which ASCII is ASCII. Its other
-    bytes are degree signs and names; they are replaced, because no number is among them.
+    The text is UTF-8, UTF-16, UTF-32 or an encoding that extends ASCII. Bytes that are not valid
+    UTF-8 are replaced: they are degree signs and names, never numbers.
 
     Raises:
         InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle.
     """
     srt = import_extra("srt", "video", "a subtitle file")
-    # It warns of every text that it skips.
+    # srt warns of every text that it skips.
     logging.getLogger("srt").setLevel(logging.ERROR)
     require_readable(path, "subtitles")
     try:
@@ -81,11 +75,11 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     try:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
-            # What lies between subtitles and fits none is left out, as players do.
+            # Text between subtitles is skipped, as by players.
             for item in srt.parse(_with_whole_times(_one_line_end(text)), ignore_errors=True)
         ]
     except (ValueError, OverflowError):
-        raise InputError(f"{path} holds a time that is no time: it is damaged") from None
+        raise InputError(f"{path} holds an invalid time: it is damaged") from None
     if not items:
         raise InputError(f"{path} holds no subtitle: give the SRT file of the video")
     return sorted(items, key=lambda item: item.start_s)
@@ -120,9 +114,9 @@ def _one_line_end(text: str) -> str:
 
 
 def _with_whole_times(text: str) -> str:
-    """Return a text whose times have hours and milliseconds of three digits.
+    """Return a text whose times have hours and three digits of milliseconds.
 
-    Fractions of one length are decimal fractions of a second. Those of several lengths are
+    Fractions of equal length are decimal fractions of a second; fractions of different lengths are
     milliseconds without leading zeros.
     """
     lines = list(_TIMES.finditer(text))

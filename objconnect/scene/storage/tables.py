@@ -1,4 +1,4 @@
-"""CSV tables written by other programs; every error names file and line."""
+"""Strict readers of CSV tables; every error names file and line."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def read_table(
 
     Args:
         path: file to read.
-        what: what the file is, for messages.
-        columns: columns that it must have.
+        what: noun for the file in messages.
+        columns: required columns.
 
     Raises:
         InputError: the file is unreadable, a column is missing or named twice, a row has another
@@ -45,21 +45,21 @@ def read_table(
             if not any(values):
                 continue
             if len(values) != len(header):
-                hint = ": is a quote never closed?" if several else ""
+                hint = ": a quote may be unclosed" if several else ""
                 raise InputError(
                     f"{where}: expected {len(header)} columns, got {len(values)}{hint}"
                 )
             yield where, dict(zip(header, (value.strip() for value in values), strict=True))
     except csv.Error as error:
-        raise InputError(f"{path}:{line}: {error}: is a quote never closed?") from None
+        raise InputError(f"{path}:{line}: {error}: a quote may be unclosed") from None
 
 
 def read_header(path: Path, what: str) -> list[str]:
-    """Return the names of the columns of a CSV file.
+    """Return the column names of a CSV file.
 
     Args:
         path: file to read.
-        what: what the file is, for messages.
+        what: noun for the file in messages.
 
     Raises:
         InputError: the file is unreadable, or its columns are not separated by commas.
@@ -67,16 +67,20 @@ def read_header(path: Path, what: str) -> list[str]:
     try:
         header = next(csv.reader(io.StringIO(read_text(path, what), newline="")), [])
     except csv.Error as error:
-        raise InputError(f"{path}:1: {error}: is a quote never closed?") from None
+        raise InputError(f"{path}:1: {error}: a quote may be unclosed") from None
     require_commas(header, f"{path}:1: {what}")
     return [name.strip() for name in header]
 
 
 def require_commas(header: Sequence[str], what: str) -> None:
-    """Refuse a header that other separators than commas keep in one piece.
+    """Refuse a header with semicolons or tabs as separators.
+
+    Args:
+        header: column names, split at commas.
+        what: beginning of the message.
 
     Raises:
-        InputError: it has semicolons or tabs; the message begins with ``what``.
+        InputError: the header has one name with semicolons or tabs.
     """
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise InputError(f"{what} has other separators than commas: use commas")

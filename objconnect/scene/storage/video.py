@@ -1,7 +1,6 @@
-"""Video files: frames with their times, and writing of a video from pictures.
+"""Reading and writing of video files.
 
-This is the one module that imports av (PyAV, FFmpeg's libraries), which the extra ``[video]``
-installs.
+Only this module imports av (PyAV, FFmpeg's libraries), which the extra ``[video]`` installs.
 """
 
 from __future__ import annotations
@@ -30,29 +29,28 @@ log = logging.getLogger(__name__)
 # A file of a few bytes may claim any size; 8K has 33 million pixels.
 _MOST_PIXELS: Final = 64_000_000
 _PURPOSE: Final = "a video"
-# A video that ends so many seconds before it says is cut short.
+# A video that ends so many seconds before its stated end is truncated.
 _CUT_SHORT_S: Final = 1.0
-# Codecs of pictures, which film only where there are several.
+# Codecs of still pictures; a stream of them is a film only if it has several frames.
 _OF_PICTURES: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
-# A film lasts at least this share of the longest one.
+# The chosen film lasts at least this share of the longest one.
 _AS_LONG: Final = 0.9
-# Constant rate factor of H.264: smaller is better and larger; at 17 losses are hardly seen.
+# Constant rate factor of H.264, smaller is better; at 17 losses are hardly visible.
 _QUALITY: Final = "17"
 
 
 @dataclass(frozen=True)
 class Video:
-    """What a video file says of itself.
+    """The properties of a video file.
 
     Attributes:
-        width: of the frames as they are shown, pixels.
-        height: of the frames as they are shown, pixels.
-        rate_hz: frames a second.
-        duration_s: seconds; None where the file does not say.
-        created: when it was recorded, UTC; None where the file does not say.
-        pixel_aspect: width of a pixel for its height, which is 1 where the file does not say.
-        unread: kinds of the streams of subtitles and data, such as ``mov_text``, which no one reads
-            here.
+        width: width of the displayed frames, pixels.
+        height: height of the displayed frames, pixels.
+        rate_hz: frames per second.
+        duration_s: duration, seconds; None if not stated.
+        created: time of the recording, UTC; None if not stated.
+        pixel_aspect: ratio of a pixel's width to its height; 1 if not stated.
+        unread: kinds of the subtitle and data streams, such as ``mov_text``, which are not read.
     """
 
     width: int
@@ -69,9 +67,9 @@ class VideoFrame:
     """A frame of a video.
 
     Attributes:
-        index: number of frames before it in the file.
-        seconds: from the first frame.
-        image: (H, W, 3) uint8 RGB, turned as it is shown.
+        index: index of the frame in the file, from 0.
+        seconds: time since the first frame, seconds.
+        image: (H, W, 3) uint8 RGB, rotated for display.
     """
 
     index: int
@@ -80,16 +78,16 @@ class VideoFrame:
 
 
 def frame_name(video: str, index: int) -> str:
-    """Return the name of a frame among poses, from the name of its video without the ending."""
+    """Return the name of a frame from the name of its video without the suffix."""
     return f"{video}-{index:06d}"
 
 
 def read_video(path: Path) -> Video:
-    """Read what a video says of itself, from its first frame.
+    """Read the properties of a video from its header and first frame.
 
     Raises:
         InputError: the file cannot be read, is no video or has no frame, its frames are larger than
-            64 million pixels, or they are shown turned by an angle that is not a right one.
+            64 million pixels, or their display rotation is no multiple of 90 degrees.
     """
     with _open(path) as (container, stream):
         first = next(_decode(container, stream, path), None)
@@ -106,11 +104,11 @@ def read_video(path: Path) -> Video:
 def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFrame]:
     """Yield the frames of a video in the order of their times.
 
-    A video that is cut short gives the frames before the cut, and a warning of one line.
+    A truncated video yields the frames before the end, with a warning.
 
     Args:
         path: file of the video.
-        rate_hz: frames a second to yield, those nearest to multiples of its inverse; None yields
+        rate_hz: frames per second to yield, those nearest to multiples of its inverse; None yields
             all.
 
     Raises:
@@ -118,7 +116,7 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
     """
     with _open(path) as (container, stream):
         start, due, seconds = None, 0.0, 0.0
-        # The frame half a frame's time before a multiple is the nearest to it.
+        # A frame up to half an interval before a multiple is the nearest to it.
         spare = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
         for index, frame in enumerate(_decode(container, stream, path)):
             at = index / _rate(stream) if frame.time is None else float(frame.time)
@@ -142,12 +140,12 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
 
 
 def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float) -> None:
-    """Write an MP4 file, with H.264 where FFmpeg has an encoder for it, else with MPEG-4.
+    """Write an MP4 file with H.264 if FFmpeg has an encoder for it, else with MPEG-4.
 
     Args:
-        path: file to write, whole or not at all where the caller's folder is.
+        path: file to write; it is not written atomically.
         images: (H, W, 3) uint8 RGB, all of one size with even sides.
-        rate_hz: frames a second.
+        rate_hz: frames per second.
 
     Raises:
         InputError: PyAV is not installed, an image has another size or an odd side, or the file
@@ -181,7 +179,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float)
 
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video and the stream that is the film."""
+    """Open a video and choose its film."""
     av = import_extra("av", "video", _PURPOSE)
     require_readable(path, "video")
     try:
@@ -189,17 +187,17 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise InputError(f"{path} is no video that can be read: {_reason(error)}") from None
     with container:
-        stream = _film(container, path)
+        stream = _choose_film(container, path)
         if stream.width * stream.height > _MOST_PIXELS:
             raise InputError(f"{path} cannot be decoded: its frames are too large")
         yield container, stream
 
 
-def _film(container: Any, path: Path) -> Any:
-    """Return the stream of pictures that is the film.
+def _choose_film(container: Any, path: Path) -> Any:
+    """Return the video stream to read; cover pictures and thumbnails do not count.
 
-    Cover pictures and thumbnails are none. Of several films it is the one that lasts longest, then
-    the largest, then the one that players show; a warning says which.
+    Of several films it prefers the longest, then the largest, then the one that players show, and
+    warns of the choice.
 
     Raises:
         InputError: there is no film.
@@ -218,15 +216,14 @@ def _film(container: Any, path: Path) -> Any:
         key=lambda stream: (
             _seconds(stream) >= _AS_LONG * longest,
             stream.width * stream.height,
-            # Writers mark the first stream where nobody says which: this tells least.
+            # Writers mark the first stream by default, so this comes last.
             bool(stream.disposition & stream.disposition.default),
             -stream.index,
         ),
     )
-    # A video is opened more than once in a run.
     if len(films) > 1:
         others = ", ".join(str(stream.index) for stream in films if stream is not film)
-        _say_once(
+        _warn_once(
             f"{path} has {len(films)} films: stream {film.index} ({film.width} x {film.height}) is "
             f"taken, and {others} left out"
         )
@@ -234,8 +231,7 @@ def _film(container: Any, path: Path) -> Any:
 
 
 def _is_still(container: Any, stream: Any) -> bool:
-    """Return whether a stream is a picture: a cover, a thumbnail, or a single frame of a codec of
-    pictures."""
+    """Return whether a stream is a still picture: a cover, a thumbnail or a single picture."""
     disposition = stream.disposition
     flags = ("attached_pic", "timed_thumbnails", "still_image")
     if any(disposition & getattr(disposition, flag, 0) for flag in flags):
@@ -244,11 +240,11 @@ def _is_still(container: Any, stream: Any) -> bool:
     codec = "" if context is None else str(context.name)
     if str(container.format.name).endswith("_pipe") or container.format.name == "image2":
         return True
-    return codec in _OF_PICTURES and _count(stream) == 1
+    return codec in _OF_PICTURES and _count_frames(stream) == 1
 
 
-def _count(stream: Any) -> float:
-    """Return the number of frames that a stream states or its times tell; infinite if unknown."""
+def _count_frames(stream: Any) -> float:
+    """Return the number of frames of a stream, stated or from its duration; infinite if unknown."""
     if stream.frames:
         return int(stream.frames)
     rate = stream.average_rate or stream.guessed_rate
@@ -256,7 +252,7 @@ def _count(stream: Any) -> float:
 
 
 def _seconds(stream: Any) -> float:
-    """Return how long a stream lasts, seconds; that of the file where the stream does not say."""
+    """Return the duration of a stream, or else of the file, seconds."""
     if stream.duration:
         return float(stream.duration * stream.time_base)
     whole = stream.container.duration
@@ -264,12 +260,13 @@ def _seconds(stream: Any) -> float:
 
 
 @lru_cache(maxsize=64)
-def _say_once(text: str) -> None:
+def _warn_once(text: str) -> None:
+    """Warn once, although a run opens a video several times."""
     log.warning("%s", text)
 
 
 def _decode(container: Any, stream: Any, path: Path) -> Iterator[Any]:
-    """Yield decoded frames up to the end of the file, or to the first that is damaged."""
+    """Yield decoded frames up to the end of the file or the first damaged frame."""
     av: ModuleType = import_extra("av", "video", _PURPOSE)
     frames = container.decode(stream)
     count = 0
@@ -288,7 +285,7 @@ def _decode(container: Any, stream: Any, path: Path) -> Iterator[Any]:
 
 
 def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
-    """Return the picture of a frame, turned as the file says that it is to be shown."""
+    """Return the image of a frame, rotated for display."""
     if frame.width * frame.height > _MOST_PIXELS:
         raise InputError(f"{path} has frames of {frame.width} x {frame.height} pixels: too large")
     turns, rest = divmod(round(frame.rotation or 0), 90)
@@ -296,23 +293,23 @@ def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
         raise InputError(
             f"{path} is shown turned by {frame.rotation} degrees: write it without a rotation"
         )
-    # FFmpeg's angle is counter-clockwise, as numpy's.
+    # FFmpeg's and numpy's angles are counter-clockwise.
     return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), turns))
 
 
 def _rate(stream: Any) -> float:
-    """Return frames a second; 30 where the file does not say."""
+    """Return the frames per second; 30 if not stated."""
     rate = stream.average_rate or stream.guessed_rate
     if not rate:
-        _say_once(f"{stream.container.name} does not say how many frames it has a second: 30")
+        _warn_once(f"{stream.container.name} does not state its frame rate: taken as 30")
     return float(rate) if rate else 30.0
 
 
 def _unread(container: Any) -> tuple[str, ...]:
-    """Return the kinds of the streams in which a drone may have written telemetry."""
+    """Return the kinds of the streams that may hold a drone's telemetry."""
     kinds: dict[str, None] = {}
     for stream in container.streams:
-        # The clock of a film is a stream of data, too.
+        # The time code of a film is a data stream too.
         if stream.type in ("subtitle", "data") and "timecode" not in stream.metadata:
             kinds[str(stream.name or stream.type)] = None
     return tuple(kinds)
@@ -326,6 +323,6 @@ def _creation_time(container: Any) -> datetime | None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return the words of an error of FFmpeg, without its number and the path."""
+    """Return the message of an FFmpeg error without its number and the path."""
     reason = getattr(error, "strerror", None) or str(error)
     return str(reason).splitlines()[0] if str(reason) else type(error).__name__

@@ -1,8 +1,8 @@
-"""What a drone writes into a photograph as XMP: attitude, height, RTK, lens and shutter.
+"""The XMP of a drone's photograph: attitude, height, RTK, lens and shutter.
 
-The fields are DJI's of the namespace ``drone-dji``, as the manuals of Mavic 3 and Matrice 4 list
-them ("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in the
-namespaces of other makers count from other axes, and are not read.
+The fields are DJI's in the namespace ``drone-dji``, listed in the manuals of Mavic 3 and Matrice 4
+("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in namespaces of
+other makers have other axes and are not read.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.quantities.numbers import parse_number
 
 _RTK_FIXED: Final = 50
-# Standard deviations (m) outside this range and numbers beyond the other one are damaged values.
+# Plausible range of standard deviations (m), and largest plausible number.
 _SIGMAS_M: Final = (1e-4, 1e3)
 _MOST: Final = 1e6
-# A longer text is none of the fields (characters).
+# Longest text of a field (characters).
 _LONGEST: Final = 1000
-# A principal point further from the middle, in sizes of the picture, belongs to another size.
+# Largest distance of a principal point from the middle, in sizes of the picture.
 _FARTHEST: Final = 0.1
-# Names of attitudes, and of namespaces and prefixes in which they are those of DJI.
+# Fields of attitudes, and the namespaces and prefixes in which they have DJI's meaning.
 _ATTITUDE: Final = re.compile(r"Gimbal(Yaw|Pitch|Roll)Degree")
 _DJIS: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
 TURNS: Final = (360.0, 180.0, 360.0)
-"""Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged."""
+"""Largest absolute angles (yaw, pitch, roll; degrees)."""
 
-# Elements that hold the fields of other pictures, or of the places that a picture shows.
+# Elements with fields of other pictures, or of the places that a picture shows.
 _OTHERS: Final = re.compile(r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)")
-# Fields that tell where a photograph was taken.
+# Fields of position and altitude.
 _PLACES: Final = (
     *("GpsLatitude", "GpsLongitude", "GpsLongtitude", "Latitude", "Longitude"),
     *("GPSLatitude", "GPSLongitude", "GPSAltitude", "GPSAltitudeRef"),
@@ -47,19 +47,19 @@ _PLACES: Final = (
 
 @dataclass(frozen=True)
 class DroneXmp:
-    """The fields of a photograph's XMP; each is None where it is missing or meaningless.
+    """The fields of a photograph's XMP; missing and invalid ones are None.
 
     Attributes:
         gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera, degrees.
-        places: the texts of its fields by name, from which position and altitude are read.
-        rtk_sigma: standard deviations of the position to the east, north and up, metres, where it
-            is a fixed solution of RTK.
-        camera: calibration by the maker, of the picture in the size in which it was taken.
-        sized: whether the optical centre shows that the calibration is of that size.
+        places: texts of the fields of position and altitude by name.
+        rtk_sigma: standard deviations of the position to the east, north and up, metres, for a
+            fixed RTK solution.
+        camera: calibration by the maker, for the size in which the picture was taken.
+        sized: whether the optical centre confirms that size.
         speed: horizontal speed of the aircraft, m/s.
         shutter: kind of the shutter, such as ``Mechanical``.
         panorama: projection of a panorama, such as ``equirectangular``.
-        doubts: why the attitude is not believed although it is there.
+        doubts: why a stated attitude is not used.
     """
 
     gimbal: tuple[float, float, float] | None = None
@@ -74,14 +74,13 @@ class DroneXmp:
 
 
 def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneXmp:
-    """Return the fields of XMP packets, in which each is an attribute or an element.
+    """Return the fields of XMP packets; a field is an attribute or an element.
 
-    A field that is there twice with several values has none of them.
-    Of a damaged packet, what stands before the damage is read. So it is with a document type, which
-    XMP does not have: no entity is ever expanded.
+    A field with several values is invalid. A damaged packet is read up to the damage, and up to a
+    document type, which XMP does not have: no entity is ever expanded.
 
     Args:
-        packets: a packet or several, each in an encoding that XML declares.
+        packets: one or several packets, in an encoding that XML declares.
         size: width and height of the picture when it was taken, pixels.
     """
     texts: dict[str, str] = {}
@@ -111,11 +110,11 @@ def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneX
 
 
 class _Fields:
-    """The texts of attributes and elements of packets by their names without prefix.
+    """A parser that collects attributes and elements of packets by name without prefix.
 
     Attributes:
-        texts: the texts; of two values that differ, both.
-        foreign: attitudes in namespaces of other makers, with their prefix.
+        texts: texts by name; two values that differ are joined.
+        foreign: names with prefix of attitudes in namespaces of other makers.
     """
 
     def __init__(self, texts: dict[str, str], foreign: set[str]) -> None:
@@ -125,8 +124,8 @@ class _Fields:
         self._others = 0
 
     def read(self, packet: bytes) -> None:
-        """Add the fields of a packet; of a damaged one, those before the damage."""
-        # Namespaces are not resolved, for programs that edit photographs lose their declarations.
+        """Add the fields of a packet, of a damaged one up to the damage."""
+        # Namespaces are not resolved, because editing programs lose their declarations.
         parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
@@ -172,7 +171,7 @@ class _Fields:
 def _gimbal(
     numbers: Mapping[str, float], texts: Mapping[str, str], foreign: set[str]
 ) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
-    """Return yaw, pitch and roll, and why they are not believed although they are there."""
+    """Return yaw, pitch and roll, and the reason why stated ones are not used."""
     names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
     bad = [
         f"{name} {texts[name][:40]!r} is no angle"
@@ -181,10 +180,10 @@ def _gimbal(
     ]
     if bad:
         return None, (bad[0],)
-    found = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
-    if found is None and foreign:
+    angles = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
+    if angles is None and foreign:
         return None, (f"{min(foreign)} is not DJI's, and its axes are not known",)
-    return found, ()
+    return angles, ()
 
 
 def _number(text: str) -> float | None:
@@ -203,9 +202,9 @@ def _three(
 
 
 def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) -> Camera | None:
-    """Return the lens as it was measured, else as it was designed.
+    """Return the measured calibration, else the nominal one.
 
-    A picture that was dewarped has the designed lens, without distortion.
+    A dewarped picture has the nominal focal length without distortion.
     """
     width, height = size
     focal = numbers.get("CalibratedFocalLength", 0.0)
@@ -220,10 +219,7 @@ def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) ->
 
 
 def _parse_dewarp(dewarp: str, size: tuple[int, int]) -> Camera | None:
-    """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, cx and cy from the middle.
-
-    The coefficients are OpenCV's, and so is the camera.
-    """
+    """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, with (cx, cy) from the middle."""
     try:
         fx, fy, x, y, k1, k2, p1, p2, k3 = map(float, dewarp.rpartition(";")[2].split(","))
         if not _amid(x, y, size):
@@ -237,5 +233,5 @@ def _parse_dewarp(dewarp: str, size: tuple[int, int]) -> Camera | None:
 
 
 def _amid(x: float, y: float, size: tuple[int, int]) -> bool:
-    """Return whether a point (x, y) from the middle of a picture can be its principal point."""
+    """Return whether (x, y) from the middle of a picture is a plausible principal point."""
     return abs(x) <= _FARTHEST * size[0] and abs(y) <= _FARTHEST * size[1]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -19,7 +20,7 @@ from objconnect.methods import create
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.views import with_heading
+from objconnect.scene.geometry.views import roll_rotation, upright
 from objconnect.scene.localizer import Estimate, Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
@@ -210,7 +211,8 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     weights: Path, made: tuple[SparseMap, Path], cache: Path
 ) -> None:
     """By the place search: above ground that the map does not have, turned by a right angle."""
-    turned = with_heading(TRUTH, math.radians(100))
+    rotation = roll_rotation(-math.radians(100)) @ upright(TRUTH.rotation.numpy())
+    turned = Pose(torch.from_numpy(rotation), torch.from_numpy(-rotation @ TRUTH.centre().numpy()))
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)
     localizer = PixlocLocalizer(

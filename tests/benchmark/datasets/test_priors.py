@@ -12,7 +12,7 @@ import pytest
 
 from benchmark.datasets.flight import gps_sigma, open_flight
 from objconnect.scene.errors import InputError
-from objconnect.scene.flights.priors import Assumed, MapFrame
+from objconnect.scene.flights.priors import AssumedSigmas, MapFrame
 from objconnect.scene.flights.textfiles import read_priors
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.localizer import Prior
@@ -21,11 +21,11 @@ from objconnect.scene.maps.colmap_files import read_model
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 MIDDLE = np.array([3.0, -2.0, 41.0])
 FRAME = MapFrame(ORIGIN, MIDDLE)
-TOLD = Assumed(np.full(3, 12.0), 6.0, "the option stands for it", "that one stands for it")
+TOLD = AssumedSigmas(np.full(3, 12.0), 6.0, "the option stands for it", "that one stands for it")
 
 
 def read(
-    folder: Path, *lines: str, frame: MapFrame = FRAME, assumed: Assumed = TOLD
+    folder: Path, *lines: str, frame: MapFrame = FRAME, assumed: AssumedSigmas = TOLD
 ) -> dict[str, Prior]:
     path = folder / "priors.csv"
     path.write_text("\n".join(lines) + "\n")

@@ -173,7 +173,7 @@ def test_covisibility_of_old_and_new(rendered: Scene, old: Path, tmp_path: Path)
     assert both.names[:OLD] == before.names
     assert np.array_equal(both.overlap[:OLD, :OLD], before.overlap)
     names = [f"{SESSION}/images/{Path(name).name}" for name in both.names]
-    off = np.abs(both.overlap - rendered.covisibility.of(names).overlap)
+    off = np.abs(both.overlap - rendered.covisibility.select(names).overlap)
     assert off[OLD:].mean() < 1.5 * off[:OLD, :OLD].mean()
     assert off[:, OLD:].mean() < 1.5 * off[:OLD, :OLD].mean()
 
@@ -343,7 +343,7 @@ def test_a_rendered_scene_can_be_added_to(rendered: Scene, old: Path, tmp_path: 
     both = Scene.open(tmp_path / "both")
     assert tuple(both.sessions) == (*rendered.sessions, "flight")
     assert both.objects == rendered.objects
-    assert both.manifest.on_earth == rendered.manifest.on_earth == EXACT
+    assert both.manifest.effective_georeference == rendered.manifest.effective_georeference == EXACT
     made, truth = geocentric(both, "flight"), geocentric(rendered, SESSION)
     for name, pose in made.items():
         assert np.linalg.norm(pose[:, 3] - truth[name][:, 3]) < THIRD_OF_A_PIXEL
@@ -399,6 +399,9 @@ def test_a_real_flight_in_two_parts(photographs: Path, ingested: Ingested, tmp_p
     apart = aligned(centres(Scene.open(tmp_path / "both")), centres(ingested[0]))
     new: Collection[float] = [apart[path.name] for path in late]
     assert max(new) < 0.3
-    before = Scene.open(tmp_path / "scene").manifest.on_earth
-    assert before is not None and Scene.open(tmp_path / "both").manifest.on_earth == before
+    before = Scene.open(tmp_path / "scene").manifest.effective_georeference
+    assert (
+        before is not None
+        and Scene.open(tmp_path / "both").manifest.effective_georeference == before
+    )
     assert validate(tmp_path / "both").ok

@@ -57,7 +57,7 @@ def test_a_real_flight(ingested: Ingested) -> None:
     assert "focal length 288.9 px of EXIF kept" in report.text()
     assert scene.manifest.reference == "sfm"
     # One receiver without corrections, whose fixes fit within decimetres.
-    placed = scene.manifest.on_earth
+    placed = scene.manifest.effective_georeference
     assert placed == report.georeference and placed is not None and placed.source == "gps"
     assert np.hypot(3.3, 3.3) < placed.horizontal_m < 4.8
     assert placed.vertical_m is not None and placed.vertical_m > 30, "above the sea or ellipsoid"
@@ -247,7 +247,7 @@ def test_a_folder_with_everything_wrong_in_it(
     assert np.isnan(frames.time).sum() == 1
     assert len(list((scene.path / "sessions" / "flight" / "images").iterdir())) == 9
     assert validate(scene.path).ok
-    with pytest.raises(InputError, match="tell no time"):
+    with pytest.raises(InputError, match="have no time"):
         export(scene.path, "tum", tmp_path / "tum")
 
 

@@ -56,7 +56,7 @@ def test_without_a_check_the_order_is_unknown(
     (found,) = said(tmp_path, "GPS(47.001,8.002,512.0) BAROMETER(60.0)")
     assert found.place is None and found.rel_alt == 60.0
     assert caplog.messages == [
-        f"{tmp_path / 'FLIGHT.SRT'}: which number of GPS(a, b) is the latitude is not told"
+        f"{tmp_path / 'FLIGHT.SRT'}: the order of latitude and longitude in GPS(a, b) is unknown"
     ]
     # Where the map lies on the diagonal it tells nothing, either.
     (found,) = said(tmp_path, "GPS(8.02,8.01,512.0) BAROMETER(60.0)", near=(8.0, 8.0))

@@ -239,7 +239,7 @@ def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     assert summary["virtual"]["altitude_m"] == 34.0
     assert summary["points"] == len(scene.sparse_map().xyz) > 100
     stated = Georeference(horizontal_m=0.25, vertical_m=0, source="stated")
-    assert scene.manifest.on_earth == stated
+    assert scene.manifest.effective_georeference == stated
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_a_configuration_is_found_by_its_name_from_anywhere(
 def test_an_unknown_name_lists_those_there_are() -> None:
     with pytest.raises(InputError, match="cannot read configuration demon: ") as caught:
         load_config(SimulateConfig, Path("demon"), {})
-    assert str(caught.value).endswith(f"; by name there are: {', '.join(list_configs())}")
+    assert str(caught.value).endswith(f"; shipped names are {', '.join(list_configs())}")
     assert {"demo", "uav-sim", "train/pixloc"} <= set(list_configs())
 
 
@@ -179,7 +179,7 @@ def test_an_unknown_name_lists_those_there_are() -> None:
         ),
         (
             ["simulate", "--config", "demon", "--out", "out"],
-            "cannot read configuration demon: No such file or directory; by name there are: ",
+            "cannot read configuration demon: No such file or directory; shipped names are ",
         ),
     ],
 )

@@ -232,16 +232,16 @@ import hashlib
 from pathlib import Path
 import torch
 from objconnect.localization.align import kernels
-from objconnect.localization.align.compiled_loops import descended
+from objconnect.localization.align.compiled_loops import descend_compiled
 from objconnect.localization.align.options import Options
-from tests.objconnect.localization.align.test_compiled import level_cost
+from tests.objconnect.localization.align.test_compiled_loops import level_cost
 from tests.objconnect.localization.align.world import DISTORTED
 from tests.programs import printed
 
 with torch.inference_mode():
     cost, pose = level_cost(DISTORTED, 4, smooth=True)
     moving, damping = torch.ones(4, dtype=torch.bool), torch.full((6,), 1e-3)
-    state = descended(cost, pose, moving, damping, Options())
+    state = descend_compiled(cost, pose, moving, damping, Options())
 parts = (state.pose.rotation, state.pose.translation, state.around.hessian)
 print(hashlib.sha256(b"".join(part.numpy().tobytes() for part in parts)).hexdigest())
 """

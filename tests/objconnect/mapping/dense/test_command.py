@@ -286,5 +286,5 @@ def test_colmap_without_cuda_is_one_line(rendered_copy: Path) -> None:
 
     if pycolmap.has_cuda:
         pytest.skip("this pycolmap has CUDA")
-    with pytest.raises(InputError, match="needs a CUDA build of pycolmap"):
+    with pytest.raises(InputError, match="needs pycolmap with CUDA"):
         dense(rendered_copy, size=SIZE, stereo="colmap")

@@ -87,9 +87,9 @@ def test_covisibility_comes_back_from_disk(tmp_path: Path) -> None:
     with h5py.File(path) as file:
         assert file["pairs"][:].tolist() == [[0, 1]]
         assert file["share"][:].tolist() == [0.25]
-    np.testing.assert_array_equal(back.of(["c", "b"]).overlap, [[0, 0.5], [0.05, 0]])
+    np.testing.assert_array_equal(back.select(["c", "b"]).overlap, [[0, 0.5], [0.05, 0]])
     with pytest.raises(InputError, match="does not know frame d"):
-        back.of(["a", "d"])
+        back.select(["a", "d"])
 
 
 def test_damaged_covisibility_is_one_line(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_covisibility_of_a_rendered_scene(rendered: Scene) -> None:
     frames = [name for s in rendered.sessions for name in rendered.frames(s).names]
     assert covisibility.names == tuple(frames)
     assert np.abs(np.diag(covisibility.overlap)).max() == 0
-    mapped = covisibility.of(rendered.splits.map).mutual
+    mapped = covisibility.select(rendered.splits.map).mutual
     assert np.median(mapped.max(1)) > 0.4
     winter = rendered.splits.queries["winter-dusk-oblique-query"]
     rows = [frames.index(name) for name in winter]

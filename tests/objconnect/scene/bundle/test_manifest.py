@@ -152,7 +152,9 @@ def test_sessions_are_folders_of_the_scene(name: str, tmp_path: Path) -> None:
 )
 def test_split_frames_lie_in_the_scene(splits: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "splits.json").write_text(json.dumps(splits))
-    with pytest.raises(InputError, match=r"splits\.json: (it does not lie|a session is named)"):
+    with pytest.raises(
+        InputError, match=r"splits\.json: (it does not lie|a session must be the name)"
+    ):
         read_json(tmp_path / "splits.json", Splits, "split list")
 
 
@@ -163,7 +165,7 @@ def test_how_exactly_a_scene_is_placed_is_kept(tmp_path: Path) -> None:
         value = MANIFEST.model_copy(update={**flown, "georeference": georeference})
         write_json(tmp_path / "scene.json", value)
         read = read_json(tmp_path / "scene.json", Manifest, "scene")
-        assert read == value and read.on_earth == georeference
+        assert read == value and read.effective_georeference == georeference
         # Earlier versions read what they can.
         assert ("georeference" in json.loads((tmp_path / "scene.json").read_text())) == (
             georeference is not None
@@ -171,10 +173,11 @@ def test_how_exactly_a_scene_is_placed_is_kept(tmp_path: Path) -> None:
 
 
 def test_invented_worlds_are_where_their_origin_says() -> None:
-    assert MANIFEST.on_earth == EXACT
-    assert MANIFEST.model_copy(update={"config": {"site": {"dsm": "a.tif"}}}).on_earth is None
-    assert MANIFEST.model_copy(update={"preset": None}).on_earth is None, "of an orthophoto"
-    assert MANIFEST.model_copy(update={"reference": "sfm"}).on_earth is None
+    assert MANIFEST.effective_georeference == EXACT
+    of_a_site = {"config": {"site": {"dsm": "a.tif"}}}
+    of_an_orthophoto = {"preset": None}
+    for changes in (of_a_site, of_an_orthophoto, {"reference": "sfm"}):
+        assert MANIFEST.model_copy(update=changes).effective_georeference is None, changes
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def test_a_tree_has_two_cameras(street: Path, tmp_path: Path) -> None:
         fisheye = Camera("OPENCV_FISHEYE", 96, 64, camera.params)
         frames = dataclasses.replace(read_frames(path), cameras=(fisheye,) * 6)
         write_frames(path, frames, (), iter(()))
-    with pytest.raises(InputError, match="a fisheye is none"):
+    with pytest.raises(InputError, match="cannot hold a fisheye"):
         export(street, "cmu", tmp_path / "out", ["map-left", "map-right"])
 
 
@@ -244,7 +244,7 @@ def test_points_are_inside_one_of_two_neighbours(street: Path) -> None:
     rng = np.random.default_rng(2)
     points = rng.uniform([-40, -40, 0], [40, 40, 5], (500, 3))
     objects = Scene.open(street).objects
-    inside = np.array([part.hold(points) for part in objects.surroundings])
+    inside = np.array([part.contains(points) for part in objects.surroundings])
     assert (inside.sum(0) == 1).all()
     expected = [next(n for n, west, east in PARTS if west < x < east) for x in points[:, 0]]
     assert objects.surroundings_at(points) == expected

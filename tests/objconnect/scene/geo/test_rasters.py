@@ -174,7 +174,7 @@ REFUSED: dict[str, tuple[Kind, np.ndarray, dict[str, Any], str]] = {
         "surface model", HEIGHTS, {"transform": UPRIGHT @ Affine.rotation(10)}, "is rotated",
     ),
     "south above": (
-        "surface model", HEIGHTS, {"transform": Affine(1, 0, 5e5, 0, 1, 5e6)}, "north above",
+        "surface model", HEIGHTS, {"transform": Affine(1, 0, 5e5, 0, 1, 5e6)}, "upside down",
     ),
     "no place": ("surface model", HEIGHTS, {"transform": Affine.identity()}, "no geotransform"),
     "a colour as heights": ("surface model", COLOURS, {}, "3 bands, heights are one band"),

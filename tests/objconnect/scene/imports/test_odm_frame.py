@@ -13,7 +13,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.imports.formats import read_foreign
 from objconnect.scene.imports.poses import Frame
-from objconnect.scene.quantities.horizontal_axes import axes_of, convergence, utm_zone
+from objconnect.scene.quantities.horizontal_axes import convergence, infer_axes, utm_zone
 from tests.objconnect.scene.imports.made_models import (
     Truth,
     made_truth,
@@ -89,7 +89,7 @@ def test_a_projected_file_alone_is_refused(odm: tuple[Path, Truth], tmp_path: Pa
         read_foreign(alone)
     with pytest.raises(InputError, match=r"by gps_position .*, but topocentric by --poses-frame"):
         read_foreign(alone, "topocentric")
-    with pytest.raises(InputError, match=r"nothing tells its offset: give .*coords\.txt"):
+    with pytest.raises(InputError, match=r"its offset is unknown: give .*coords\.txt"):
         read_foreign(alone, "projected")
 
 
@@ -230,7 +230,7 @@ def test_opensfm_without_gps_is_nowhere_on_earth(
     path = tmp_path / "reconstruction.json"
     path.write_text(shots_of(truth, truth.world_from_cam, False))
     assert read_foreign(path).origin is None
-    assert "reference_lla 0, 0 is OpenSfM's without GPS" in caplog.text
+    assert "reference_lla is 0, 0, OpenSfM's value without GPS" in caplog.text
     document = json.loads(path.read_text())
     document[0]["frame"] = "topocentric"
     path.write_text(json.dumps(document))
@@ -299,8 +299,11 @@ def test_axes_that_positions_do_not_tell_are_unknown() -> None:
     gps = rng.uniform(-50, 50, (20, 2))
     cos, sin = np.cos(0.03), np.sin(0.03)
     turned = gps @ np.array([[cos, sin], [-sin, cos]]) + 7
-    assert axes_of(gps + 3, gps, 0.03).value == "east and north"
-    assert axes_of(turned, gps, 0.03).value == "grid"
-    assert axes_of(turned, gps, -0.03).value == "grid" or not axes_of(turned, gps, -0.03).is_known
-    assert not axes_of(turned, gps + rng.normal(0, 9, gps.shape), 0.03).is_known
-    assert not axes_of(turned, np.full_like(gps, np.nan), 0.03).is_known
+    assert infer_axes(gps + 3, gps, 0.03).value == "east and north"
+    assert infer_axes(turned, gps, 0.03).value == "grid"
+    assert (
+        infer_axes(turned, gps, -0.03).value == "grid"
+        or not infer_axes(turned, gps, -0.03).is_known
+    )
+    assert not infer_axes(turned, gps + rng.normal(0, 9, gps.shape), 0.03).is_known
+    assert not infer_axes(turned, np.full_like(gps, np.nan), 0.03).is_known

@@ -191,7 +191,7 @@ def test_an_enormous_count_is_refused_at_once(damaged: Path, name: str, claim: i
         (TRANSLATION, struct.pack("<d", np.inf), "pose that is not finite"),
         (QUATERNION, struct.pack("<4d", 2, 0, 0, 0), "quaternion of length 2.0000 instead of 1"),
         (QUATERNION, struct.pack("<4d", 0, 0, 0, 0), "quaternion of length 0.0000 instead of 1"),
-        (CAMERA, struct.pack("<I", 77), "has camera 77, which is not there"),
+        (CAMERA, struct.pack("<I", 77), "has the unknown camera 77"),
         (NAME, b"\xff\xfe", "damaged name"),
     ],
 )

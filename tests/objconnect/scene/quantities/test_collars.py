@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from objconnect.scene.quantities.collars import collar_of
+from objconnect.scene.quantities.collars import describe_collar
 
 PICTURE = np.random.default_rng(8).uniform(1, 254, (3, 60, 80)).astype(np.float32)
 
 
 def told(picture: NDArray[np.float32], rows: int = 16) -> str | None:
-    return collar_of(picture[:, k : k + rows] for k in range(0, picture.shape[1], rows))
+    return describe_collar(picture[:, k : k + rows] for k in range(0, picture.shape[1], rows))
 
 
 @pytest.mark.parametrize(("value", "name"), [(255, "white"), (0, "black")])

@@ -7,19 +7,13 @@ import pytest
 from objconnect.scene.errors import InputError
 from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.quantities.numbers import parse_number
-from objconnect.scene.quantities.reading import Reading, choose_first, known, unknown
+from objconnect.scene.quantities.reading import Reading, known, unknown
 
 
 def test_a_reading_without_a_value_names_its_field_in_the_error() -> None:
     height: Reading[float] = unknown("GPSAltitude", "GPSAltitudeRef is 7")
     with pytest.raises(InputError, match=r"a.jpg: GPSAltitude is unknown \(GPSAltitudeRef is 7\)"):
         height.require("a.jpg", "give --undulation")
-
-
-def test_the_first_known_reading_keeps_the_doubts_of_those_before_it() -> None:
-    best = choose_first(unknown("EXIF", "no reference"), known(-92.0, "XMP"), known(92.0, "IPTC"))
-    assert best == Reading(-92.0, "XMP", ("no reference",))
-    assert choose_first(unknown("a", "x"), unknown("b", "y")) == Reading(None, "a", ("x", "y"))
 
 
 def test_a_changed_reading_keeps_source_and_doubts() -> None:

@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 import torch
 
-from objconnect.scene.runtime.threads import in_threads, torch_threads
+from objconnect.scene.runtime.threads import map_in_threads, torch_threads
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -27,7 +27,7 @@ def test_in_order_and_few_ahead(threads: int) -> None:
         return number**2
 
     with torch_threads(threads):
-        results = in_threads(work, items())
+        results = map_in_threads(work, items())
         assert [next(results) for _ in range(10)] == [k**2 for k in range(10)]
         results.close()
         assert torch.get_num_threads() == threads
@@ -38,7 +38,7 @@ def test_in_order_and_few_ahead(threads: int) -> None:
 def test_several_at_a_time() -> None:
     met = threading.Barrier(2, timeout=20)
     with torch_threads(2):
-        assert len(list(in_threads(lambda _: met.wait(), range(4)))) == 4
+        assert len(list(map_in_threads(lambda _: met.wait(), range(4)))) == 4
 
 
 def test_an_error_ends_it() -> None:
@@ -48,5 +48,5 @@ def test_an_error_ends_it() -> None:
         return number
 
     with torch_threads(2), pytest.raises(ValueError, match="two"):
-        list(in_threads(work, range(100)))
+        list(map_in_threads(work, range(100)))
     assert torch.get_num_threads() == 1
