@@ -23,9 +23,9 @@ import numpy as np
 import torch
 
 from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.localization.pipeline.localize import localize_video
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import open_place
 from objconnect.localization.pipeline.tracking import SequenceConfig
 from objconnect.methods import create
 from objconnect.scene.exports.export import export
@@ -151,7 +151,7 @@ def main() -> None:
         if given.black is not None:
             blank(flown / f"{given.session}.MP4", *given.black)
     truth = read_poses(flown / f"{given.session}-poses.txt")
-    place = open_place(given.map)
+    place = open_map(given.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in given.runs:
         localizer = Timed(create(given.method, {}))

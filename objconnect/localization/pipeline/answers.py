@@ -1,4 +1,4 @@
-"""What ``localize`` writes of the photographs: poses, a table, and files of other tools."""
+"""Output files of ``localize``: poses, a table, GeoJSON, KML, MAVLink logs and ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile
 
-# By these a file of this command is recognized. The columns after the first ones came later.
+# The header and the first columns mark a file as one of this command, which it may replace.
 _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
@@ -51,12 +51,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Geography:
-    """What a place is said in beside WGS84.
+    """The coordinates that are written beside WGS84, and the accuracy of the map on earth.
 
     Attributes:
-        undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
-        projection: a coordinate reference system; None for none.
-        georeference: how exactly the map is placed on earth; None if unknown.
+        undulation_m: height of the geoid above the ellipsoid; None leaves out heights above sea
+            level.
+        projection: coordinate reference system; None for none.
+        georeference: accuracy of the map's position on earth; None if unknown.
     """
 
     undulation_m: float | None = None
@@ -64,7 +65,7 @@ class Geography:
     georeference: Georeference | None = None
 
     def values(self, place: Geodetic) -> dict[str, str | float]:
-        """Return the height above sea level and the coordinates of a place."""
+        """Return the height above sea level and the projected coordinates of a position."""
         known: dict[str, str | float] = {}
         if self.undulation_m is not None:
             known["sea_level_m"] = round(place.altitude - self.undulation_m, 3)
@@ -83,13 +84,13 @@ class Located:
     Attributes:
         name: file name.
         estimate: pose, in the frame of the map.
-        place: the camera on earth; None if unknown.
-        time: when it was taken; None if the photograph does not say.
-        camera: its camera; None if it cannot be read.
+        place: position of the camera on earth; None if unknown.
+        time: when it was taken; None if unknown.
+        camera: its camera; None if the photograph cannot be read.
         source: where the camera comes from.
         seconds: time from the start of its sequence; None outside one.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: what the photograph does not say for sure, of what was taken from it.
+        doubts: metadata of the photograph that were used though they are uncertain.
     """
 
     name: str
@@ -104,7 +105,7 @@ class Located:
 
     @property
     def reason(self) -> str:
-        """Return the reason of the estimate, then what the photograph does not say for sure."""
+        """Return the reason of the estimate, then the doubts about the metadata."""
         own = self.estimate.reason
         more = (doubt for doubt in self.doubts if doubt not in own)
         return "; ".join(each for each in (own, *more) if each)
@@ -137,11 +138,11 @@ class Located:
         return math.sqrt(east + north), math.sqrt(up)
 
     def accuracy(self, geography: Geography) -> EarthAccuracy:
-        """Return how exact the position on earth is."""
+        """Return the accuracy of the position on earth."""
         return combine_accuracies(self.covariance, geography.georeference)
 
     def to_stamped(self, geography: Geography) -> StampedPose | None:
-        """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
+        """Return the pose with its time, which is taken as UTC; None if either is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
         if not self.found or pose is None or centre is None or self.place is None:
             return None
@@ -154,8 +155,8 @@ class Located:
         )
 
     def values(self, geography: Geography) -> dict[str, str | float]:
-        """Return what is known of time, heights, coordinates, attitude, uncertainty, camera and
-        method."""
+        """Return the table's values that are known: time, heights, coordinates, attitude,
+        uncertainty, camera and method."""
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
@@ -174,7 +175,7 @@ class Located:
             known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
-            # A prior says nothing of a focal length that is to be estimated.
+            # A fallback pose says nothing about a focal length that is to be estimated.
             estimated = self.found and self.estimate.inliers > 0
             if estimated or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
@@ -186,15 +187,19 @@ class Located:
 
 
 def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
-    """Return the files that ``write_answers`` writes: poses, the table beside, and further ones.
+    """Return the files that ``contents`` fills: poses, the table beside them, and further files.
+
+    Args:
+        poses: text file of the poses.
+        also: further files; the ending selects the format, one of ``FURTHER``.
 
     Raises:
-        InputError: the name of the poses is that of a table, or a further file has an ending that
-            is not one of ``FURTHER``, or needs a package that is not installed.
+        InputError: ``poses`` ends in .csv, an ending is unknown, or the package that a format needs
+            is not installed.
     """
     if not poses.name or poses.suffix.lower() == _TABLE:
         raise InputError(
-            f"{poses} cannot name the poses, for a table lies beside: let it end in .txt"
+            f"{poses} cannot hold the poses: its name is that of the table; let it end in .txt"
         )
     for path in also:
         if path.suffix.lower() not in FURTHER:
@@ -211,7 +216,7 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
 def contents(
     located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield the files that ``outputs`` named, with their texts."""
+    """Yield the paths that ``outputs`` returned, with the bytes to write there."""
     poses, table, *also = (file.path for file in files)
     yield poses, _pose_lines(located).encode()
     yield table, _table(located, geography).encode()
@@ -238,7 +243,7 @@ def _table(located: Sequence[Located], geography: Geography) -> str:
 
 
 def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
-    """Return the row of a photograph; columns that are unknown are missing."""
+    """Return the table's row of a photograph without the columns that are unknown."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
     row |= {"inliers": str(estimate.inliers), "reason": for_terminal(item.reason)}
@@ -259,9 +264,9 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
 
 
 def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not found.
+    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not localized.
 
-    Altitudes are above the ellipsoid, as the standard has them.
+    Altitudes are above the ellipsoid, as the standard requires.
     """
     features = []
     for item in located:
@@ -282,9 +287,9 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _kml(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return KML 2.2: a placemark for each photograph that was found, and their path.
+    """Return KML 2.2: a placemark for each localized photograph, and their path.
 
-    Its altitudes are above sea level. Where that is not known, the marks lie on the ground.
+    Altitudes are above sea level. Where the geoid is unknown, the marks are clamped to the ground.
     """
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
@@ -309,7 +314,7 @@ def _kml(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _stamp(time: datetime) -> str:
-    """Return a time as a photograph has it, to the millisecond."""
+    """Return a time in ISO 8601 without zone, to the millisecond."""
     return time.replace(tzinfo=None).isoformat(timespec="milliseconds")
 
 
@@ -338,12 +343,12 @@ def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
-    """Return what was found, sorted by time."""
+    """Return the localized photographs that have a time, sorted by it."""
     found = [item for item in located if item.found]
     poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
         log.warning(
-            "%d of %d photographs have no time: logs and bags lack them",
+            "%d of %d photographs have no time and are left out of logs and bags",
             len(found) - len(poses),
             len(found),
         )
@@ -358,5 +363,5 @@ FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = 
 }
 """Formats of further files by their ending."""
 
-# What looks, before any work, whether the package of a format is installed.
+# Importers that fail, before any work, if the package of a format is not installed.
 _PACKAGES: Final[Mapping[str, Callable[[], object]]] = {".tlog": dialect, ".mcap": library}
