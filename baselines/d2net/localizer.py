@@ -75,7 +75,7 @@ class D2NetExtractor(Extractor):
     """Extracts the strongest ``max_features`` keypoints of an image."""
 
     name = "d2net"
-    turned = False
+    rotation_invariant = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
         self._device = torch_device(config.device)

@@ -33,7 +33,7 @@ _TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
 _CLEAR_RATIO: Final = 2.0
 
 
-class ObjectPlaceOptions(Config):
+class ObjectSearchOptions(Config):
     """Options of starts from objects."""
 
     candidates: int = Field(
@@ -47,7 +47,7 @@ class ObjectPlaceOptions(Config):
     )
 
 
-class ObjectPlaceFinder:
+class ObjectSearch:
     """Finds places of a map by the objects of a query.
 
     Args:
@@ -61,7 +61,7 @@ class ObjectPlaceFinder:
     """
 
     def __init__(
-        self, network: ObjConnectNet, extract: MapExtractor, options: ObjectPlaceOptions
+        self, network: ObjConnectNet, extract: MapExtractor, options: ObjectSearchOptions
     ) -> None:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options

@@ -12,7 +12,7 @@ from objconnect.learning.inference import fold
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import SearchingConfig
-from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions
+from objconnect.network.finder import ObjectSearch, ObjectSearchOptions
 from objconnect.network.network import read_network
 from objconnect.scene.runtime.device import torch_device
 
@@ -23,8 +23,8 @@ SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
 class ObjConnectConfig(SearchingConfig):
     """Options of the objconnect localizer."""
 
-    objects: ObjectPlaceOptions | None = Field(
-        ObjectPlaceOptions(),
+    objects: ObjectSearchOptions | None = Field(
+        ObjectSearchOptions(),
         description="Starts from objects where no prior gives them, before the place search; None "
         "for none.",
     )
@@ -44,5 +44,5 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
         objects = None
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)
-            objects = ObjectPlaceFinder(network, extract, config.objects)
+            objects = ObjectSearch(network, extract, config.objects)
         super().__init__("objconnect", network, digest, config, objects)

@@ -10,7 +10,7 @@ from pydantic import Field
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.inference import Precision, fold
 from objconnect.localization.cache.map_cache import open_cache
-from objconnect.localization.coarse.finder import LONGEST, PlaceFinder, PlaceOptions
+from objconnect.localization.coarse.finder import LONGEST, CoarseSearch, CoarseSearchOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
@@ -32,7 +32,7 @@ class PlaceConfig(Config):
     precision: Precision = Field(
         "auto", validate_default=True, description="Precision of the convolutions."
     )
-    place: PlaceOptions = Field(PlaceOptions(), description="Search of the map.")
+    place: CoarseSearchOptions = Field(CoarseSearchOptions(), description="Search of the map.")
 
 
 class PlaceLocalizer:
@@ -50,7 +50,7 @@ class PlaceLocalizer:
         fold(network, config.precision)
         self.weights_sha256: str | None = digest
         extract = MapExtractor(network, 2 * LONGEST, config.precision)
-        self._finder = PlaceFinder(extract, config.place)
+        self._finder = CoarseSearch(extract, config.place)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""

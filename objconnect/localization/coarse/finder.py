@@ -15,7 +15,7 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
-from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, PlaceSearch
+from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import metres_per_pixel, observed_xyz, of_map, scale_to
 from objconnect.scene.config import Config
@@ -48,7 +48,7 @@ LONGEST: Final = 256
 _MOST_TILT: Final = math.radians(45)
 
 
-class PlaceOptions(Config):
+class CoarseSearchOptions(Config):
     """Options of the search for a place."""
 
     candidates: int = Field(16, ge=0, description="Places to return at most; 0 for no search.")
@@ -60,7 +60,7 @@ class PlaceOptions(Config):
     )
 
 
-class PlaceFinder:
+class CoarseSearch:
     """Finds places in a map with the coarsest features of a network.
 
     Args:
@@ -68,7 +68,7 @@ class PlaceFinder:
         options: of the search.
     """
 
-    def __init__(self, extract: MapExtractor, options: PlaceOptions) -> None:
+    def __init__(self, extract: MapExtractor, options: CoarseSearchOptions) -> None:
         self._extract = extract
         self._options = options
 
@@ -98,7 +98,7 @@ class PlaceFinder:
 
         store = kept.store("mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGEST, rows=rows)
         self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
-        self._search = PlaceSearch(self._mosaic)
+        self._search = MosaicSearch(self._mosaic)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
@@ -139,7 +139,7 @@ class PlaceFinder:
 
 
 def hypotheses(
-    prior: Prior | None, options: PlaceOptions, grid: GroundGrid, height: float
+    prior: Prior | None, options: CoarseSearchOptions, grid: GroundGrid, height: float
 ) -> Hypotheses:
     """Return where a camera may be, given what is known.
 

@@ -102,7 +102,7 @@ class _Peak(NamedTuple):
     rotation: Tensor
 
 
-class PlaceSearch:
+class MosaicSearch:
     """Finds the places of a mosaic that look most like a query.
 
     Args:
@@ -126,7 +126,7 @@ class PlaceSearch:
             count: of the candidates.
         """
         peaks: list[_Peak] = []
-        with progress_within("place search", len(hypotheses.passes)) as advance:
+        with progress_within("coarse search", len(hypotheses.passes)) as advance:
             for done, rotation in enumerate(hypotheses.passes, 1):
                 peaks += self._peaks(look, rotation, hypotheses)
                 advance(done)

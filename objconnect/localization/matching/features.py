@@ -49,12 +49,12 @@ class Extractor(ABC):
     name: str
     options: str
     weights_sha256: str | None = None
-    turned: bool = True
+    rotation_invariant: bool = True
 
     @property
     def identity(self) -> tuple[object, ...]:
         """Return all of this object that decides the features of a photograph."""
-        return self.options, self.weights_sha256, self.turned
+        return self.options, self.weights_sha256, self.rotation_invariant
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -148,7 +148,7 @@ def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]
     keys = {name: _key(kept, extractor, name) for name in kept.names}
 
     def rows(earlier: Earlier) -> Rows:
-        names, together = kept.names, _TOGETHER if extractor.turned else 1
+        names, together = kept.names, _TOGETHER if extractor.rotation_invariant else 1
         with progress_bar(f"{extractor.name} map features", len(names)) as advance:
             for first in range(0, len(names), together):
                 some = names[first : first + together]
@@ -174,7 +174,7 @@ def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
     """Return a digest of all that the features of a photograph depend on."""
     image = kept.sparse_map.images[name]
     seen: tuple[object, ...] = ()
-    if not extractor.turned:
+    if not extractor.rotation_invariant:
         seen = north_angle(image.cam_from_world[:3, :3]), image.camera
     return digest_of(*extractor.identity, kept.digests[name], *seen)
 
@@ -190,7 +190,7 @@ def _extract_all(
         names: of the photographs.
         on_progress: receives the number of finished photographs.
     """
-    if extractor.turned:
+    if extractor.rotation_invariant:
         found = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
         return {name: vars(features) for name, features in found.items()}
     extracted: dict[str, Arrays] = {}
@@ -205,7 +205,7 @@ def _extract_all(
 def _reuse_map_features(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
     """Return the features that a map was built from, where an extractor would find the same."""
     path = kept.sparse_map.features
-    if path is None or extractor.weights_sha256 is not None or not extractor.turned:
+    if path is None or extractor.weights_sha256 is not None or not extractor.rotation_invariant:
         return None
     try:
         found = FeatureFile(path)

@@ -165,7 +165,7 @@ class StructureLocalizer:
             with clock.stage("features"):
                 return self._extractor(query.image)
 
-        turned = self._extractor.turned
+        turned = self._extractor.rotation_invariant
         if turned:
             extract_upright()
         with clock.stage("retrieval"):

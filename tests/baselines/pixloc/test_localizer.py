@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
-from objconnect.localization.coarse.finder import PlaceOptions
+from objconnect.localization.coarse.finder import CoarseSearchOptions
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.references import POINTS
@@ -186,7 +186,7 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
     sure = replace(unknown, position_sigma=np.array([2.0, 2.0, 1.0]))
     found, misled = {}, {}
     for many in (False, True):
-        place = PlaceOptions(candidates=5 if many else 0)
+        place = CoarseSearchOptions(candidates=5 if many else 0)
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many, place=place))
         localizer.prepare(*made)
         found[many] = errors(localizer.localize(replace(QUERY, prior=unknown)))[0]
@@ -206,7 +206,7 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)
     localizer = PixlocLocalizer(
-        PixlocConfig(weights=weights, multistart=True, place=PlaceOptions())
+        PixlocConfig(weights=weights, multistart=True, place=CoarseSearchOptions())
     )
     localizer.prepare(*made)
     estimate = localizer.localize(query)
