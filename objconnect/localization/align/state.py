@@ -1,4 +1,4 @@
-"""Where a descent is."""
+"""The state of a minimisation."""
 
 from __future__ import annotations
 
