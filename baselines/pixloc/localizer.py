@@ -15,11 +15,11 @@ from objconnect.scene.config import with_default
 from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
-"""The weights that come with the project."""
+"""The shipped weights."""
 
 
 class PixlocConfig(FeaturemetricConfig):
-    """Options of the pixloc localizer. It aligns once, to the map's points, as its authors do.
+    """Options of the pixloc localizer, which aligns once to the map's points, as its authors do.
 
     ``weights`` may be a checkpoint of the authors.
     """
@@ -28,7 +28,7 @@ class PixlocConfig(FeaturemetricConfig):
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
-    """The localizer ``pixloc``; the module describes it.
+    """The localizer ``pixloc``.
 
     Raises:
         InputError: the weights are missing or belong to another network.
@@ -42,15 +42,15 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 
 
 class PixlocSearchConfig(SearchingConfig):
-    """Options of the pixloc-search localizer, those of ``objconnect`` but for its objects.
+    """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
 
-    It is the control of comparisons: against ``pixloc`` it shows what the search, the corners and
-    more references do, and ``objconnect`` against it what the network does.
+    It is the control of comparisons: its gain over ``pixloc`` is that of the search, the corners
+    and more reference images, and the gain of ``objconnect`` over it is that of the network.
     """
 
 
 class PixlocSearchLocalizer(FeaturemetricLocalizer):
-    """The localizer ``pixloc-search``; ``PixlocSearchConfig`` describes it.
+    """The localizer ``pixloc-search``; see ``PixlocSearchConfig``.
 
     Raises:
         InputError: the weights are missing or belong to another network.

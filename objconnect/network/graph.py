@@ -1,8 +1,8 @@
 """Graphs over the points of an object, and over the objects of a scene.
 
-The points of an object are the cells of its region, and not the cloud's points that the current
-pose projects into it. The features then depend on the image alone. They can be cached and shared by
-any number of pose hypotheses.
+The points of an object are the cells of its region, not the map points that the current pose
+projects into it. The features then depend on the image alone, and any number of pose hypotheses
+share them.
 """
 
 from __future__ import annotations

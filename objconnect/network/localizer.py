@@ -1,4 +1,4 @@
-"""The object-connect network as a localizer: aligned like PixLoc's, from many starts."""
+"""The localizer ``objconnect``: alignment of the object-connect network's features."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from objconnect.network.network import read_network
 from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
-"""The weights that come with the project."""
+"""The shipped weights."""
 
 
 class ObjConnectConfig(SearchingConfig):
@@ -25,13 +25,12 @@ class ObjConnectConfig(SearchingConfig):
 
     objects: ObjectSearchOptions | None = Field(
         ObjectSearchOptions(),
-        description="Starts from objects where no prior gives them, before the place search; None "
-        "for none.",
+        description="Search by objects for images without position or heading; None for none.",
     )
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):
-    """See the module.
+    """The localizer ``objconnect``.
 
     Raises:
         InputError: the weights are missing or not of this network.

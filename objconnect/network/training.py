@@ -1,4 +1,4 @@
-"""The object-connect network for the training loop."""
+"""Training of the object-connect network."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from objconnect.scene.errors import InputError
 
 
 class ObjConnectTraining:
-    """Implements ``Trainable``. It trains like PixLoc, with (7) added.
+    """Implements ``Trainable``: PixLoc's training with equation (7) added.
 
     ``TrainConfig.network`` takes the switches of ``ObjConnectNetConfig``. ``TrainConfig.weights``
     may be weights of this network, also with other switches, or weights of PixLoc.

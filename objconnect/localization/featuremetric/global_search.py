@@ -24,7 +24,7 @@ from objconnect.localization.featuremetric.attempt import (
 )
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.priors import has_position, is_near_prior
-from objconnect.localization.featuremetric.references import ReferenceSource, Watch
+from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.starts import start_of, starts
 from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
@@ -53,7 +53,7 @@ class CandidateFinder(Protocol):
 
     is_first: bool
 
-    def watcher(self, source: ReferenceSource) -> Watch | None:
+    def observer(self, source: ReferenceSource) -> FeatureObserver | None:
         """Return an observer of the feature maps of a map's photographs, or of a part of them,
         while these are computed; None if none is needed."""
         ...

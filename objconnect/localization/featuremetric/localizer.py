@@ -137,7 +137,7 @@ class FeaturemetricLocalizer:
         config, sparse_map = self.config, kept.sparse_map
         source = self._source(kept)
         other = self._other if config.multistart else None
-        watch = None if other is None else other.watcher(source)
+        watch = None if other is None else other.observer(source)
         observations = references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
@@ -186,7 +186,7 @@ class FeaturemetricLocalizer:
             create_matcher(config.matches).prepare_part(sparse_map, images, cache, part)
         source = self._source(MapCache.of(sparse_map, images, cache, part))
         other = self._other if config.multistart else None
-        write_part(source, None if other is None else other.watcher(source))
+        write_part(source, None if other is None else other.observer(source))
 
     def _source(self, kept: MapCache) -> ReferenceSource:
         """Return the inputs of the reference features of a map."""

@@ -41,7 +41,7 @@ GRID: Final = 16
 """Cells along each side of the grid that spreads points over a picture."""
 
 
-class Watch(Protocol):
+class FeatureObserver(Protocol):
     """Observes feature maps of a map's photographs while these are computed."""
 
     def lacks(self, image: MapImage, key: str) -> bool:
@@ -156,7 +156,7 @@ def _read(store: Store, names: Sequence[str], photograph: int) -> Observations:
 
 
 def references(
-    source: ReferenceSource, memory_mb: int, watch: Watch | None = None
+    source: ReferenceSource, memory_mb: int, watch: FeatureObserver | None = None
 ) -> ReferenceFeatures:
     """Return the observations of a map's photographs, computed unless the cache holds them.
 
@@ -174,7 +174,7 @@ def references(
     return ReferenceFeatures(store, source.arrays, source.metres_per_pixel, room(memory_mb))
 
 
-def write_part(source: ReferenceSource, watch: Watch | None) -> None:
+def write_part(source: ReferenceSource, watch: FeatureObserver | None) -> None:
     """Compute the observations of a part of a map's photographs, unless the cache holds all.
 
     The arguments and errors are those of ``references``, which copies what this has written.
@@ -185,7 +185,7 @@ def write_part(source: ReferenceSource, watch: Watch | None) -> None:
             watch.write()
 
 
-def _compute_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier) -> Rows:
+def _compute_rows(source: ReferenceSource, watch: FeatureObserver | None, earlier: Earlier) -> Rows:
     """Run the network on photographs of a map and yield the features at their points.
 
     Args:

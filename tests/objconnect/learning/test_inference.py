@@ -10,10 +10,10 @@ from torch import nn
 
 from objconnect.learning.inference import ConvReLU, Pooling, fold
 from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
+from objconnect.network.coarse_localizer import CoarseLocalizerConfig
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import ObjConnectConfig
 from objconnect.network.network import ObjConnectNet
-from objconnect.network.place import PlaceConfig
 
 
 def trained(network: nn.Module) -> nn.Module:
@@ -76,7 +76,7 @@ def test_bfloat16_is_near() -> None:
         assert 0 < float((a - b).norm() / b.norm()) < 0.03
 
 
-@pytest.mark.parametrize("config", [ObjConnectConfig, PlaceConfig])
+@pytest.mark.parametrize("config", [ObjConnectConfig, CoarseLocalizerConfig])
 @pytest.mark.parametrize(
     ("units", "used"),
     [

@@ -82,11 +82,11 @@ def test_objects_are_found_in_the_feature_maps_of_references(
     alone, beside = tmp_path / "alone", tmp_path / "beside"
     finder.prepare(source_of(finder, rendered.sparse_map(), rendered, alone))
     source = source_of(finder, rendered.sparse_map(), rendered, beside)
-    references(source, 64, finder.watcher(source))
+    references(source, 64, finder.observer(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
         finder.prepare(source)
-    assert finder.watcher(source) is None
+    assert finder.observer(source) is None
     (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
     assert one.name == other.name
     found, again = landmarks_in(one), landmarks_in(other)
@@ -128,7 +128,7 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
 
     monkeypatch.setattr(MapExtractor, "__call__", counted)
     source = source_of(finder, whole, rendered, grown)
-    references(source, 64, finder.watcher(source))
+    references(source, 64, finder.observer(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
     finder.prepare(source)
     assert len(asked) == len(whole.names)

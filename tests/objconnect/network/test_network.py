@@ -228,5 +228,5 @@ def test_coarse_levels_alone_are_those_of_all(decoder: str) -> None:
 
 def test_weights_may_record_what_is_no_option_any_more() -> None:
     assert ObjConnectNetConfig(**{"finest_object_stride": 4}) == ObjConnectNetConfig()
-    with pytest.raises(ValueError, match="finest_object_stride is 8 in these weights, and 4 here"):
+    with pytest.raises(ValueError, match="finest_object_stride is 8 in these weights; only 4"):
         ObjConnectNetConfig(**{"finest_object_stride": 8})

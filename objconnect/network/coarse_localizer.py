@@ -1,4 +1,4 @@
-"""Place search with the object-connect network, as a method of its own: the best start it finds."""
+"""The localizer ``place``: the best candidate of the coarse search, without alignment."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.device import AUTO, Device, torch_device
 
 
-class PlaceConfig(Config):
+class CoarseLocalizerConfig(Config):
     """Options of the method ``place``."""
 
     weights: Path | None = Field(
         None,
-        description="File of an object-connect network; None is the one that comes with the "
-        "project.",
+        description="File of an object-connect network's weights; None for the shipped ones.",
     )
     device: Device = AUTO
     precision: Precision = Field(
@@ -35,15 +34,15 @@ class PlaceConfig(Config):
     place: CoarseSearchOptions = Field(CoarseSearchOptions(), description="Search of the map.")
 
 
-class PlaceLocalizer:
-    """Answers the best start of the place search, unrefined: good to some metres and degrees.
+class CoarseLocalizer:
+    """Returns the best candidate of the coarse search, which is exact to some metres and degrees.
 
-    Implements ``objconnect.scene.localizer.Localizer``.
+    It implements ``objconnect.scene.localizer.Localizer``.
     """
 
     name = "place"
 
-    def __init__(self, config: PlaceConfig) -> None:
+    def __init__(self, config: CoarseLocalizerConfig) -> None:
         self.config = config
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
@@ -59,12 +58,13 @@ class PlaceLocalizer:
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
-        """Search the place of the query."""
+        """Return the best candidate of the coarse search."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("place"):
             candidates = self._finder.find(query)
         if not candidates:
-            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no place looks like it")
+            reason = "the coarse search found no candidate"
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
         return Estimate(Status.OK, candidates[0].pose, seconds=clock.seconds, by=By.PLACE)
