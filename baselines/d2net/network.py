@@ -46,7 +46,6 @@ class D2Net(nn.Module):
     """A network that computes a feature for each cell of an image.
 
     Attributes:
-        config: configuration of the network.
         channels: number of channels of the features.
     """
 

@@ -65,7 +65,6 @@ class Weights:
     Attributes:
         tensors: tensors by the names of the network's ``state_dict``.
         config: configuration of the network; empty where the file has none.
-        sha256: digest of the file.
     """
 
     tensors: dict[str, Tensor]

@@ -63,7 +63,6 @@ class PixlocNet(nn.Module):
     """The network of PixLoc, with the damping of the alignment that is trained with it.
 
     Attributes:
-        config: configuration of the network.
         damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 

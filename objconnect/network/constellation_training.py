@@ -76,9 +76,6 @@ class TrainingQuery(NamedTuple):
     """The objects of a query, laid out at its true heading.
 
     Attributes:
-        name: name of the photograph.
-        session: its session.
-        laid: its objects.
         height: height of the camera above the ground, metres.
         landmark: (N,) row of the landmark of each object, -1 for none.
         xyz: (N, 3) true positions of the objects, world metres.

@@ -84,7 +84,6 @@ class ObjConnectNet(nn.Module):
     """The object-connect network, with the damping of the alignment that is trained with it.
 
     Attributes:
-        config: configuration of the network.
         damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 

@@ -16,7 +16,6 @@ class Crop(NamedTuple):
 
     Attributes:
         image: (S, S, 3) uint8; black outside the photograph.
-        camera: pinhole camera of the crop.
         crop_from_camera: rotation (4, 4) from the photograph's camera frame to the crop's.
         affine: (2, 3) maps pixels of the photograph to those of the crop.
     """

@@ -107,7 +107,6 @@ class PairSources:
     """The sources of the pairs of a run.
 
     Attributes:
-        rendered: pairs of training scenes.
         photographs: pairs of plain photographs, or None.
         validation: pairs of validation scenes, or None for no validation.
     """

@@ -48,8 +48,6 @@ class Pair(NamedTuple):
     Attributes:
         image_a: reference image (S, S, 3) uint8 RGB.
         image_b: query image (S, S, 3) uint8 RGB.
-        camera_a: camera of the reference image.
-        camera_b: camera of the query image.
         b_from_a: rigid transform (4, 4) of the camera frames, metres.
         start: wrong ``b_from_a`` (4, 4) from which an alignment starts.
         points: points (N, 3) that both images show, in the frame of camera a, metres.
@@ -90,10 +88,6 @@ class PairBatch(NamedTuple):
         intrinsics_b: intrinsics of the query cameras, batch shape (B,).
         b_from_a: transforms of batch shape (B,), float32.
         start: wrong transforms of batch shape (B,), float32.
-        points: points (B, N, 3).
-        xy_a: pixels (B, N, 2).
-        xy_b: pixels (B, N, 2).
-        valid: (B, N) bool.
         objects: the objects of the images a, then of the images b; empty if unknown.
     """
 

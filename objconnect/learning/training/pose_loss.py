@@ -24,7 +24,6 @@ class Seen(NamedTuple):
 
     Attributes:
         points: points (B, N, 3), world.
-        intrinsics: intrinsics of the camera.
         valid: points (B, N) to use, bool.
     """
 

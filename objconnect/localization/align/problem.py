@@ -24,7 +24,6 @@ class Problem:
         start: starting poses ``cam_from_world``, batch shape (B,), or (B, K) for K starts of every
             query, which share its features.
         damping: factors (6,) of each level, rotation then translation; see ``learning.damping``.
-        options: options of the minimisation.
         mask: (B, N) bool, points to use, or None for all.
         seen_from: (B, N, 3) camera centres of the points' reference images, world metres; None if
             unknown. Only ``covariance.spread`` uses them.

@@ -24,8 +24,6 @@ class Maps(NamedTuple):
         features: (cells, C).
         trust: (cells, 1) confidence; a single cell if unknown.
         first: (M,) number of the first cell of each pose's map.
-        width: cells.
-        height: cells.
     """
 
     features: Singles
@@ -39,7 +37,6 @@ class Level(NamedTuple):
     """One level of the cost; see ``residuals.LevelCost``.
 
     Attributes:
-        maps: maps of the queries.
         target: (M, N, C) features of the points.
         target_trust: (M, N) confidence of the points; a single number if unknown.
         stride: (2,) pixels per cell, x and y.
@@ -87,7 +84,6 @@ class Points(NamedTuple):
     Attributes:
         xyz: (M, N, 3) metres.
         used: (M, N) whether a point is used.
-        cameras: cameras of the poses.
     """
 
     xyz: Singles
@@ -142,8 +138,6 @@ class Rules(NamedTuple):
         floor: least value that is added to the diagonal.
         small_turn: rotation of a step that ends a level, rad.
         small_shift: translation of a step that ends a level, metres.
-        steps: maximum number of steps.
-        min_points: minimum number of points in view.
     """
 
     damping: Doubles

@@ -106,7 +106,6 @@ class LevelCost:
         target_trust: (M, N) confidence of the points, or None.
         intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
-        scale: scale of the robust cost.
     """
 
     table: CellTable

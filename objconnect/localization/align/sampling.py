@@ -35,8 +35,6 @@ class CellTable:
 
     Attributes:
         cells: (B h w, C) in any floating type; a view where the map is channels-last in memory.
-        width: width of a map.
-        height: height of a map.
     """
 
     cells: Tensor

@@ -16,7 +16,6 @@ class State:
 
     Attributes:
         pose: ``cam_from_world``.
-        around: the cost there.
         iterations: (M,) steps tried.
         damping: (M, 1) factor on the level's damping.
     """

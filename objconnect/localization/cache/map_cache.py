@@ -58,9 +58,6 @@ class MapCache:
     """The cache of a map, with the map and its photographs.
 
     Attributes:
-        sparse_map: the map.
-        images: folder of its photographs.
-        folder: folder of the files.
         digests: digests of the photographs by name, in the order of ``SparseMap.names``.
         part: the photographs that are prepared; None for all.
     """

@@ -60,12 +60,7 @@ class CoarseSearchOptions(Config):
 
 
 class CoarseSearch:
-    """Finds candidate poses of a query in a map with the coarsest features of a network.
-
-    Args:
-        extract: computes feature maps.
-        options: options of the search.
-    """
+    """Finds candidate poses of a query in a map with the coarsest features of a network."""
 
     def __init__(self, extract: MapExtractor, options: CoarseSearchOptions) -> None:
         self._extract = extract

@@ -25,7 +25,6 @@ class Mosaic:
     """Coarse features on the ground, less their mean.
 
     Attributes:
-        grid: grid of the cells.
         features: (K, H, W) float32 of unit length, 0 in unknown cells.
         known: (H, W) float32, 1 where a photograph shows the cell, else 0.
         mean: (C,) the mean feature of all cells.

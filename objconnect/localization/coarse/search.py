@@ -88,7 +88,6 @@ class _Peak(NamedTuple):
     """A peak of the correlation under one hypothesis.
 
     Attributes:
-        score: the correlation.
         x: world metres, east.
         y: world metres, north.
         altitude: height above ground, metres.

@@ -64,12 +64,7 @@ class NeighbourOptions(Config):
 
 
 class Neighbours:
-    """Chooses the neighbours and the depth range of each photograph of a map.
-
-    Args:
-        sparse_map: the map.
-        options: options of the choice.
-    """
+    """Chooses the neighbours and the depth range of each photograph of a map."""
 
     def __init__(self, sparse_map: SparseMap, options: NeighbourOptions) -> None:
         self._map = sparse_map

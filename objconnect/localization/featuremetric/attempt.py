@@ -40,8 +40,6 @@ class Attempt:
     """The outcome of one start.
 
     Attributes:
-        view: the warped image.
-        alignment: alignment of the view.
         spread: uncalibrated covariance of its pose; None where alignment failed.
         fit: cost as a share of the cost by chance; infinite where alignment failed.
         evidence: figures that tell a right pose from a wrong one; None where alignment failed.

@@ -72,8 +72,6 @@ class GlobalSearch:
     """Searches a map for the pose of an image.
 
     Attributes:
-        refine: refines starts.
-        sparse_map: the map.
         coarse: the coarse search; None uses the most similar photographs instead.
         other: a further finder of candidates; None for none.
     """

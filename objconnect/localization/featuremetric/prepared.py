@@ -20,7 +20,6 @@ class MapState:
     """The parts of a localizer that are prepared for a map.
 
     Attributes:
-        refine: refines starts.
         search: localizes images with an incomplete prior.
         tracking: aligns images of a sequence from their predicted pose; None if switched off.
     """

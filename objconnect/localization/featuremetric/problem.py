@@ -69,11 +69,9 @@ class ProblemBuilder:
     """Builds alignment problems of images, reference images and starts (``cam_from_world``).
 
     Attributes:
-        extract: computes feature maps.
         observations: observations of the map's photographs, by row.
         centres: (M, 3) camera centres of the photographs, world metres.
         damping: damping of every level.
-        options: options of the alignment.
         levelling: levels tilted images; None for no image.
     """
 

@@ -65,7 +65,6 @@ class ReferenceSource:
 
     Attributes:
         kept: the map, its photographs and the cache.
-        extract: computes feature maps.
         extractor_key: identifies the network's weights and its options, for the cache.
         name: name of the method, for files and progress.
         points: maximum number of points of a photograph.

@@ -38,10 +38,6 @@ class Refiner:
     """Refines starts of queries in one map.
 
     Attributes:
-        config: options of the method.
-        extract: computes feature maps.
-        problems: builds alignment problems.
-        retrieval: chooses reference images.
         matches: retrieval by SIFT; None if the map was not built from SIFT.
         kept_bytes: resident memory above which the heap is trimmed before a pass of the network.
             Trimming costs time.

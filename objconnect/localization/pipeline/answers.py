@@ -82,12 +82,9 @@ class Located:
     """A photograph with its estimate.
 
     Attributes:
-        name: file name.
-        estimate: pose, in the frame of the map.
         place: position of the camera on earth; None if unknown.
         time: when it was taken; None if unknown.
         camera: its camera; None if the photograph cannot be read.
-        source: where the camera comes from.
         seconds: time from the start of its sequence; None outside one.
         gps: position that a receiver measured, in the map's frame; None without one.
         doubts: metadata of the photograph that were used though they are uncertain.

@@ -39,11 +39,8 @@ class Footage:
     """A video with its telemetry, to be localized.
 
     Attributes:
-        path: file of the video.
-        video: size, rate and duration of the video.
         srt: subtitles with telemetry; None without.
         flight: telemetry of the subtitles; empty without.
-        rate_hz: frames a second to localize.
     """
 
     path: Path

@@ -38,7 +38,6 @@ class TelemetryReader:
     """Converts telemetry to priors in the frame of a map.
 
     Attributes:
-        localization_map: the map.
         options: standard deviations of positions and attitudes.
         undulation_m: height of the geoid above the ellipsoid; None leaves altitudes unknown.
     """

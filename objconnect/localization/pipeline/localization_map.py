@@ -31,8 +31,6 @@ class LocalizationMap:
     """A sparse map, its photographs, and its position on earth.
 
     Attributes:
-        sparse_map: the map.
-        images: folder of its photographs.
         origin: position of its origin on earth; None if unknown.
         georeference: accuracy of that position; None if unknown.
     """

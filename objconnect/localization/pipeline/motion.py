@@ -61,7 +61,6 @@ class Motion:
     """The state of the filter: pose, velocity, turn rate and their covariances.
 
     Attributes:
-        seconds: time of the state.
         pose: ``cam_from_world``.
         velocity: (3,) of the camera centre, m/s.
         turn: (3,) rate of the camera's attitude about east, north and up, rad/s.

@@ -52,9 +52,6 @@ class PhotographFolder:
     """The photographs of a folder.
 
     Attributes:
-        folder: the folder.
-        paths: its photographs by name.
-        reader: reads them as queries.
         rate_hz: photographs per second of a sequence in the order of names; None for EXIF times.
         seconds: time of each from the start of the sequence, without those that cannot be read;
             None where each is localized by itself.

@@ -48,7 +48,6 @@ class PhotographReader:
     """Reads photographs as queries with camera and prior.
 
     Attributes:
-        localization_map: map to localize in.
         options: the camera of all photographs, and standard deviations.
         priors: priors by name; None takes them from EXIF and XMP.
         undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that

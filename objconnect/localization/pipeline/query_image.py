@@ -21,7 +21,6 @@ class QueryImage:
         seconds: from the start of its sequence; None outside one, or if unknown.
         gps: position that a receiver measured, in the map's frame; None without one.
         doubts: metadata or telemetry that was used though it is uncertain.
-        reason: why it cannot be localized.
     """
 
     name: str
