@@ -97,7 +97,7 @@ def report(
     """Return the figures of a run."""
     errors = np.full((len(located), 2), np.inf)
     for row, item in enumerate(located):
-        if item.found and item.estimate.cam_from_world is not None:
+        if item.is_localized and item.estimate.cam_from_world is not None:
             found = item.estimate.cam_from_world.error_to(truth[item.name])
             errors[row] = [float(part) for part in found]
     found = np.isfinite(errors[:, 0])

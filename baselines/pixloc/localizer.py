@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
@@ -34,11 +34,11 @@ class PixlocLocalizer(FeaturemetricLocalizer):
         InputError: the weights are missing or belong to another network.
     """
 
-    def __init__(self, config: PixlocConfig) -> None:
+    def __init__(self, config: FeaturemetricConfig, name: str = "pixloc") -> None:
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
-        fold(network, config.precision)
-        super().__init__("pixloc", network, digest, config)
+        fuse_layers(network, config.precision)
+        super().__init__(name, network, digest, config)
 
 
 class PixlocSearchConfig(SearchingConfig):
@@ -49,15 +49,8 @@ class PixlocSearchConfig(SearchingConfig):
     """
 
 
-class PixlocSearchLocalizer(FeaturemetricLocalizer):
-    """The localizer ``pixloc-search``; see ``PixlocSearchConfig``.
-
-    Raises:
-        InputError: the weights are missing or belong to another network.
-    """
+class PixlocSearchLocalizer(PixlocLocalizer):
+    """The localizer ``pixloc-search``; see ``PixlocSearchConfig``."""
 
     def __init__(self, config: PixlocSearchConfig) -> None:
-        network, digest = read_network(config.weights or shipped_path(SHIPPED))
-        network.to(torch_device(config.device))
-        fold(network, config.precision)
-        super().__init__("pixloc-search", network, digest, config)
+        super().__init__(config, "pixloc-search")

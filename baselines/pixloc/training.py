@@ -16,12 +16,12 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.training.pose_loss import pose_loss
 from objconnect.localization.featuremetric.training import (
-    both,
     contrast_of,
     filters_and_damping,
     half_precision,
     levels_of,
     pixels_of,
+    stack_images,
     unroll,
     view_of_b,
 )
@@ -52,7 +52,7 @@ class PixlocTraining:
         """See ``Trainable``."""
         strides = self.network_config.strides
         with half_precision(batch):
-            maps = self.network(both(batch))
+            maps = self.network(stack_images(batch))
         contrast, figures = contrast_of(maps, strides, batch, self._losses)
         if progress < self._warm_up:
             return contrast, figures

@@ -187,7 +187,7 @@ def localize(
     localizer = create_at_risk(method, settings, risk)
     run = job.localize if video is None else job.localize_video
     located = run(open_map(place), flown, localizer, out, options)
-    localized = sum(item.found for item in located)
+    localized = sum(item.is_localized for item in located)
     what = "photographs" if video is None else "frames"
     text = f"{out}: {localized} of {len(located)} {what} found"
     emit(Summary(text, {"poses": str(out), what: len(located), "found": localized}), as_json)

@@ -99,7 +99,7 @@ def read_weights(path: Path) -> Weights:
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files raise many kinds of exceptions
         raise InputError(
-            f"{path} cannot be read as tensors and plain values: {fault_of(error)}"
+            f"{path} cannot be read as tensors and plain values: {describe_fault(error)}"
         ) from error
     model = content.get("model", content) if isinstance(content, Mapping) else None
     if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):
@@ -108,7 +108,7 @@ def read_weights(path: Path) -> Weights:
     return Weights(named, {}, digest)
 
 
-def fault_of(error: Exception) -> str:
+def describe_fault(error: Exception) -> str:
     """Return what is wrong with a checkpoint, from the exception that torch raised.
 
     torch's own message is not used if it explains how to execute the code in the file.

@@ -108,7 +108,7 @@ class CellwiseConv(nn.Module):
         return rows.permute(0, 3, 1, 2)
 
 
-def fold(network: nn.Module, precision: str) -> None:
+def fuse_layers(network: nn.Module, precision: str) -> None:
     """Fuse the layers of a trained network in place; it can then be neither trained nor saved.
 
     Args:

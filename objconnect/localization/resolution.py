@@ -51,16 +51,16 @@ def metres_per_pixel(
     return float(depth.median()) / float(np.mean(camera.focal))
 
 
-def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
+def map_resolution(sparse_map: SparseMap, scale_of: Callable[[Camera], float]) -> float:
     """Return the median metres per pixel of a map's resized photographs, NaN if unknown.
 
     Args:
         sparse_map: the map.
-        shrunk: returns the scale of a camera's photographs.
+        scale_of: returns the scale of a camera's photographs.
     """
     resolutions = [
         metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
-        / shrunk(image.camera)
+        / scale_of(image.camera)
         for image in sparse_map.images.values()
     ]
     known = [each for each in resolutions if math.isfinite(each)]

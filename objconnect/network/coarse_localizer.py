@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.inference import Precision, fold
+from objconnect.learning.inference import Precision, fuse_layers
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.coarse.finder import LONGEST, CoarseSearch, CoarseSearchOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
@@ -46,7 +46,7 @@ class CoarseLocalizer:
         self.config = config
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
-        fold(network, config.precision)
+        fuse_layers(network, config.precision)
         self.weights_sha256: str | None = digest
         extract = MapExtractor(network, 2 * LONGEST, config.precision)
         self._finder = CoarseSearch(extract, config.place)

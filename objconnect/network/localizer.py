@@ -8,7 +8,7 @@ from typing import Final
 from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import SearchingConfig
@@ -39,7 +39,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
-        fold(network, config.precision)
+        fuse_layers(network, config.precision)
         objects = None
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)

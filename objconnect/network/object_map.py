@@ -56,9 +56,7 @@ class ObjectFinder:
     @torch.inference_mode()
     def of(self, view: WarpedImage, levels: Sequence[FeatureMap]) -> Detections:
         """Return the objects of a view with feature maps, in pixels of its photograph."""
-        found = self.detect(
-            view.picture, self._detector([(level.features, level.confidence) for level in levels])
-        )
+        found = self.detect(self._detector([(each.features, each.confidence) for each in levels]))
         at = found.xy.double().numpy()
         kept = torch.from_numpy(view.shows(at))
         return Detections(
@@ -69,8 +67,8 @@ class ObjectFinder:
             found.vectors[kept],
         )
 
-    def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
-        """Return the objects of a picture (H, W, 3) from the maps of the detector, on the CPU."""
+    def detect(self, maps: DetectorMaps) -> Detections:
+        """Return the objects of a picture from the maps of the detector, on the CPU."""
         stride = self._detector.config.stride
         return extract_detections(maps, stride, COUNT, LEAST_SCORE).cpu()
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
-from objconnect.localization.featuremetric.training import both, half_precision
+from objconnect.localization.featuremetric.training import half_precision, stack_images
 from objconnect.network.config import DetectorConfig
 from objconnect.network.detector import DetectorMaps
 from objconnect.network.localizer import SHIPPED
@@ -46,7 +46,7 @@ class ObjectTraining:
         self.network.eval()
         with half_precision(batch):
             with torch.no_grad():
-                levels = self.network(both(batch))
+                levels = self.network(stack_images(batch))
             maps = self._detector(levels)
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride

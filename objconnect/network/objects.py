@@ -82,7 +82,7 @@ class Attention(nn.Module):
     def __init__(self, size: int) -> None:
         super().__init__()
         self.join = nn.Linear(2 * size, size)
-        self.out = small(nn.Linear(size, size))
+        self.out = init_small(nn.Linear(size, size))
 
     def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
         """Return rows (B, h w, C) with the output added."""
@@ -118,7 +118,7 @@ class Objects(NamedTuple):
     present: Tensor
 
 
-def small(layer: nn.Linear) -> nn.Linear:
+def init_small(layer: nn.Linear) -> nn.Linear:
     """Initialise the last layer of a residual block so that the untrained block adds little."""
     with torch.no_grad():
         layer.weight *= _SMALL

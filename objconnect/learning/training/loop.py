@@ -19,7 +19,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from torch import Tensor, distributed, nn
 from torch.utils.data import DataLoader, Dataset
 
-from objconnect.learning.checkpoint import fault_of, write_weights
+from objconnect.learning.checkpoint import describe_fault, write_weights
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
@@ -351,7 +351,7 @@ def _restore(
         return int(state["done"])
     except Exception as error:
         raise InputError(
-            f"{path} is damaged ({fault_of(error)}): remove it to begin again"
+            f"{path} is damaged ({describe_fault(error)}): remove it to begin again"
         ) from error
 
 

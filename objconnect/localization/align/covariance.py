@@ -114,7 +114,7 @@ class Spread:
     equal_patches: Tensor
 
 
-def spread(problem: Problem, aligned: Pose) -> Spread:
+def measure_spread(problem: Problem, aligned: Pose) -> Spread:
     """Compute the covariances of poses (B) aligned on the finest level of a problem.
 
     If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large: it includes

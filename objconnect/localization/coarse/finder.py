@@ -17,7 +17,12 @@ from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
-from objconnect.localization.resolution import metres_per_pixel, observed_xyz, of_map, scale_to
+from objconnect.localization.resolution import (
+    map_resolution,
+    metres_per_pixel,
+    observed_xyz,
+    scale_to,
+)
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage, level_rotation, map_angle, tilt
@@ -78,7 +83,7 @@ class CoarseSearch:
         """
         sparse_map = kept.sparse_map
         posed = [sparse_map.images[name] for name in sparse_map.names]
-        sharpest = of_map(sparse_map, self._extract.largest_scale)
+        sharpest = map_resolution(sparse_map, self._extract.largest_scale)
         sides = [
             max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
             for image in posed

@@ -31,7 +31,7 @@ class GreyPhotograph:
     pose: Pose
     in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-    def shrunk(self, factor: int) -> GreyPhotograph:
+    def downscale(self, factor: int) -> GreyPhotograph:
         """Return the photograph downscaled by a factor, without updating ``in_photograph``.
 
         It is cropped at the right and lower edge to a multiple of the factor.

@@ -75,7 +75,7 @@ SWEEP: Final = SweepOptions()
 """The default options of the plane sweep."""
 
 
-def window() -> Tensor:
+def window_offsets() -> Tensor:
     """Return the offsets of the window's samples from its centre, (P, 2) pixels."""
     unit = _WINDOW_STEP_PX * torch.arange(-_WINDOW_REACH, _WINDOW_REACH + 1, dtype=torch.float64)
     return torch.stack(torch.meshgrid(unit, unit, indexing="xy"), -1).flatten(0, 1)
@@ -117,7 +117,7 @@ class Sweeper:
         self._images = images
         self._longest = longest
         self._options = options
-        self._window = window()
+        self._window = window_offsets()
         cameras = {image.camera for image in sparse_map.images.values()}
         sizes = (c.width * c.height * self._scale(c) ** 2 for c in cameras)
         largest = max(sizes, default=0.0) * np.dtype(np.float32).itemsize
@@ -199,7 +199,7 @@ class Sweeper:
             The inverse depths (N, K) near the best, and whether two neighbours agree on a single
             best depth (N,).
         """
-        small, *beside = (each.shrunk(shrink) for each in (here, *others))
+        small, *beside = (each.downscale(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, _SHRUNK_WINDOW, BORDER_PX / shrink)
         hop = max(1, round(shrink * _PLANE_STEP_PX))
         planes = tried[0, ::hop]

@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment
-from objconnect.localization.align.covariance import Spread, spread
+from objconnect.localization.align.covariance import Spread, measure_spread
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.acceptance import best_probability
 from objconnect.localization.featuremetric.calibration import calibrate_covariance
-from objconnect.localization.featuremetric.evidence import Evidence, evidence
+from objconnect.localization.featuremetric.evidence import Evidence, measure_evidence
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.problem import fit
 from objconnect.scene.geometry.pose import Pose
@@ -75,8 +75,8 @@ def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
-    around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
-    figures = evidence(problem, alignment.pose, float(around.curvature[0]))
+    around, share = measure_spread(problem, alignment.pose), fit(problem, alignment.pose)
+    figures = measure_evidence(problem, alignment.pose, float(around.curvature[0]))
     log_odds = options.acceptance.of_alignment(figures)
     return Attempt(view, alignment, around, share, figures, log_odds)
 

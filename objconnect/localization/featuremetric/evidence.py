@@ -73,7 +73,7 @@ class Evidence:
         )
 
 
-def evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
+def measure_evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
     """Measure the figures of an aligned pose.
 
     Args:

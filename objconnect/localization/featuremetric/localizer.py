@@ -38,13 +38,17 @@ from objconnect.localization.featuremetric.global_search import (
     is_answer,
 )
 from objconnect.localization.featuremetric.maps import MapExtractor, Network
-from objconnect.localization.featuremetric.matcher import create_matcher, matcher
+from objconnect.localization.featuremetric.matcher import create_matcher, prepare_matcher
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
 from objconnect.localization.featuremetric.prepared import MapState, Preparation
 from objconnect.localization.featuremetric.priors import has_pose, has_position, search_radius
 from objconnect.localization.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from objconnect.localization.featuremetric.quantized import quantize_extractor
-from objconnect.localization.featuremetric.references import ReferenceSource, references, write_part
+from objconnect.localization.featuremetric.references import (
+    ReferenceSource,
+    load_references,
+    write_part,
+)
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.tracking import Tracking
 from objconnect.localization.matching.retrieval import OnDemand, References
@@ -125,7 +129,7 @@ class FeaturemetricLocalizer:
         if config.multistart and config.matches is not None:
             least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            self._matches = matcher(of_matches, kept)
+            self._matches = prepare_matcher(of_matches, kept)
         self._preparation = Preparation(partial(self._prepare_rest, kept, kept_mb))
         if self._matches is None:
             self._preparation()
@@ -138,7 +142,7 @@ class FeaturemetricLocalizer:
         source = self._source(kept)
         other = self._other if config.multistart else None
         watch = None if other is None else other.observer(source)
-        observations = references(source, kept_mb, watch)
+        observations = load_references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
             extract = quantize_extractor(source)

@@ -20,7 +20,7 @@ def create_matcher(config: StructureConfig) -> StructureLocalizer:
     return StructureLocalizer(config, Sift(config.max_features), interpolate=False)
 
 
-def matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
+def prepare_matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
     """Return the prepared localizer by SIFT matches; None if the map was not built from SIFT.
 
     Raises:

@@ -16,9 +16,9 @@ from objconnect.localization.cache.store import Rows, Store
 from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
+    map_resolution,
     metres_per_pixel,
     observed_xyz,
-    of_map,
     scale_to,
 )
 from objconnect.scene.geometry.pose import Pose
@@ -94,7 +94,7 @@ class ReferenceSource:
     def metres_per_pixel(self) -> float:
         """Return the ground resolution of the map, to which photographs are resized; NaN if
         unknown."""
-        return of_map(self.kept.sparse_map, self.extract.largest_scale)
+        return map_resolution(self.kept.sparse_map, self.extract.largest_scale)
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _read(store: Store, names: Sequence[str], photograph: int) -> Observations:
     return Observations(xyz, tuple(features), confidence)
 
 
-def references(
+def load_references(
     source: ReferenceSource, memory_mb: int, watch: FeatureObserver | None = None
 ) -> ReferenceFeatures:
     """Return the observations of a map's photographs, computed unless the cache holds them.
@@ -176,10 +176,10 @@ def references(
 def write_part(source: ReferenceSource, watch: FeatureObserver | None) -> None:
     """Compute the observations of a part of a map's photographs, unless the cache holds all.
 
-    The arguments and errors are those of ``references``, which copies what this has written.
+    The arguments and errors are those of ``load_references``, which copies what this has written.
     """
     if not source.kept.holds(source.name, *source.identity):
-        references(source, 0, watch)
+        load_references(source, 0, watch)
         if watch is not None:
             watch.write()
 

@@ -33,7 +33,7 @@ def half_precision(batch: PairBatch) -> torch.autocast:
     return torch.autocast(batch.image_a.device.type, torch.bfloat16)
 
 
-def both(batch: PairBatch) -> Tensor:
+def stack_images(batch: PairBatch) -> Tensor:
     """Return the images a, then the images b, (2B, 3, S, S), channels-last in memory."""
     images = torch.cat([batch.image_a, batch.image_b])
     return images.to(memory_format=torch.channels_last)

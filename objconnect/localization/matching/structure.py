@@ -22,7 +22,7 @@ from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import OnDemand, References
-from objconnect.localization.resolution import metres_per_pixel, of_map, scale_to
+from objconnect.localization.resolution import map_resolution, metres_per_pixel, scale_to
 from objconnect.localization.starts import starts
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
@@ -117,7 +117,7 @@ class StructureLocalizer:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
         self._lifted = LruCache(lift_features, room(self.config.memory_mb))
-        self._resolution = of_map(sparse_map, lambda camera: 1.0)
+        self._resolution = map_resolution(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, OnDemand(describe, len(store)))
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:

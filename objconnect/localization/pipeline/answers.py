@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from objconnect.ingestion.attitude import gimbal_angles
 from objconnect.localization.pipeline.accuracy import EarthAccuracy, combine_accuracies
 from objconnect.localization.pipeline.cameras import CameraSource
-from objconnect.localization.pipeline.mavlink import dialect, telemetry_log
-from objconnect.localization.pipeline.ros import bag, library
+from objconnect.localization.pipeline.mavlink import encode_telemetry_log, import_dialect
+from objconnect.localization.pipeline.ros import encode_bag, import_rosbags
 from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.errors import InputError
@@ -108,7 +108,7 @@ class Located:
         return "; ".join(each for each in (own, *more) if each)
 
     @property
-    def found(self) -> bool:
+    def is_localized(self) -> bool:
         """Return whether the photograph was localized; a fallback pose does not count."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
@@ -141,7 +141,7 @@ class Located:
     def to_stamped(self, geography: Geography) -> StampedPose | None:
         """Return the pose with its time, which is taken as UTC; None if either is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
-        if not self.found or pose is None or centre is None or self.place is None:
+        if not self.is_localized or pose is None or centre is None or self.place is None:
             return None
         if self.time is None or (time := self.time.replace(tzinfo=UTC)) < _EPOCH:
             return None
@@ -173,7 +173,7 @@ class Located:
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
             # A fallback pose says nothing about a focal length that is to be estimated.
-            estimated = self.found and self.estimate.inliers > 0
+            estimated = self.is_localized and self.estimate.inliers > 0
             if estimated or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
         if self.estimate.by is not None:
@@ -183,8 +183,8 @@ class Located:
         return known
 
 
-def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
-    """Return the files that ``contents`` fills: poses, the table beside them, and further files.
+def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
+    """Return the files of ``encode_files``: poses, the table beside them, and further files.
 
     Args:
         poses: text file of the poses.
@@ -210,10 +210,10 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
     ]
 
 
-def contents(
+def encode_files(
     located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield the paths that ``outputs`` returned, with the bytes to write there."""
+    """Yield the paths that ``output_files`` returned, with the bytes to write there."""
     poses, table, *also = (file.path for file in files)
     yield poses, _pose_lines(located).encode()
     yield table, _table(located, geography).encode()
@@ -225,7 +225,7 @@ def _pose_lines(located: Sequence[Located]) -> str:
     lines = [_HEADER]
     for item in located:
         pose = item.estimate.cam_from_world
-        if item.found and pose is not None:
+        if item.is_localized and pose is not None:
             lines.append(pose_line(item.name, pose, 9))
     return "\n".join(lines) + "\n"
 
@@ -267,7 +267,7 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
     """
     features = []
     for item in located:
-        place = item.place if item.found else None
+        place = item.place if item.is_localized else None
         values: dict[str, Any] = {"name": for_terminal(item.name)}
         values["status"] = item.estimate.status.value
         if item.reason:
@@ -293,7 +293,7 @@ def _kml(located: Sequence[Located], geography: Geography) -> bytes:
     ElementTree.SubElement(document, "name").text = _MARK
     undulation_m = geography.undulation_m
     mode = "clampToGround" if undulation_m is None else "absolute"
-    found = [item for item in located if item.found and item.place is not None]
+    found = [item for item in located if item.is_localized and item.place is not None]
     for item in found:
         mark = ElementTree.SubElement(document, "Placemark")
         ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
@@ -332,16 +332,16 @@ def _geometry(
 
 
 def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
+    return encode_telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
 
 
 def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return bag(_sort_by_time(located, geography), _MARK)
+    return encode_bag(_sort_by_time(located, geography), _MARK)
 
 
 def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
     """Return the localized photographs that have a time, sorted by it."""
-    found = [item for item in located if item.found]
+    found = [item for item in located if item.is_localized]
     poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
         log.warning(
@@ -361,4 +361,7 @@ FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = 
 """Formats of further files by their ending."""
 
 # Importers that fail, before any work, if the package of a format is not installed.
-_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {".tlog": dialect, ".mcap": library}
+_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {
+    ".tlog": import_dialect,
+    ".mcap": import_rosbags,
+}

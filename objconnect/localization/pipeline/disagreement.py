@@ -114,7 +114,7 @@ def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Comp
     """Yield distances in metres and in standard deviations; NaN for unknown heights."""
     for item in located:
         gps, centre = item.gps, item.centre
-        if not item.found or centre is None or gps is None or gps.position_sigma is None:
+        if not item.is_localized or centre is None or gps is None or gps.position_sigma is None:
             continue
         if not gps.has_position or not np.isfinite(gps.position[:2]).all():
             continue

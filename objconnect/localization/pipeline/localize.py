@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from pydantic import Field
 
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.localization.pipeline.cameras import CameraSource, with_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
 from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
@@ -150,7 +150,7 @@ class _Job:
             InputError: an output cannot be written, would replace an input or a file of another
                 program, or lies in the folder.
         """
-        files = outputs(self.out, self.options.also)
+        files = output_files(self.out, self.options.also)
         if self.sequence is not None:
             files.append(OutputFile(self.record, _RECORD.encode()))
         check_outputs(files, inputs)
@@ -213,8 +213,8 @@ class _Job:
         geography: Geography,
     ) -> None:
         """Write the answers and, for a sequence, the record of method and options."""
-        files = outputs(self.out, self.options.also)
-        for file, content in contents(located, files, geography):
+        files = output_files(self.out, self.options.also)
+        for file, content in encode_files(located, files, geography):
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
         if self.sequence is None:
@@ -223,7 +223,7 @@ class _Job:
             "generator": _RECORD,
             **source.record,
             "images": len(located),
-            "found": sum(item.found for item in located),
+            "found": sum(item.is_localized for item in located),
             "method": Method.of(self.localizer).model_dump(mode="json"),
             "sequence": self.sequence.model_dump(mode="json"),
         }

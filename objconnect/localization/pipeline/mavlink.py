@@ -25,7 +25,7 @@ _CAM_FROM_FRD: Final = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.
 _VEHICLE: Final = 1
 
 
-def dialect() -> ModuleType:
+def import_dialect() -> ModuleType:
     """Return the dialect ``common`` of MAVLink 2.
 
     Raises:
@@ -34,7 +34,9 @@ def dialect() -> ModuleType:
     return import_extra("pymavlink.dialects.v20.common", "robot", "a telemetry log (.tlog)")
 
 
-def telemetry_log(poses: Sequence[StampedPose], undulation_m: float | None, mark: str) -> bytes:
+def encode_telemetry_log(
+    poses: Sequence[StampedPose], undulation_m: float | None, mark: str
+) -> bytes:
     """Return a telemetry log: each message after its time in 8 bytes, microseconds.
 
     Each pose is a GLOBAL_POSITION_SENSOR, which PX4 uses as auxiliary global position, and an
@@ -52,7 +54,7 @@ def telemetry_log(poses: Sequence[StampedPose], undulation_m: float | None, mark
     Raises:
         InputError: pymavlink is not installed.
     """
-    common = dialect()
+    common = import_dialect()
     link = common.MAVLink(None, _VEHICLE, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
     first = poses[0].microseconds if poses else 0
     text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())

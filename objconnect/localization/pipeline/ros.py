@@ -25,7 +25,7 @@ _MAP: Final = "map"
 _CAMERA: Final = "camera_link"
 
 
-def library() -> tuple[ModuleType, ModuleType]:
+def import_rosbags() -> tuple[ModuleType, ModuleType]:
     """Return the modules of rosbags for bags and for message types.
 
     Raises:
@@ -36,7 +36,7 @@ def library() -> tuple[ModuleType, ModuleType]:
     return bags, import_extra("rosbags.typesys", "robot", purpose)
 
 
-def bag(poses: Sequence[StampedPose], mark: str) -> bytes:
+def encode_bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
     Each pose is a ``sensor_msgs/NavSatFix``. Its altitude is above the ellipsoid and its covariance
@@ -52,7 +52,7 @@ def bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     Raises:
         InputError: rosbags is not installed.
     """
-    bags, typesys = library()
+    bags, typesys = import_rosbags()
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"

@@ -19,7 +19,7 @@ from objconnect.localization.coarse.headings import ALTITUDES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.localization.featuremetric.references import ReferenceSource, references
+from objconnect.localization.featuremetric.references import ReferenceSource, load_references
 from objconnect.network.finder import ObjectSearch, ObjectSearchOptions, headings_around
 from objconnect.network.landmarks import Landmarks
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
@@ -82,7 +82,7 @@ def test_objects_are_found_in_the_feature_maps_of_references(
     alone, beside = tmp_path / "alone", tmp_path / "beside"
     finder.prepare(source_of(finder, rendered.sparse_map(), rendered, alone))
     source = source_of(finder, rendered.sparse_map(), rendered, beside)
-    references(source, 64, finder.observer(source))
+    load_references(source, 64, finder.observer(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
         finder.prepare(source)
@@ -128,7 +128,7 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
 
     monkeypatch.setattr(MapExtractor, "__call__", counted)
     source = source_of(finder, whole, rendered, grown)
-    references(source, 64, finder.observer(source))
+    load_references(source, 64, finder.observer(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
     finder.prepare(source)
     assert len(asked) == len(whole.names)

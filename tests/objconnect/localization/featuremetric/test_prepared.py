@@ -117,7 +117,7 @@ def test_what_goes_wrong_then_is_no_failure_of_a_query(
     def broken(*_: object) -> None:
         raise RuntimeError("no memory")
 
-    monkeypatch.setattr("objconnect.localization.featuremetric.localizer.references", broken)
+    monkeypatch.setattr("objconnect.localization.featuremetric.localizer.load_references", broken)
     with pytest.raises(PreparationError, match="could not be prepared: RuntimeError: no memory"):
         localize_safely(left, told_all(hamlet))
     assert localize_safely(left, told_nothing(hamlet)).status is Status.OK

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from objconnect.localization.pipeline.accuracy import combine_accuracies
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.localization.pipeline.disagreement import measure_disagreement, warn_of_disagreement
 from objconnect.scene.bundle.georeference import EXACT, Georeference
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -29,9 +29,9 @@ CENTRE = np.array([10.0, 20.0, 30.0])
 
 def row(tmp_path: Path, georeference: Georeference | None) -> dict[str, str]:
     """The row of the table of an answer."""
-    files = outputs(tmp_path / "poses.txt", [tmp_path / "poses.geojson"])
+    files = output_files(tmp_path / "poses.txt", [tmp_path / "poses.geojson"])
     located = [Located("a.jpg", looking(30, -60, 4), PLACE)]
-    for path, content in contents(located, files, Geography(georeference=georeference)):
+    for path, content in encode_files(located, files, Geography(georeference=georeference)):
         path.write_bytes(content)
     (only,) = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
     (feature,) = json.loads((tmp_path / "poses.geojson").read_text())["features"]
