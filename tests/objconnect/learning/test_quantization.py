@@ -20,7 +20,7 @@ from objconnect.network.network import read_network
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
-from tests.objconnect.learning.test_folding import networks, trained
+from tests.objconnect.learning.test_inference import networks, trained
 
 STRIDES = (16, 4, 1)
 needs_units = pytest.mark.skipif(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import objconnect.network.training
 from objconnect.learning.training.config import TrainConfig
-from objconnect.localization.featuremetric.training import contrast_of, levels_of
+from objconnect.localization.featuremetric.training import contrast_of, levels_of, stack_images
 from objconnect.methods import TRAINABLE, trainable
 from objconnect.network.loss import (
     feature_distance,
