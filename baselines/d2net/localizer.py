@@ -34,7 +34,7 @@ _CONTRAST_WINDOW_PX: Final = 33
 
 
 class D2NetConfig(StructureConfig):
-    """Options of the d2net localizer, beside those of ``StructureConfig``."""
+    """Options of the d2net localizer, in addition to those of ``StructureConfig``."""
 
     weights: Path | None = Field(
         None,

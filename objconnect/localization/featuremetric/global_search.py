@@ -45,7 +45,7 @@ def is_answer(matched: Estimate, options: SearchOptions) -> bool:
 
 
 class CandidateFinder(Protocol):
-    """Finds candidates of a query in a map beside the coarse search.
+    """Finds candidates of a query in a map in addition to the coarse search.
 
     Attributes:
         is_first: once prepared, whether it comes before the coarse search or after it.

@@ -98,8 +98,8 @@ class FeaturemetricConfig(Config):
     )
     corners: CornerOptions | None = Field(
         CornerOptions(),
-        description="Corners of the map's photographs as points beside the map's own; None for "
-        "none.",
+        description="Corners of the map's photographs as points in addition to the map's own; "
+        "None for none.",
     )
     longest: int = Field(
         1024, ge=64, description="Larger images are resized to this longer side, px."

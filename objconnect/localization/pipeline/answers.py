@@ -51,7 +51,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Geography:
-    """The coordinates that are written beside WGS84, and the accuracy of the map on earth.
+    """The coordinates that are written in addition to WGS84, and the accuracy of the map on earth.
 
     Attributes:
         undulation_m: height of the geoid above the ellipsoid; None leaves out heights above sea

@@ -108,7 +108,7 @@ def _candidates(
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera whose focal length is nearest; None where none has that of the lens."""
+    """Return the camera with the nearest focal length; None if it is of another lens."""
     off = {camera: _off(camera, focal) for camera in cameras}
     best = min(off, key=lambda camera: off[camera], default=None)
     return best if best is not None and off[best] < SAME_LENS else None

@@ -84,7 +84,7 @@ def open_map(path: Path) -> LocalizationMap:
 
 
 def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) -> Geography:
-    """Return the coordinates to write beside WGS84, and the accuracy of the map on earth.
+    """Return the coordinates to write in addition to WGS84, and the accuracy of the map on earth.
 
     Raises:
         InputError: the map has no position on earth and an output needs one, or it lies outside the
