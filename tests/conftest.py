@@ -43,6 +43,25 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
+# Modules that take a minute or more. Processes begin with them, so that none waits for the last.
+_LONGEST = {
+    "test_gate",
+    "test_reproduced",
+    "test_planted",
+    "test_matrix",
+    "test_mutants",
+    "test_cluster",
+    "test_packaging",
+    "test_calibration",
+    "test_loop",
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of the random order of modules, the longest come first."""
+    items.sort(key=lambda item: item.path.stem not in _LONGEST)
+
+
 # Variables that pytest and libraries set by themselves, these when they are first used.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
 # Torch watches over the processes of its first loader of data by a handler that stays.

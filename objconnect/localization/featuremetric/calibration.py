@@ -63,7 +63,22 @@ class CovarianceModel(CalibrationFile):
 def calibrate_covariance(
     around: Spread, fit: float | NDArray[np.float64], by: CovarianceModel
 ) -> NDArray[np.float64]:
-    """Return the covariances (B, 6, 6) of aligned poses.
+    """Return the calibrated covariances (B, 6, 6) of aligned poses.
+
+    Args:
+        around: measured covariances; finite.
+        fit: (B,) cost as a share of the cost by chance.
+        by: numbers of the calibration.
+    """
+    factor, added = compute_scales(around, fit, by)
+    alike = added[:, :, None] * np.eye(6)
+    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
+
+
+def compute_scales(
+    around: Spread, fit: float | NDArray[np.float64], by: CovarianceModel
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors (B,) on measured covariances, and the variances (B, 6) to add.
 
     ``ratio`` is the information-weighted fit of the points, divided by that of a query in the light
     and season of the map. The latter is worse the more the query's view differs from those of the
@@ -84,6 +99,10 @@ def calibrate_covariance(
         around: measured covariances; finite.
         fit: (B,) cost as a share of the cost by chance.
         by: numbers of the calibration.
+
+    Returns:
+        The factors, and the variances of rotation (rad^2), equal about all axes, and translation
+        (m^2), which are larger by the square of the depth of the points.
     """
     patches, level, equal_patches = _arrays(around.patches, around.level, around.equal_patches)
     depth, view_cosine, cost = _arrays(around.depth, around.view_cosine, around.informative_cost)
@@ -94,8 +113,7 @@ def calibrate_covariance(
     factor *= (equal_patches + by.level_patches * general) / (equal_patches + by.level_patches)
     change = np.clip((ratio - 1) / by.changed_fit, 0, 1)
     deviation = by.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
-    alike = (change[:, None] * deviation**2)[:, :, None] * np.eye(6)
-    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
+    return factor, change[:, None] * deviation**2
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[np.float64]]:

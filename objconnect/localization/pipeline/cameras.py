@@ -20,8 +20,8 @@ from objconnect.scene.storage.images import Exif
 # Focal lengths to try where nothing is known, as multiples of the longer side: 90 to 37 degrees of
 # view.
 _TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
-# Standard deviation of an estimated focal length, as a share of it: of a pinhole, as measured
-# (docs/evidence/robustness.md), and of a camera of the map.
+# Standard deviation of an estimated focal length, as a share of it: of a pinhole
+# (docs/evidence/robustness.md has an example), and of a camera of the map.
 _FOCAL_SHARE: Final = 0.06
 _MAP_SHARE: Final = 0.005
 # Maximum number of map points that give the distance to the ground.

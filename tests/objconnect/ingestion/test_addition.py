@@ -31,7 +31,7 @@ from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.features import FeatureFile, Features, read_features, write_features
 from objconnect.scene.maps.sparse_map import SparseMap
-from tests.objconnect.ingestion.test_given import SESSION, geocentric, photographs_of
+from tests.objconnect.ingestion.test_imported_poses import SESSION, geocentric, photographs_of
 
 Ingested = tuple[Scene, IngestReport]
 OLD = 8
@@ -379,6 +379,7 @@ def aligned(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[
     return dict(zip(names, np.linalg.norm(scale * a @ u @ v - b, axis=1), strict=True))
 
 
+@pytest.mark.thorough
 def test_a_real_flight_in_two_parts(photographs: Path, ingested: Ingested, tmp_path: Path) -> None:
     """Photographs of a flight's end are added to a scene of its beginning, and stand where they
     stand in a scene of the whole, to centimetres where the two overlap. The pilot turned some of
