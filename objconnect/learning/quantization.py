@@ -118,13 +118,7 @@ def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> 
 def _quantize_decoder(
     decoder: Sequence[nn.Sequential], blocks: Sequence[Tensor], scales: Channelwise
 ) -> list[Tensor]:
-    """Replace the layers of a decoder; return the quantization steps of each level's channels.
-
-    Args:
-        decoder: steps from the coarsest level on.
-        blocks: quantization steps of the encoder's blocks.
-        scales: quantization steps of all convolutions.
-    """
+    """Replace the layers of a decoder; return the quantization steps of each level's channels."""
     levels = [blocks[-1]]
     for number, step in enumerate(decoder):
         (layer,) = step

@@ -52,12 +52,7 @@ def metres_per_pixel(
 
 
 def map_resolution(sparse_map: SparseMap, scale_of: Callable[[Camera], float]) -> float:
-    """Return the median metres per pixel of a map's resized photographs, NaN if unknown.
-
-    Args:
-        sparse_map: the map.
-        scale_of: returns the scale of a camera's photographs.
-    """
+    """Return the median metres per pixel of a map's resized photographs, NaN if unknown."""
     resolutions = [
         metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
         / scale_of(image.camera)

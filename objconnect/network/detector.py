@@ -86,13 +86,7 @@ class Detections:
 
 
 class ObjectDetector(nn.Module):
-    """A few convolutions over the features of all levels, at one stride.
-
-    Args:
-        config: its configuration.
-        strides: strides of the input levels, coarse to fine.
-        dims: numbers of channels of their features.
-    """
+    """A few convolutions over the features of all levels, coarse to fine, at one stride."""
 
     def __init__(self, config: DetectorConfig, strides: Sequence[int], dims: Sequence[int]) -> None:
         super().__init__()

@@ -77,9 +77,6 @@ class ObjectSearch:
     def prepare(self, source: ReferenceSource) -> None:
         """Find the objects of a map unless the observer or the cache has them.
 
-        Args:
-            source: inputs of the map's reference features.
-
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """

@@ -134,14 +134,7 @@ def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> Ob
 
 
 def place_on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid) -> Placed:
-    """Place the objects of a photograph on the ground.
-
-    Args:
-        found: the objects.
-        camera: camera of the photograph.
-        pose: ``cam_from_world``.
-        ground: heights of the map's ground.
-    """
+    """Place the objects of a photograph with a pose ``cam_from_world`` on the ground."""
     rays = object_rays(found, camera, pose.rotation)
     centre = pose.centre().numpy()
     drops = np.where(rays.drops > _MIN_DROP, rays.drops, np.nan)

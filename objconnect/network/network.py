@@ -142,11 +142,7 @@ class ObjConnectNet(nn.Module):
         return self.describe(image, labels, levels, shown)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
-        """Return the objects of images, on the finest level that has objects.
-
-        Args:
-            image: images, as for ``forward``.
-            labels: label maps, as for ``forward``.
+        """Return the objects of images, on the finest level that has objects; see ``forward``.
 
         Raises:
             InputError: the network has no objects, or label maps are missing.

@@ -39,12 +39,7 @@ _WIDEST_M: Final = 28.0
 
 
 class ObjectFinder:
-    """Finds the objects of photographs.
-
-    Args:
-        extract: computes the feature maps for the detector.
-        detector: the detector.
-    """
+    """Finds the objects of photographs."""
 
     def __init__(self, extract: MapExtractor, detector: ObjectDetector) -> None:
         self._extract, self._detector = extract, detector
@@ -100,10 +95,6 @@ class ObjectFinder:
     def load_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
         """Return the landmarks of a map, computed unless the cache holds them.
 
-        Args:
-            source: inputs of the map's reference features.
-            watched: result of ``observer``.
-
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
@@ -127,10 +118,6 @@ class MapObjects:
 
     It implements ``FeatureObserver``, so that feature maps of a photograph are computed once for
     reference features and objects.
-
-    Args:
-        find: finds the objects of a view.
-        source: inputs of the map's reference features.
     """
 
     def __init__(self, find: ObjectFinder, source: ReferenceSource) -> None:

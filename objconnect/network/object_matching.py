@@ -107,14 +107,7 @@ class _GroundPose(NamedTuple):
 
 
 class Connector:
-    """Matches the objects of photographs with the landmarks of a map.
-
-    Args:
-        graph: describes objects among their neighbours.
-        landmarks: landmarks of the map.
-        ground: heights of the map's ground.
-        candidates: maximum number of candidates.
-    """
+    """Matches the objects of photographs with the landmarks of a map."""
 
     def __init__(
         self,

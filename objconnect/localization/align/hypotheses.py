@@ -199,12 +199,6 @@ def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> 
     """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
     Failures come last, and of equal ones the first comes first.
-
-    Args:
-        aligned: alignments that ended on ``level``.
-        level: level of the queries.
-        robust_scale: scale of the robust cost.
-        count: number of alignments to keep for each query.
     """
     chance = _cost_by_chance(level, robust_scale)
     gain = aligned.seen * (chance[:, None] - aligned.cost)

@@ -74,10 +74,6 @@ class CoarseSearch:
     def prepare(self, kept: MapCache, key: str) -> None:
         """Make the mosaic of a map, or read it from the cache.
 
-        Args:
-            kept: the map, its photographs and the cache.
-            key: key of the network and its options.
-
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """

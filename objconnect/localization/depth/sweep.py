@@ -167,10 +167,6 @@ class Sweeper:
         """Return a digest of the photograph, its neighbours and its depth range.
 
         These are all inputs of the sweep except the options.
-
-        Args:
-            name: name of the photograph.
-            digests: digests of the map's photographs, by name.
         """
         parts: list[object] = [*self._neighbours.depths(name)]
         for each in (name, *self._neighbours(name)):

@@ -65,12 +65,7 @@ class Attempt:
 
 
 def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
-    """Measure the covariance, the fit and the log odds of an aligned pose.
-
-    Args:
-        aligned: the alignment.
-        options: options with an acceptance model.
-    """
+    """Measure the covariance, the fit and the log odds of an aligned pose."""
     assert options.acceptance is not None
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:

@@ -63,13 +63,7 @@ class CovarianceModel(CalibrationFile):
 def calibrate_covariance(
     around: Spread, fit: float | NDArray[np.float64], by: CovarianceModel
 ) -> NDArray[np.float64]:
-    """Return the calibrated covariances (B, 6, 6) of aligned poses.
-
-    Args:
-        around: measured covariances; finite.
-        fit: (B,) cost as a share of the cost by chance.
-        by: numbers of the calibration.
-    """
+    """Return the calibrated covariances (B, 6, 6) of aligned poses; see ``compute_scales``."""
     factor, added = compute_scales(around, fit, by)
     alike = added[:, :, None] * np.eye(6)
     return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)

@@ -88,12 +88,7 @@ class CornerFinder:
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
     def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
-        """Return a digest of all inputs of a photograph's corners except the options.
-
-        Args:
-            name: name of the photograph.
-            digests: digests of the map's photographs, by name.
-        """
+        """Return a digest of all inputs of a photograph's corners except the options."""
         return self._sweep.digest_inputs(name, digests)
 
 

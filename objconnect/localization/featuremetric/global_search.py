@@ -143,12 +143,6 @@ class GlobalSearch:
         If both poses agree, the aligned one is more exact and is the answer if it is believed. If
         they differ, the likelier one is the answer if it is believed.
 
-        Args:
-            query: the image.
-            matched: estimate by matches.
-            rivals: its pose with the log odds, alone.
-            clock: takes the time.
-
         Returns:
             The answer, or None with the attempt.
         """

@@ -30,11 +30,7 @@ class MapState:
 
 
 class Preparation:
-    """Prepares a map for alignment, once. Threads may share it.
-
-    Args:
-        prepare: function that prepares the map.
-    """
+    """Prepares a map for alignment, once. Threads may share it."""
 
     def __init__(self, prepare: Callable[[], MapState]) -> None:
         self._prepare = prepare

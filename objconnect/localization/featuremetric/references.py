@@ -185,13 +185,7 @@ def write_part(source: ReferenceSource, watch: FeatureObserver | None) -> None:
 
 
 def _compute_rows(source: ReferenceSource, watch: FeatureObserver | None, earlier: Earlier) -> Rows:
-    """Run the network on photographs of a map and yield the features at their points.
-
-    Args:
-        source: inputs of the observations.
-        watch: observes the feature maps.
-        earlier: unchanged rows of earlier files.
-    """
+    """Run the network on photographs of a map and yield the features at their points."""
     kept = source.kept
     posed = [kept.sparse_map.images[name] for name in kept.names]
     corner_points = [np.empty((0, 3))] * len(posed)
@@ -220,11 +214,7 @@ def _compute_rows(source: ReferenceSource, watch: FeatureObserver | None, earlie
 
 
 class MapViews:
-    """Warps photographs of a map north up to the map's resolution, and extracts feature maps.
-
-    Args:
-        source: the map, its photographs and the network.
-    """
+    """Warps photographs of a map north up to the map's resolution, and extracts feature maps."""
 
     def __init__(self, source: ReferenceSource) -> None:
         self._source = source

@@ -112,10 +112,6 @@ class KeptFeatures(Mapping[str, Features]):
     """Features of photographs in a file of the cache, each read on access.
 
     Threads may share it.
-
-    Args:
-        store: the file.
-        keys: keys of the rows, by the names of photographs.
     """
 
     def __init__(self, store: Store, keys: Mapping[str, str]) -> None:
@@ -180,14 +176,7 @@ def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
 def _extract_all(
     extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
 ) -> dict[str, Arrays]:
-    """Extract features of photographs, all of which are in memory at once.
-
-    Args:
-        extractor: extractor of the features.
-        kept: the cache, whose folder takes temporary files.
-        names: names of the photographs.
-        on_progress: receives the number of finished photographs.
-    """
+    """Extract features of photographs, all of which are in memory at once."""
     if extractor.rotation_invariant:
         by_name = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
         return {name: vars(features) for name, features in by_name.items()}
