@@ -318,7 +318,7 @@ def test_sizes_that_are_no_multiples(weights: Path, made: tuple[SparseMap, Path]
 
 def test_no_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("baselines.pixloc.localizer.SHIPPED", tmp_path / "pixloc.safetensors")
-    with pytest.raises(InputError, match="train them .* or name a file"):
+    with pytest.raises(InputError, match="train them .* or give a file"):
         create("pixloc", {})
     with pytest.raises(InputError, match="no weights at"):
         create("pixloc", {"weights": str(tmp_path / "none.tar")})

@@ -61,7 +61,7 @@ def test_without_objects_nothing_is_segmented(monkeypatch: pytest.MonkeyPatch) -
     made = network(segmentation="none", **OFF)
     image = pictures(1, 32, 32)
     assert len(made(image)) == 3
-    with pytest.raises(InputError, match="without objects"):
+    with pytest.raises(InputError, match="has no objects"):
         made.objects(image)
 
 
