@@ -158,7 +158,7 @@ def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Pat
     method = create("objconnect", OPTIONS)
     options = LocalizeOptions(cache=cache)
     (located,) = localize(open_map(rendered.path), folder, method, out, options)
-    assert located.found and located.estimate.by is By.MATCHES
+    assert located.is_localized and located.estimate.by is By.MATCHES
     assert kept(cache) == {"sift-points"}
     (row,) = csv.DictReader(out.with_suffix(".csv").open())
     assert row["by"] == "matches" and float(row["probability"]) > 0.99

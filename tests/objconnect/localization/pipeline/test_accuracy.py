@@ -134,7 +134,7 @@ def test_heights_that_scatter_are_not_said_to_agree(caplog: pytest.LogCaptureFix
     """Half of them are 40 m too high and half too low: the median is near 0."""
     located = [*flown((0, 0, 40), (3, 3, 5)), *flown((0, 0, -40), (3, 3, 5), 6)]
     found = measure_disagreement(located, Geography(georeference=EXACT))
-    assert found is not None and found.far_up and found.apart_m == pytest.approx(40, abs=0.2)
+    assert found is not None and found.far_up and found.height_error_m == pytest.approx(40, abs=0.2)
     mixed = [*located[:6], *located[7:], *flown((0, 0, 0.1), (3, 3, 5), 1)]
     assert "40.0 m above or below the GPS positions" in said(caplog, mixed, EXACT)
 
