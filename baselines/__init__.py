@@ -1,1 +1,1 @@
-"""Localizers to beat, all behind ``objconnect.scene.localizer.Localizer``."""
+"""Baseline localizers, all behind ``objconnect.scene.localizer.Localizer``."""

@@ -21,15 +21,14 @@ from objconnect.localization.matching.structure import StructureConfig, Structur
 from objconnect.scene.maps.features import Features, unit_bits
 from objconnect.scene.maps.matching import match
 
-# Scale between levels of ORB's pyramid. It is OpenCV's default, by which pixels are converted.
+# Scale between levels of ORB's pyramid, OpenCV's default.
 _ORB_STEP: Final = 1.2
 
 
 class Binary(Extractor):
     """An extractor of features with binary descriptors.
 
-    OpenCV does not document its detectors as thread-safe, so each picture has its own, which costs
-    nothing.
+    Each picture has its own detector, because OpenCV does not document them as thread-safe.
     """
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -50,9 +49,9 @@ class Binary(Extractor):
     def _pixels(
         self, keypoints: Sequence[cv2.KeyPoint], size: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """Return COLMAP's pixels (N, 2) of keypoints in a picture of ``size``.
+        """Convert keypoints in a picture of ``size`` to COLMAP's pixels (N, 2).
 
-        OpenCV counts pixels from the centre of the first.
+        OpenCV's origin is the centre of the first pixel.
         """
         return np.array([point.pt for point in keypoints]) + 0.5
 
@@ -61,9 +60,9 @@ class Binary(Extractor):
         return unit_bits(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Match as ``Extractor.match``.
+        """Match as ``Extractor.match``; the ratio is of Hamming distances.
 
-        The ratio is that of Hamming distances, squared ones of signs.
+        These are the squared distances of signs.
         """
         return match(a, b, ratio**0.5)
 
@@ -83,10 +82,9 @@ class Orb(Binary):
     def _pixels(
         self, keypoints: Sequence[cv2.KeyPoint], size: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """Return COLMAP's pixels, corrected for an error of OpenCV of up to two pixels.
+        """Convert keypoints to COLMAP's pixels, without OpenCV's error of up to two pixels.
 
-        OpenCV multiplies a level's pixels by the nominal scale of the level, but the level's size
-        was rounded and its edges are those of the image.
+        OpenCV multiplies a level's pixels by the nominal scale, though the level's size is rounded.
         """
         step = _ORB_STEP ** np.array([point.octave for point in keypoints])[:, None]
         in_level = np.array([point.pt for point in keypoints]) / step + 0.5
@@ -115,14 +113,14 @@ class AkazeConfig(StructureConfig):
 
 
 class OrbLocalizer(StructureLocalizer):
-    """The localizer ``orb``, which matches ORB with the nearest photographs of the map."""
+    """The localizer ``orb``: ORB matches with reference images, and PnP."""
 
     def __init__(self, config: OrbConfig) -> None:
         super().__init__(config, Orb(config.max_features), interpolate=True)
 
 
 class AkazeLocalizer(StructureLocalizer):
-    """The localizer ``akaze``, which matches AKAZE with the nearest photographs of the map."""
+    """The localizer ``akaze``: AKAZE matches with reference images, and PnP."""
 
     def __init__(self, config: AkazeConfig) -> None:
         super().__init__(config, Akaze(config.max_features), interpolate=True)

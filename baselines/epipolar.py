@@ -1,8 +1,8 @@
-"""Localization without 3D points: relative poses to photographs of the map from essential matrices.
+"""The localizer ``epipolar``: poses from essential matrices, without 3D points.
 
-Each gives the query's attitude and the direction from the photograph to the query; where the rays
-of two or more meet, there is the query. The pose then moves to where the matches lie closest to
-their epipolar lines in all photographs together.
+Each reference image gives the query's attitude and the ray from the image to the query. The rays of
+two or more images intersect in the query's position. The pose then minimises the distances of the
+matches to their epipolar lines in all images together.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.lru_cache import LruCache, room
 
-# Photographs with fewer inliers are left out: a relative pose takes five matches, and fifteen more
+# Least number of inliers of a reference image: a relative pose needs five matches, and fifteen more
 # that agree are no coincidence.
 _MIN_INLIERS: Final = 20
-# Largest difference of references on the query's attitude and direction.
+# Largest difference between reference images in the query's attitude and direction.
 _AGREE_DEG: Final = 5.0
-# Rays that cross at a smaller angle do not determine the position.
+# Least angle between two rays that determine the position.
 _LEAST_ANGLE_DEG: Final = 5.0
 
 
@@ -45,25 +45,25 @@ class EpipolarConfig(Config):
     """Options of the epipolar localizer."""
 
     references: int = Field(
-        8, ge=2, description="Photographs of the map that are matched against the query."
+        8, ge=2, description="Number of reference images that are matched with the query."
     )
     ratio: float = Field(
         0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
     )
-    max_error_px: float = Field(2.0, gt=0, description="Inlier threshold of the Sampson error.")
-    max_features: int = Field(8192, ge=100, description="Most features of an image.")
+    max_error_px: float = Field(2.0, gt=0, description="Inlier threshold of the Sampson error, px.")
+    max_features: int = Field(8192, ge=100, description="Maximum number of features of an image.")
     memory_mb: int = Field(
         2048,
         ge=1,
-        description="Memory of the whole process; features of the map stay in memory as far as "
-        "there is room below it.",
+        description="Memory of the whole process, MB; features of the map stay in memory as far as "
+        "there is room.",
     )
     seed: int = Field(0, description="Random seed of RANSAC.")
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Keypoints of a photograph of the map, (N, 2), and their descriptors, of unit length."""
+    """Keypoints (N, 2) of a photograph of the map with descriptors of unit length."""
 
     xy: NDArray[np.float32]
     unit: Tensor
@@ -102,7 +102,7 @@ class EpipolarLocalizer:
         self._references = References.build(sparse_map, OnDemand(describe, count))
 
     def localize(self, query: Query) -> Estimate:
-        """Extract features, choose references, find relative poses, intersect rays and refine."""
+        """Match reference images, estimate relative poses, intersect rays and refine."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
@@ -140,7 +140,7 @@ class EpipolarLocalizer:
     def _relate(
         self, query: Query, features: Features, unit: Tensor, image: MapImage
     ) -> tuple[Matches, Pose] | None:
-        """Match one photograph and find ``query_from_reference``; None where too few agree."""
+        """Return the matches and ``query_from_reference`` of an image; None if too few agree."""
         seen = self._seen(image.name)
         matches = self._sift.match(unit, seen.unit, self.config.ratio)
         if len(matches) < _MIN_INLIERS:
@@ -168,7 +168,7 @@ class EpipolarLocalizer:
 
 
 def _rays(related: Sequence[tuple[Matches, Pose]]) -> Rays:
-    """Return where each photograph stands, and the ray and attitude it gives the query."""
+    """Return the rays from reference images to the query, and its attitude from each."""
     origins, directions, rotations = (
         np.zeros((len(related), 3)),
         np.zeros((len(related), 3)),

@@ -1,4 +1,4 @@
-"""The prior as a localizer: the starting pose unchanged, which refining methods must beat."""
+"""The localizer ``prior``: the starting pose without refinement, to compare methods with."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class PriorConfig(Config):
 
 
 class PriorLocalizer:
-    """Answers the prior, completed from the nearest photograph as methods by alignment complete it.
+    """Returns the first start of a query, as methods by alignment use it.
 
     Implements ``objconnect.scene.localizer.Localizer``.
     """
@@ -30,7 +30,7 @@ class PriorLocalizer:
         self.config = config
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
-        """Keep the map; of its photographs only the poses are needed."""
+        """Keep the poses of the map's photographs."""
         self._map = sparse_map
         unseen = [np.empty((0, 1), np.float32)] * len(sparse_map.names)
         self._references = References.build(sparse_map, unseen)
@@ -41,7 +41,7 @@ class PriorLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         if query.references is None:
             if query.prior is None:
-                reason = "no prior, and no photograph of the map is named"
+                reason = "the query has no prior and names no reference image"
                 return Estimate(Status.FAILED, reason=reason)
             if not query.prior.has_position:
                 return Estimate(Status.FAILED, reason="the prior has no position")

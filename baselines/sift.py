@@ -1,4 +1,4 @@
-"""The localizer ``sift``: matches of COLMAP's SIFT with map photographs, and PnP."""
+"""The localizer ``sift``: COLMAP's SIFT matches with reference images, and PnP."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class SiftConfig(StructureConfig):
 
 
 class SiftLocalizer(StructureLocalizer):
-    """Localizes by SIFT features of the nearest photographs of the map."""
+    """The localizer ``sift``."""
 
     def __init__(self, config: SiftConfig) -> None:
         super().__init__(config, Sift(config.max_features), interpolate=False)

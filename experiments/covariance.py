@@ -4,7 +4,7 @@
         [--start error=3m,5deg] [--cache CACHE] [--out own.covariance.yaml]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. The numbers (``CovarianceNumbers``) make most likely the errors, if
+queries of many conditions. The numbers (``CovarianceModel``) make most likely the errors, if
 these follow a Student distribution of eight degrees of freedom, and, with four times the weight,
 under each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
 ellipsoid. ``--out`` writes them: beside weights of your own as ``own.covariance.yaml`` beside
@@ -37,9 +37,9 @@ from benchmark.scoring.uncertainty import _CHI2_95
 from objconnect.localization.align.covariance import Spread
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.calibration import (
-    CovarianceNumbers,
+    CovarianceModel,
     calibrate_covariance,
-    scales,
+    compute_scales,
 )
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.methods import create
@@ -101,11 +101,11 @@ class Answers:
         scenes, conditions, errors, fit, false = (column[which] for column in columns)
         return Answers(scenes, conditions, errors, around, fit, false)
 
-    def calibrated(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
+    def calibrated(self, numbers: CovarianceModel) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
         return calibrate_covariance(self.around, self.fit, numbers)
 
-    def nees(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
+    def nees(self, numbers: CovarianceModel) -> NDArray[np.float64]:
         """Return the normalised errors squared (N,) with these numbers."""
         return _nees(self.errors, self.calibrated(numbers))
 
@@ -116,14 +116,14 @@ def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDAr
     return np.asarray((errors * whitened[..., 0]).sum(-1))
 
 
-def calibrate(answers: Answers) -> CovarianceNumbers:
+def calibrate(answers: Answers) -> CovarianceModel:
     """Return the numbers with which the covariances are right."""
     measured, squares = _along_axes(answers)
     groups = [answers.conditions == condition for condition in np.unique(answers.conditions)]
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
-        numbers = CovarianceNumbers.of(np.exp(logarithms).tolist())
-        factor, added = scales(answers.around, answers.fit, numbers)
+        numbers = CovarianceModel.of(np.exp(logarithms).tolist())
+        factor, added = compute_scales(answers.around, answers.fit, numbers)
         variances = factor[:, None] * measured + added[:, :1]
         volume = np.log(variances).sum() / 2
         nees = (squares / variances).sum(1)
@@ -143,7 +143,7 @@ def calibrate(answers: Answers) -> CovarianceNumbers:
             at = found.x
         tried.append(found)
     best = np.exp(min(tried, key=lambda found: float(found.fun)).x)
-    return CovarianceNumbers.of([float(f"{number:.3g}") for number in best])
+    return CovarianceModel.of([float(f"{number:.3g}") for number in best])
 
 
 def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -188,7 +188,7 @@ def main() -> None:
         for dataset in open_datasets(scene)
         for answer in _answers(dataset, create(given.method, settings), given.start, cache)
     )
-    found, now = calibrate(answers), CovarianceNumbers.beside(given.weights)
+    found, now = calibrate(answers), CovarianceModel.beside(given.weights)
     print(found)
     if given.out:
         found.write(given.out, "python -m experiments.covariance")

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.learning.quantization import largest_values, quantize
 from objconnect.learning.vgg import encode
 from objconnect.network.localizer import SHIPPED
@@ -76,7 +76,7 @@ class Whole(nn.Module):
 def of_torch(numbers: str) -> Pass:
     """Return a pass of the network as the localizer runs it."""
     network, _ = read_network(SHIPPED)
-    fold(network, "float32" if numbers == "float32" else "bfloat16")
+    fuse_layers(network, "float32" if numbers == "float32" else "bfloat16")
     if numbers == "integers":
         with torch.inference_mode(), torch.autocast("cpu"), largest_values(network) as largest:
             network(torch.rand(1, 3, 256, 256))

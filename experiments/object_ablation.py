@@ -26,8 +26,8 @@ from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
-    Lesson,
-    lesson,
+    TrainingScene,
+    build_training_scene,
     train_graph,
 )
 from objconnect.network.detector import Detections, DetectorMaps
@@ -87,9 +87,9 @@ def main() -> None:
     network, _ = read_network(given.weights)
     for kind in given.kinds:
         finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
-        taught = [lesson(Scene.open(path), finder) for path in given.scenes]
+        taught = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
         scenes = [Scene.open(path) for path in given.report]
-        asked = [lesson(scene, finder) for scene in scenes]
+        asked = [build_training_scene(scene, finder) for scene in scenes]
         for layers in (each for name, each in VARIANTS if name == kind):
             for seed in range(given.seeds):
                 assert network.detector is not None
@@ -116,7 +116,7 @@ def _starts(
     finder: ObjectFinder,
     graph: torch.nn.Module,
     scene: Scene,
-    of: Lesson,
+    of: TrainingScene,
     session: str,
 ) -> Sequence[int]:
     """Return the rank of the first right start of each query, 99 for none."""

@@ -25,7 +25,7 @@ from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.constellation_training import LONGEST
 from objconnect.network.finder import headings_around
-from objconnect.network.landmarks import merge, on_ground
+from objconnect.network.landmarks import merge, place_on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -57,7 +57,7 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     place = connect(found, camera, *headings_around(None, heights))[0]
     true = Pose.from_matrix(frames.cam_from_world[row])
     apart = float(torch.linalg.norm(place.pose.centre() - true.centre()))
-    placed = on_ground(found, camera, place.pose, ground).xyz
+    placed = place_on_ground(found, camera, place.pose, ground).xyz
     away = np.linalg.norm(placed[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
     away = np.where(np.isfinite(away), away, np.inf)
     nearest = away.argmin(1)

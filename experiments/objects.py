@@ -31,9 +31,9 @@ from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
 from objconnect.network.constellation_training import (
     LONGEST,
     ConstellationTraining,
-    Lesson,
+    TrainingScene,
+    build_training_scene,
     describe_query,
-    lesson,
     train_graph,
 )
 from objconnect.network.finder import headings_around
@@ -234,10 +234,10 @@ def found_in_both(
 # ---- matching
 
 
-def lessons_of(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[Lesson]:
+def lessons_of(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[TrainingScene]:
     """Find the objects of scenes."""
     finder = finder_of(network)
-    return [lesson(scene, finder) for scene in scenes]
+    return [build_training_scene(scene, finder) for scene in scenes]
 
 
 def matching(
@@ -269,7 +269,7 @@ def matching(
         print(f"seed {seed}: p = {paired_p(with_[:, 1] - without[:, 1]):.2g} over queries")
 
 
-def ranks_of(graph: torch.nn.Module, of: Lesson, session: str) -> NDArray[np.int64]:
+def ranks_of(graph: torch.nn.Module, of: TrainingScene, session: str) -> NDArray[np.int64]:
     """Return, for each query, its known objects, and how many come first or in the first 5."""
     rows = []
     with torch.inference_mode():

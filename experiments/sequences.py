@@ -23,9 +23,9 @@ import numpy as np
 import torch
 
 from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.localization.pipeline.localize import localize_video
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import open_place
 from objconnect.localization.pipeline.tracking import SequenceConfig
 from objconnect.methods import create
 from objconnect.scene.exports.export import export
@@ -97,7 +97,7 @@ def report(
     """Return the figures of a run."""
     errors = np.full((len(located), 2), np.inf)
     for row, item in enumerate(located):
-        if item.found and item.estimate.cam_from_world is not None:
+        if item.is_localized and item.estimate.cam_from_world is not None:
             found = item.estimate.cam_from_world.error_to(truth[item.name])
             errors[row] = [float(part) for part in found]
     found = np.isfinite(errors[:, 0])
@@ -151,7 +151,7 @@ def main() -> None:
         if given.black is not None:
             blank(flown / f"{given.session}.MP4", *given.black)
     truth = read_poses(flown / f"{given.session}-poses.txt")
-    place = open_place(given.map)
+    place = open_map(given.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in given.runs:
         localizer = Timed(create(given.method, {}))

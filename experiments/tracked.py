@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from objconnect.localization.pipeline.place import Place, open_place
+from objconnect.localization.pipeline.localization_map import LocalizationMap, open_map
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
@@ -125,7 +125,9 @@ def told_of(frame: Frame) -> Prior:
     return Prior(position, np.full(3, 3.0), rotation, 3.0)
 
 
-def followed(place: Place, cache: Path, method: str, settings: dict[str, Any], name: str) -> Run:
+def followed(
+    place: LocalizationMap, cache: Path, method: str, settings: dict[str, Any], name: str
+) -> Run:
     """Return a run that is ready for its first frame."""
     localizer = create(method, settings)
     localizer.prepare(place.sparse_map, place.images, cache)
@@ -150,7 +152,7 @@ def main() -> None:
     )
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    place, scene = open_place(given.place), Scene.open(given.flight or given.place)
+    place, scene = open_map(given.place), Scene.open(given.flight or given.place)
     frames = frames_of(scene, given.session, given.every, given.rate)
     both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
     tracking = both | {"tracking": json.loads(given.tracking)}

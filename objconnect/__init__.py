@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from objconnect.ingestion.virtual.command import photograph_orthophoto as photograph_orthophoto
     from objconnect.learning.training.command import train as train
     from objconnect.learning.training.config import TrainConfig as TrainConfig
+    from objconnect.localization.pipeline.localization_map import open_map  # noqa: F401
     from objconnect.localization.pipeline.localize import localize as localize
     from objconnect.localization.pipeline.localize import localize_video as localize_video
     from objconnect.localization.pipeline.options import LocalizeOptions as LocalizeOptions
-    from objconnect.localization.pipeline.place import open_place as open_map  # noqa: F401
     from objconnect.localization.pipeline.tracking import SequenceConfig as SequenceConfig
     from objconnect.mapping.build import build_map as build_map
     from objconnect.mapping.dense.command import dense as dense
@@ -63,7 +63,7 @@ _TARGETS = {
     "export": "objconnect.scene.exports.export",
     # Read what is on disk.
     "open_scene": "objconnect.scene.bundle.scene:Scene.open",
-    "open_map": "objconnect.localization.pipeline.place:open_place",
+    "open_map": "objconnect.localization.pipeline.localization_map:open_map",
     "read_rgb": "objconnect.scene.storage.images",
     "read_model": "objconnect.scene.maps.colmap_files",
     # Localize.

@@ -50,7 +50,9 @@ LOCALIZERS: Final[Registry[LocalizerFactory]] = Registry(
         "objconnect": _lazy_factory(
             "objconnect.network.localizer", "ObjConnectConfig", "ObjConnectLocalizer"
         ),
-        "place": _lazy_factory("objconnect.network.place", "PlaceConfig", "PlaceLocalizer"),
+        "place": _lazy_factory(
+            "objconnect.network.coarse_localizer", "CoarseLocalizerConfig", "CoarseLocalizer"
+        ),
         "prior": _lazy_factory("baselines.prior", "PriorConfig", "PriorLocalizer"),
     },
     unknown="unknown {kind} {name!r}; known: {names}",

@@ -11,16 +11,15 @@ from torch.nn import functional
 
 from baselines.d2net.network import D2Net
 
-# Numerical guards.
-# Least curvature of a peak relative to its height. Flatter peaks are rounding errors.
+# Numerical guard: least curvature of a peak relative to its height.
 _FLAT: Final = 1e-4
-# Largest offset (cells) of a peak from the centre of its cell. Beyond, it belongs to another cell.
+# Largest offset (cells) of a peak from the centre of its cell.
 _MAX_OFFSET: Final = 0.5
-# Smallest side of an image (px). Smaller images have no cell with neighbours.
+# Least side of a pyramid level (px): smaller ones have no cell with neighbours.
 _LEAST: Final = 16
 
 EDGE_RATIO: Final = 5.0
-"""Largest ratio of the two curvatures of a peak. Beyond it the peak is an edge, as in SIFT."""
+"""Largest ratio of the two curvatures of a peak, as in SIFT; beyond, it is an edge."""
 
 
 class Keypoints(NamedTuple):
@@ -48,8 +47,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
     Args:
         network: the network, without gradients.
         image: image (3, H, W) float RGB in 0..1.
-        scales: sizes of the levels relative to the image, coarse to fine. Levels that are too small
-            for a keypoint are left out.
+        scales: scales of the levels, coarse to fine. Levels that are too small are left out.
     """
     height, width = image.shape[1:]
     coarser = taken = None
@@ -95,7 +93,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
 
 
 def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
-    """Find the cells at which the strongest channel has a peak, and the exact positions of peaks.
+    """Find the peaks of each cell's strongest channel, and their exact positions.
 
     A peak is the largest of 3 x 3 cells, and its curvatures are similar in all directions. Its
     exact position is that of the parabola through those cells (Brown and Lowe, BMVC 2002).
@@ -105,7 +103,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         Whether each cell has a peak, (h, w) bool, and offsets (2, h, w) of columns and rows in
-        cells, which have no meaning outside peaks.
+        cells, undefined outside peaks.
     """
     _, h, w = features.shape
     channel = features.argmax(0)[None]

@@ -1,4 +1,4 @@
-"""The localizer ``d2net``: matches of D2-Net's keypoints with map photographs, lifting and PnP.
+"""The localizer ``d2net``: D2-Net matches with reference images, and PnP.
 
 The map was not built from these keypoints, so ``matching.lifting`` interpolates their 3D points
 between the map's observations.
@@ -25,34 +25,34 @@ from objconnect.scene.runtime.device import AUTO, Device, torch_device
 from objconnect.scene.runtime.tuning import trim_heap
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
-"""The weights that come with the project."""
+"""The shipped weights."""
 
-# Least standard deviation of grey levels in a window of this side (px) around a keypoint; plainer
-# ones are artefacts of the image border.
+# Least standard deviation of grey levels in a window of this side (px) around a keypoint; without
+# texture, keypoints are artefacts of the image border.
 _MIN_CONTRAST: Final = 1.0
 _CONTRAST_WINDOW_PX: Final = 33
 
 
 class D2NetConfig(StructureConfig):
-    """Options of the d2net localizer, beside those of ``StructureConfig``."""
+    """Options of the d2net localizer, in addition to those of ``StructureConfig``."""
 
     weights: Path | None = Field(
         None,
-        description="File of weights, ours or a checkpoint of the authors; None for those shipped.",
+        description="File of weights, ours or a checkpoint of the authors; None for the shipped "
+        "ones.",
     )
     device: Device = AUTO
     scales: tuple[float, ...] = Field(
         (2.0,),
         min_length=1,
-        description="Sizes of the levels of the pyramid, small to large. A keypoint is about as "
-        "exact as a cell is large, four pixels of its level: at twice the size poses are twice as "
-        "exact.",
+        description="Scales of the pyramid's levels, ascending. A keypoint is about as exact as a "
+        "cell of four pixels of its level: at scale 2 poses are twice as exact as at 1.",
     )
     max_edge: int = Field(
         2048,
         ge=64,
-        description="No image and no level is made larger (px); where the largest would be, all "
-        "levels shrink alike.",
+        description="Largest longer side of an image and of a level, px; if the largest level "
+        "exceeds it, all levels shrink by the same factor.",
     )
     ratio: float = Field(
         0.9,
@@ -61,13 +61,13 @@ class D2NetConfig(StructureConfig):
         description="Ratio of nearest to second nearest descriptor distance. The authors use no "
         "ratio test. It helps where roofs repeat.",
     )
-    max_error_px: float = Field(8.0, gt=0, description="Inlier threshold of PnP.")
-    max_features: int = Field(6000, ge=100, description="Most features of an image.")
+    max_error_px: float = Field(8.0, gt=0, description="Inlier threshold of RANSAC, px.")
+    max_features: int = Field(6000, ge=100, description="Maximum number of features of an image.")
 
     @model_validator(mode="after")
     def _pyramid(self) -> Self:
         if min(self.scales) <= 0 or list(self.scales) != sorted(set(self.scales)):
-            raise ValueError("scales must be positive and become larger")
+            raise ValueError("scales must be positive and ascending")
         return self
 
 
@@ -75,11 +75,11 @@ class D2NetExtractor(Extractor):
     """Extracts the strongest ``max_features`` keypoints of an image."""
 
     name = "d2net"
-    turned = False
+    rotation_invariant = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
         self._device = torch_device(config.device)
-        # Convolutions of channels-last maps take less time on processors.
+        # Convolutions of channels-last maps take less time on the CPU.
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._network: D2Net = fast.to(self._device)
         self._config = config
@@ -103,7 +103,7 @@ class D2NetExtractor(Extractor):
                 values[strongest].cpu().numpy()
                 for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
-        trim_heap()  # half a gigabyte; the time does not count beside the pass
+        trim_heap()  # frees half a gigabyte; its time is negligible beside the pass
         config = self._config
         clear = _has_contrast(rgb, xy)
         kept = np.flatnonzero(clear)[: config.max_features]
@@ -121,10 +121,10 @@ class D2NetExtractor(Extractor):
 
 
 def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which keypoints (N, 2) lie where the picture has contrast, (N,).
+    """Return whether the picture has contrast around keypoints (N, 2), (N,).
 
-    In plain images, the padding of the convolutions causes peaks at the border. They are at the
-    same positions in any two images, so that matches between them would agree on a pose.
+    In images without texture, the padding of the convolutions causes peaks at the border. They are
+    at the same positions in any two images, so matches between them would agree on a pose.
     """
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
     window = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
@@ -134,7 +134,7 @@ def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np
 
 
 class D2NetLocalizer(StructureLocalizer):
-    """The localizer ``d2net``; the module describes it."""
+    """The localizer ``d2net``."""
 
     def __init__(self, config: D2NetConfig) -> None:
         """Read the weights and prepare the extractor.

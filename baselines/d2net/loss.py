@@ -1,7 +1,7 @@
 """The loss of D2-Net (section 4 of the paper).
 
-It is a triplet margin loss. Each triplet is weighted by the product of the soft detection scores of
-its two keypoints, which also trains detection: good matches get higher scores.
+It is a triplet margin loss, weighted by the product of the soft detection scores of the two
+keypoints. The weight also trains detection: good matches get higher scores.
 """
 
 from __future__ import annotations
@@ -14,18 +14,17 @@ from torch.nn import functional
 
 from objconnect.learning.training.contrastive import sample
 
-# Margin of the squared distances, as the authors have it.
+# Margin of the squared distances, that of the authors.
 _MARGIN: Final = 1.0
-# Descriptors within this many cells (Chebyshev distance) of the true match are no negatives.
+# Least Chebyshev distance (cells) of a negative from the true match.
 _SAFE_RADIUS: Final = 4
-# Numerical guards.
-# A value above any squared distance of unit vectors.
+# Numerical guards; the first exceeds any squared distance of unit vectors.
 _FAR: Final = 10.0
 _TINY: Final = 1e-12
 
 
 class TripletLoss(NamedTuple):
-    """The loss of a pair of images and figures for the log, all scalars.
+    """The loss of a pair of images and values for the log, all scalars.
 
     Attributes:
         loss: mean hinge of margin + positive - negative, weighted by the scores.
@@ -41,7 +40,7 @@ class TripletLoss(NamedTuple):
 
 
 class Described(NamedTuple):
-    """One image of a pair, and the points in it that correspond to points of the other.
+    """One image of a pair with the points that correspond to points of the other.
 
     Attributes:
         features: features (C, h, w), of either sign and any length.

@@ -23,8 +23,7 @@ from objconnect.scene.errors import InputError
 
 STRIDE: Final = 8
 """Pixels per cell in training."""
-# Means of blue, green and red in 0..255, which the authors' VGG16 and trained weights expect to be
-# subtracted.
+# Means of blue, green and red in 0..255 that the authors' weights expect to be subtracted.
 _MEANS: Final = (103.939, 116.779, 123.68)
 # Approximate standard deviation after this subtraction.
 _SPREAD: Final = 60.0
@@ -33,7 +32,7 @@ _TINY: Final = 1e-12
 
 
 class D2NetNetConfig(Config):
-    """The configuration of the network."""
+    """Configuration of the network."""
 
     width: float = Field(
         1.0,
@@ -47,7 +46,6 @@ class D2Net(nn.Module):
     """A network that computes a feature for each cell of an image.
 
     Attributes:
-        config: configuration of the network.
         channels: number of channels of the features.
     """
 
@@ -59,10 +57,10 @@ class D2Net(nn.Module):
         layers: list[nn.Module] = []
         for block in first:
             layers += [*block, nn.MaxPool2d(2)]
-        # The features are conv4_3's values without the ReLU, which callers can apply.
+        # The features are those of conv4_3 before its ReLU.
         model = nn.Sequential(*layers, *last[:-1])
         self.dense_feature_extraction = nn.Sequential(OrderedDict(model=model))
-        # Without weights, training starts with activations near one in every layer.
+        # Random initial weights give activations near one in every layer.
         convolutions = [layer for layer in model if isinstance(layer, nn.Conv2d)]
         for layer in convolutions:
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
@@ -112,9 +110,7 @@ class D2Net(nn.Module):
 
 
 def read_network(path: Path) -> tuple[D2Net, str]:
-    """Read a network from a file of weights; return it with the digest of the file.
-
-    The file is one that our training wrote or a checkpoint of the authors.
+    """Read a network from our weights or the authors' checkpoint; return it with its digest.
 
     Raises:
         InputError: the file is missing or damaged, or its weights belong to another network.

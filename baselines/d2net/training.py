@@ -1,4 +1,4 @@
-"""D2-Net for the training loop."""
+"""Training of D2-Net."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class D2NetTraining:
             made = {"width": config.width, **config.network}
             self.network = D2Net(load_config(D2NetNetConfig, None, made))
         elif config.network:
-            raise InputError("weights come with what their network is made of: leave out 'network'")
+            raise InputError("weights determine the options of their network: leave out 'network'")
         else:
             self.network = start_from(config.weights)
         self.network_config = self.network.config
@@ -51,11 +51,11 @@ class D2NetTraining:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """Return the contrastive loss, plus the mean triplet loss after the warm-up.
 
-        The triplet loss is the mean over the pairs with at least 128 correspondences, as the
-        authors have it, or half of the number that the batch has room for if that is less.
+        The triplet loss is the mean over the pairs with at least 128 correspondences, as in the
+        authors' training, or half of the points of a pair if that is less.
 
         Returns:
-            The loss, and figures: ``contrastive``, the fields of ``TripletLoss`` if any pair has
+            The loss, and log values: ``contrastive``, the fields of ``TripletLoss`` if any pair has
             enough correspondences, and ``pairs``, the number of such pairs.
         """
         count, room = batch.valid.shape
@@ -90,7 +90,7 @@ class D2NetTraining:
 
 
 def start_from(path: Path) -> D2Net:
-    """Make a network to be trained from the weights of D2-Net or of PixLoc's encoder.
+    """Return a network for training, initialised from D2-Net's weights or PixLoc's encoder.
 
     Raises:
         InputError: the file does not exist, or its weights belong to neither network.
@@ -105,14 +105,13 @@ def start_from(path: Path) -> D2Net:
     with torch.no_grad():
         for mine, other in zip(ours, theirs, strict=False):
             mine.load_state_dict(other.state_dict())
-        # PixLoc takes red, green, blue in units of their deviation; D2-Net blue, green, red in
-        # 0..255.
+        # PixLoc's input is RGB in units of its deviation; that of D2-Net is BGR in 0..255.
         spread = torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255
         ours[0].weight.copy_((theirs[0].weight / spread).flip(1))
     return network
 
 
 def _inside(xy: Tensor, images: Tensor) -> Tensor:
-    """Return which pixels (B, N, 2) lie in images, (B, N). NaN lies in none."""
+    """Return whether pixels (B, N, 2) are inside images, (B, N); NaN is not."""
     size = xy.new_tensor([images.shape[3], images.shape[2]])
     return ((xy >= 0) & (xy <= size)).all(-1)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.learning.pixloc_net import read_network
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
@@ -15,11 +15,11 @@ from objconnect.scene.config import with_default
 from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
-"""The weights that come with the project."""
+"""The shipped weights."""
 
 
 class PixlocConfig(FeaturemetricConfig):
-    """Options of the pixloc localizer. It aligns once, to the map's points, as its authors do.
+    """Options of the pixloc localizer, which aligns once to the map's points, as its authors do.
 
     ``weights`` may be a checkpoint of the authors.
     """
@@ -28,36 +28,29 @@ class PixlocConfig(FeaturemetricConfig):
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
-    """The localizer ``pixloc``; the module describes it.
+    """The localizer ``pixloc``.
 
     Raises:
         InputError: the weights are missing or belong to another network.
     """
 
-    def __init__(self, config: PixlocConfig) -> None:
+    def __init__(self, config: FeaturemetricConfig, name: str = "pixloc") -> None:
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
-        fold(network, config.precision)
-        super().__init__("pixloc", network, digest, config)
+        fuse_layers(network, config.precision)
+        super().__init__(name, network, digest, config)
 
 
 class PixlocSearchConfig(SearchingConfig):
-    """Options of the pixloc-search localizer, those of ``objconnect`` but for its objects.
+    """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
 
-    It is the control of comparisons: against ``pixloc`` it shows what the search, the corners and
-    more references do, and ``objconnect`` against it what the network does.
+    It is the control of comparisons: its gain over ``pixloc`` is that of the search, the corners
+    and more reference images, and the gain of ``objconnect`` over it is that of the network.
     """
 
 
-class PixlocSearchLocalizer(FeaturemetricLocalizer):
-    """The localizer ``pixloc-search``; ``PixlocSearchConfig`` describes it.
-
-    Raises:
-        InputError: the weights are missing or belong to another network.
-    """
+class PixlocSearchLocalizer(PixlocLocalizer):
+    """The localizer ``pixloc-search``; see ``PixlocSearchConfig``."""
 
     def __init__(self, config: PixlocSearchConfig) -> None:
-        network, digest = read_network(config.weights or shipped_path(SHIPPED))
-        network.to(torch_device(config.device))
-        fold(network, config.precision)
-        super().__init__("pixloc-search", network, digest, config)
+        super().__init__(config, "pixloc-search")

@@ -1,8 +1,7 @@
-"""PixLoc for the training loop. Features are trained to distinguish places, then to give poses.
+"""Training of PixLoc: a contrastive loss first, then the pose loss, too.
 
 The authors train by the pose loss alone, from weights of ImageNet. From random weights, this leaves
-the coarse level weak. Therefore a contrastive loss comes first, and remains when the pose loss is
-added.
+the coarse level weak. The contrastive loss remains when the pose loss is added.
 """
 
 from __future__ import annotations
@@ -17,20 +16,20 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.training.pose_loss import pose_loss
 from objconnect.localization.featuremetric.training import (
-    both,
     contrast_of,
     filters_and_damping,
     half_precision,
     levels_of,
     pixels_of,
+    stack_images,
     unroll,
     view_of_b,
 )
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 
-# The authors' finest stride is 1. Stride 2 takes a third of the time in training, and the loss of
-# precision is below the error of a map's points. Weights record the strides of their training.
+# The authors' finest stride is 1. Stride 2 trains in a third of the time, and its loss of precision
+# is below the error of a map's points. Weights record the strides of their training.
 _STRIDES: Final = (16, 4, 2)
 
 
@@ -43,7 +42,7 @@ class PixlocTraining:
             made = {"width": config.width, "strides": _STRIDES, **config.network}
             self.network = PixlocNet(load_config(PixlocNetConfig, None, made))
         elif config.network:
-            raise InputError("weights come with what their network is made of: leave out 'network'")
+            raise InputError("weights determine the options of their network: leave out 'network'")
         else:
             self.network, _ = read_network(config.weights)
         self.network_config = self.network.config
@@ -53,7 +52,7 @@ class PixlocTraining:
         """See ``Trainable``."""
         strides = self.network_config.strides
         with half_precision(batch):
-            maps = self.network(both(batch))
+            maps = self.network(stack_images(batch))
         contrast, figures = contrast_of(maps, strides, batch, self._losses)
         if progress < self._warm_up:
             return contrast, figures

@@ -163,8 +163,8 @@ def localize(
     goes on where it stopped.
     """
     from objconnect.localization.pipeline import localize as job
+    from objconnect.localization.pipeline.localization_map import open_map
     from objconnect.localization.pipeline.options import LocalizeOptions
-    from objconnect.localization.pipeline.place import open_place
     from objconnect.localization.pipeline.tracking import sequence_config
 
     flown = _choose_source(images, video, srt, priors, sequence, rate)
@@ -186,8 +186,8 @@ def localize(
     claim_folders([place, flown], cache)
     localizer = create_at_risk(method, settings, risk)
     run = job.localize if video is None else job.localize_video
-    located = run(open_place(place), flown, localizer, out, options)
-    localized = sum(item.found for item in located)
+    located = run(open_map(place), flown, localizer, out, options)
+    localized = sum(item.is_localized for item in located)
     what = "photographs" if video is None else "frames"
     text = f"{out}: {localized} of {len(located)} {what} found"
     emit(Summary(text, {"poses": str(out), what: len(located), "found": localized}), as_json)

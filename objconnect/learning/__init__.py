@@ -1,1 +1,1 @@
-"""What networks share: encoders, decoder, checkpoints, arithmetic, training."""
+"""Parts that networks share: encoder, decoder, checkpoints, inference and training."""

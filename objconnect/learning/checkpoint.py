@@ -1,4 +1,4 @@
-"""Files of learned weights: our safetensors, and checkpoints, of which only tensors are read."""
+"""Files of weights: safetensors, and torch checkpoints, of which only tensors are read."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from objconnect.scene.storage.files import parse_json
 
 
 def shipped_path(path: Path) -> Path:
-    """Return the path of shipped weights, which lie beside the code that reads them.
+    """Return the path of shipped weights.
 
     Raises:
         InputError: the file does not exist.
     """
     if not path.is_file():
         raise InputError(
-            f"no weights at {path}: train them (objconnect train {path.stem}), or name a file of "
-            "yours or of the authors with weights=FILE"
+            f"no weights at {path}: train them (objconnect train {path.stem}), or give a file with "
+            "weights=FILE"
         )
     return path
 
@@ -49,8 +49,7 @@ class _Number:
 
 
 # Types that checkpoints may contain besides tensors: arguments of training scripts and their
-# scores.
-# A score is stored as a call of a NumPy function, whose name differs between versions.
+# scores. A score is stored as a call of a NumPy function, whose name differs between versions.
 _PLAIN: Final[list[Any]] = [
     (_Number, "numpy.core.multiarray.scalar"),
     (_Number, "numpy._core.multiarray.scalar"),
@@ -66,7 +65,6 @@ class Weights:
     Attributes:
         tensors: tensors by the names of the network's ``state_dict``.
         config: configuration of the network; empty where the file has none.
-        sha256: digest of the file.
     """
 
     tensors: dict[str, Tensor]
@@ -77,8 +75,8 @@ class Weights:
 def read_weights(path: Path) -> Weights:
     """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
 
-    Checkpoints may contain only tensors, numbers and plain values. Files that would execute code
-    are refused.
+    Checkpoints may contain only tensors and plain values. Files that would execute code are
+    refused.
 
     Raises:
         InputError: the file does not exist, is damaged, or contains code.
@@ -94,14 +92,14 @@ def read_weights(path: Path) -> Weights:
         except (SafetensorError, ValueError, OSError) as error:
             raise InputError(f"{path} is no safetensors file of weights: {error}") from error
         if not isinstance(config, dict):
-            raise InputError(f"{path} is no safetensors file of weights: its config is none")
+            raise InputError(f"{path} is no safetensors file of weights: its config is damaged")
         return Weights(tensors, config, digest)
     try:
         with torch.serialization.safe_globals(_PLAIN):
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files raise many kinds of exceptions
         raise InputError(
-            f"{path} cannot be read as tensors and plain values: {fault_of(error)}"
+            f"{path} cannot be read as tensors and plain values: {describe_fault(error)}"
         ) from error
     model = content.get("model", content) if isinstance(content, Mapping) else None
     if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):
@@ -110,16 +108,16 @@ def read_weights(path: Path) -> Weights:
     return Weights(named, {}, digest)
 
 
-def fault_of(error: Exception) -> str:
-    """Describe what is wrong with a checkpoint from the exception that torch raised.
+def describe_fault(error: Exception) -> str:
+    """Return what is wrong with a checkpoint, from the exception that torch raised.
 
-    torch's own message is not used where it explains how to execute the code in the file.
+    torch's own message is not used if it explains how to execute the code in the file.
     """
     text = str(error)
     if code := re.search(r"GLOBAL (\S+)", text):
         return f"it asks for {code[1]}"
     if "weights_only" in text:
-        return "it holds more than tensors and plain values, or is of a format that could"
+        return "unsafe checkpoint: only tensors and plain values are loaded"
     return next(iter(text.splitlines()), type(error).__name__)
 
 
@@ -141,7 +139,7 @@ def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> 
     own = network.state_dict()
     for name, value in own.items():
         if name not in tensors:
-            raise InputError(f"{path} lacks {name}: it is not of this network")
+            raise InputError(f"{path} lacks {name}: give weights of this network")
         if tensors[name].shape != value.shape:
             raise InputError(
                 f"{path}: {name} is {tuple(tensors[name].shape)}, the network's is "

@@ -1,20 +1,16 @@
-"""Learned damping of the aligner: one factor for each direction of the pose."""
+"""Learned damping of the alignment: one factor for each direction of the pose."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-# Range of the decimal logarithm of a factor: part of the model that the weights were trained for.
+# Range of the decimal logarithm of a factor; trained weights depend on it.
 _LOG_RANGE = (-6.0, 5.0)
 
 
 class Damping(nn.Module):
-    """Learned damping of one level: a factor per direction, 1e-6 to 1e5, 0.3 untrained.
-
-    Parameters start at zero and change little per step of training: their learning rate is best a
-    hundred times that of the network (as in PixLoc's configuration).
-    """
+    """Learned damping of one level: a factor per direction, 1e-6 to 1e5, initially 0.3."""
 
     def __init__(self) -> None:
         super().__init__()

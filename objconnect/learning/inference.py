@@ -1,8 +1,7 @@
-"""Networks made ready for inference: fewer passes over the same maps.
+"""Preparation of networks for inference by fused layers.
 
-A convolution, the batch normalisation after it and the ReLU after that become one pass, whose
-weights hold the normalisation. Results are the same up to rounding. In bfloat16 the convolutions
-run on the processor's units for it, where it has any.
+A convolution, its batch normalisation and its ReLU become one pass. Results are the same up to
+rounding. In bfloat16 the convolutions run on the processor's matrix or vector units for it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
 def resolve_precision(precision: str) -> str:
-    """Return the precision that is used on this processor: ``auto`` becomes one of the others."""
+    """Return the precision on this processor: ``auto`` becomes one of the others."""
     if precision != "auto":
         return precision
     return "bfloat16" if has_bfloat16_units() else "float32"
@@ -41,29 +40,29 @@ def has_bfloat16_units() -> bool:
 
 @cache
 def processor_maker() -> str:
-    """Return who made the processor, as it says itself; empty where the system does not tell."""
+    """Return the vendor string of the processor; empty if unknown."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:  # not Linux; Windows has the word at the end
+    except OSError:  # Not Linux; on Windows the vendor is at the end.
         return platform.processor().rpartition(", ")[2]
     return next((line.split()[-1] for line in lines if line.startswith("vendor_id")), "")
 
 
 Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(resolve_precision)]
-"""Precision of the convolutions; ``auto`` is bfloat16 where the processor has units for it, and
-becomes what it stands for in every configuration, so that results record it."""
+"""Precision of the convolutions; ``auto`` is resolved in the configuration, so that results record
+the precision that was used."""
 
-# oneDNN's convolution with a ReLU in the same pass; not every build of torch has it.
+# oneDNN's convolution fused with a ReLU; some builds of torch lack it.
 _FUSED: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
 
 
 def _has_fast_units(dtype: torch.dtype) -> bool:
-    """Return whether oneDNN computes in a type on this processor: half types need units."""
+    """Return whether oneDNN supports a type on this processor."""
     return dtype == torch.float32 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
 
 class ConvReLU(nn.Module):
-    """A 3x3 convolution and a ReLU in one pass."""
+    """A 3x3 convolution fused with a ReLU."""
 
     def __init__(self, convolution: nn.Conv2d, dtype: torch.dtype) -> None:
         super().__init__()
@@ -72,7 +71,7 @@ class ConvReLU(nn.Module):
         self.convolution = made.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return the maps (B, C, h, w) after both."""
+        """Return the output maps (B, C, h, w)."""
         layer = self.convolution
         maps = maps.to(layer.weight.dtype)
         if _FUSED is None or maps.device.type != "cpu" or not _has_fast_units(maps.dtype):
@@ -83,38 +82,38 @@ class ConvReLU(nn.Module):
 
 
 class Pooling(nn.Module):
-    """The largest of two by two cells, of integers too.
+    """Max pooling of 2x2 cells, for integers too.
 
-    Torch's own takes two to three times as long, as it also says which cell is the largest.
+    Torch's own takes two to three times as long, because it also returns the indices.
     """
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return the maps (B, C, h // 2, w // 2) after it."""
+        """Return the pooled maps (B, C, h // 2, w // 2)."""
         height, width = (side // 2 * 2 for side in maps.shape[-2:])
         rows = torch.maximum(maps[..., 0:height:2, :width], maps[..., 1:height:2, :width])
         return torch.maximum(rows[..., 0::2], rows[..., 1::2])
 
 
 class CellwiseConv(nn.Module):
-    """A convolution of single cells as a product of matrices, of maps that are channels-last."""
+    """A 1x1 convolution as a matrix product, for channels-last maps."""
 
     def __init__(self, convolution: nn.Conv2d) -> None:
         super().__init__()
         self.convolution = convolution
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Return the maps (B, C, h, w) after it, channels-last."""
+        """Return the output maps (B, C, h, w), channels-last."""
         layer = self.convolution
         rows = functional.linear(maps.permute(0, 2, 3, 1), layer.weight[:, :, 0, 0], layer.bias)
         return rows.permute(0, 3, 1, 2)
 
 
-def fold(network: nn.Module, precision: str) -> None:
-    """Make a trained network ready for inference; it can then be neither trained nor saved.
+def fuse_layers(network: nn.Module, precision: str) -> None:
+    """Fuse the layers of a trained network in place; it can then be neither trained nor saved.
 
     Args:
-        network: with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
-        precision: of the convolutions of encoder and decoder.
+        network: network with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
+        precision: precision of the convolutions of encoder and decoder.
     """
     dtype = torch.bfloat16 if resolve_precision(precision) == "bfloat16" else torch.float32
     for name in ("encoder", "decoder"):
@@ -132,7 +131,7 @@ def fold(network: nn.Module, precision: str) -> None:
 
 
 def _fold(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
-    """Yield the layers of a sequence, with those of one pass as one."""
+    """Yield the fused layers of a sequence."""
     while layers:
         layer = layers.pop(0)
         if isinstance(layer, nn.Conv2d):

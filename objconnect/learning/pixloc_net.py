@@ -28,7 +28,7 @@ from objconnect.scene.errors import InputError
 
 
 class PixlocNetConfig(Config):
-    """The configuration of the network. Levels run from coarse to fine."""
+    """Configuration of the network. Levels run from coarse to fine."""
 
     width: float = Field(
         1.0, gt=0, le=2, description="Number of channels of the encoder as a share of VGG16's."
@@ -45,7 +45,7 @@ class PixlocNetConfig(Config):
         "encoder; 0 is VGG16 and 1 is VGG19.",
     )
     strides: tuple[int, ...] = Field(
-        (16, 4, 1), min_length=1, description="Strides of the levels, pixels of the image per cell."
+        (16, 4, 1), min_length=1, description="Strides of the levels, px per cell."
     )
     dims: tuple[Channels, ...] = Field(
         (128, 128, 32),
@@ -60,10 +60,9 @@ class PixlocNetConfig(Config):
 
 
 class PixlocNet(nn.Module):
-    """The network of PixLoc, with the damping of the aligner that is trained with it.
+    """The network of PixLoc, with the damping of the alignment that is trained with it.
 
     Attributes:
-        config: configuration of the network.
         damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 
@@ -88,7 +87,7 @@ class PixlocNet(nn.Module):
         Args:
             image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
             levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are wanted, as ``Decoder.levels`` takes them.
+            shown: cells of the finest level that are needed, as for ``Decoder.levels``.
 
         Returns:
             Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
@@ -105,7 +104,7 @@ class PixlocNet(nn.Module):
 
 
 def read_network(path: Path) -> tuple[PixlocNet, str]:
-    """Read a network from our weights or the authors' checkpoint; return it with the digest.
+    """Read a network from our weights or the authors' checkpoint; return it with its digest.
 
     Raises:
         InputError: the file does not exist, is damaged, or belongs to another network.

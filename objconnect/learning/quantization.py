@@ -1,9 +1,9 @@
-"""Networks in integers of eight bits, for processors with units for them (VNNI).
+"""8-bit quantization of networks, for processors with VNNI.
 
 Maps between convolutions are integers 0 to 255, weights are -127 to 127 (Jacob et al., CVPR 2018).
-Every channel has a scale of its own, which is folded into the weights on either side (Nagel et al.,
-ICCV 2019), so that no map is ever rescaled. Scales are those of the largest values that a network
-reaches in some pictures: larger values are cut off. Heads are not quantized.
+Every channel has its own scale, which is folded into the weights on either side (Nagel et al., ICCV
+2019), so that no map is rescaled. Scales come from the largest values in calibration pictures;
+larger values are clipped. Heads are not quantized.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from objconnect.scene.runtime.device import loops_serve
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
 Channelwise = dict[str, Tensor]
-"""A number for each channel (C,) that a convolution returns, by the name of its module."""
+"""Values (C,) of the output channels of convolutions, by the name of the module."""
 
 
 @contextmanager
 def largest_values(network: nn.Module) -> Iterator[Channelwise]:
-    """Yield the largest values that a folded network reaches in what it sees in the context."""
+    """Yield the largest values of a fused network's channels, updated by its passes in the
+    context."""
     largest: Channelwise = {}
 
     def watch(name: str, module: ConvReLU) -> torch.utils.hooks.RemovableHandle:
@@ -39,7 +40,7 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
 
         return module.register_forward_hook(observe)
 
-    # Whole pictures: at the border of a strip the network sees zeros that no picture has there.
+    # In training mode the encoder processes whole pictures: strips have zeros at their borders.
     encoder = network.get_submodule("encoder").train()
     named = network.named_modules()
     handles = [watch(name, module) for name, module in named if isinstance(module, ConvReLU)]
@@ -52,31 +53,31 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
 
 
 def require_quantizable(network: nn.Module) -> None:
-    """Refuse a network that ``quantized`` cannot take.
+    """Check that ``quantize`` supports a network on this processor.
 
     Raises:
-        InputError: the network is not on the processor, which has no units for integers, or it has
-            another decoder.
+        InputError: the network is not on the CPU, the CPU has no VNNI, or the network has another
+            decoder or objects.
     """
     if any(each.device.type != "cpu" for each in network.parameters()):
-        raise InputError("quantized=true computes on the processor: take device=cpu with it")
+        raise InputError("quantized=true runs on the CPU only: give device=cpu, too")
     if not torch.cpu._is_vnni_supported():
-        raise InputError("quantized=true needs a processor with units for integers (VNNI)")
+        raise InputError("quantized=true needs a processor with VNNI: give quantized=false")
     with_objects = any(name.startswith("objects_of.") for name, _ in network.named_modules())
     if with_objects or not isinstance(network.get_submodule("decoder"), nn.ModuleList):
         raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
 
 
 def quantize(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
-    """Return a copy of a folded network whose convolutions take and give integers of eight bits.
+    """Return a copy of a fused network whose convolutions have 8-bit input and output.
 
     Args:
-        network: with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``, and a
-            decoder that is a list of steps, each of which takes the map before it and a block of
-            the encoder.
-        scales: what a step of each channel (C,) that a convolution returns is worth, by the name of
-            its module.
-        strides: of the levels that the heads read.
+        network: network with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``;
+            the decoder is a list of steps, each with the previous map and a block of the encoder as
+            input.
+        scales: quantization steps (C,) of the output channels of convolutions, by the name of the
+            module.
+        strides: strides of the heads' levels.
 
     Raises:
         InputError: see ``require_quantizable``.
@@ -90,7 +91,7 @@ def quantize(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> 
         assert isinstance(heads, nn.ModuleList)
         for number, (head, stride) in enumerate(zip(heads, strides, strict=True)):
             assert isinstance(head, CellwiseConv)
-            # Level 0 has the stride of the encoder's last block, each further one half of it.
+            # Level 0 has the stride of the encoder's last block, each further one half of that.
             heads[number] = _Head(head.convolution, levels[len(blocks) - stride.bit_length()])
     return made
 
@@ -100,7 +101,7 @@ def _sequences(parts: nn.Module) -> list[nn.Sequential]:
 
 
 def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> list[Tensor]:
-    """Replace the layers of an encoder; return what a step of each block's channels is worth."""
+    """Replace the layers of an encoder; return the quantization steps of each block's channels."""
     pixels = _QuantizedPixels()
     into, zero, blocks = torch.full((3,), pixels.scale), pixels.zero, []
     for number, block in enumerate(encoder):
@@ -117,18 +118,12 @@ def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> 
 def _quantize_decoder(
     decoder: Sequence[nn.Sequential], blocks: Sequence[Tensor], scales: Channelwise
 ) -> list[Tensor]:
-    """Replace the layers of a decoder; return what a step of each level's channels is worth.
-
-    Args:
-        decoder: steps from the coarsest level on.
-        blocks: what a step of the channels of the encoder's blocks is worth.
-        scales: the same of all convolutions.
-    """
+    """Replace the layers of a decoder; return the quantization steps of each level's channels."""
     levels = [blocks[-1]]
     for number, step in enumerate(decoder):
         (layer,) = step
         assert isinstance(layer, ConvReLU)
-        # The heads alone read the last map: it need not be rounded.
+        # Only heads read the last map, so it is not rounded.
         last = number == len(decoder) - 1
         out = scales[f"decoder.{number}.0"]
         out = torch.ones_like(out) if last else out
@@ -146,7 +141,7 @@ def double(maps: Tensor) -> Tensor:
         from objconnect.learning.upsampling import double_integers
 
         return double_integers(maps)
-    # A cell is three parts of the one that it lies in and one part of the next, along either axis.
+    # Along either axis, a cell is 3/4 of the one it lies in and 1/4 of the next.
     wide = maps.permute(0, 2, 3, 1).to(torch.int16)
     for axis, shift, half in ((1, 0, 0), (2, 4, 8)):
         ends = [wide.narrow(axis, 0, 1), wide, wide.narrow(axis, wide.shape[axis] - 1, 1)]
@@ -158,12 +153,12 @@ def double(maps: Tensor) -> Tensor:
 
 
 def _heads_type() -> torch.dtype:
-    """Return the type that heads compute in."""
+    """Return the floating-point type of the heads."""
     return torch.bfloat16 if has_bfloat16_units() else torch.float32
 
 
 class _QuantizedPixels(nn.Module):
-    """Rounds a normalised picture to integers, which lie as close as those of its file."""
+    """Quantizes a normalised picture to the resolution of its bytes."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -179,14 +174,14 @@ class _QuantizedPixels(nn.Module):
 
 
 class _QuantizedConvReLU(nn.Module):
-    """A 3x3 convolution and a ReLU, from integers to integers.
+    """A 3x3 convolution with a ReLU on integers.
 
     Args:
-        convolution: in floating point.
-        into: (C_in,) what a step of each channel of the input is worth.
-        out: (C_out,) the same of the output.
+        convolution: the convolution in floating point.
+        into: (C_in,) quantization steps of the input.
+        out: (C_out,) quantization steps of the output.
         zero: the integer of the input that stands for 0.
-        rounded: whether the output is an integer; else it is what heads compute in.
+        rounded: whether the output is an integer; else it has the type of the heads.
     """
 
     def __init__(
@@ -221,11 +216,11 @@ class _QuantizedConvReLU(nn.Module):
 
 
 class _Head(CellwiseConv):
-    """A head that reads integers.
+    """A head with integer input.
 
     Args:
-        convolution: of single cells.
-        scale: (C_in,) what a step of each channel is worth.
+        convolution: a 1x1 convolution.
+        scale: (C_in,) quantization steps of the input.
     """
 
     def __init__(self, convolution: nn.Conv2d, scale: Tensor) -> None:

@@ -1,4 +1,4 @@
-"""The decoder of a U-Net on VGG16, which gives maps at several strides, the finest in strips."""
+"""The U-Net decoder on VGG16, with maps at several strides; the finest is computed in strips."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from objconnect.learning.quantization import double
 from objconnect.learning.vgg import channels
 
 STRIDES: Final = (16, 8, 4, 2, 1)
-# Rows of a map that are decoded at once: few enough for the processor's cache, and even.
+# Number of rows decoded at once: few enough for the processor's cache, and even.
 _ROWS: Final = 64
-# Cells beyond the wanted ones that are decoded too: the convolution and the resizing of the next
-# level need (4 + 1) / 2 + 1 of them, and interpolated slopes two.
+# Margin of cells around the needed ones: the convolution and the resizing of the next level need
+# (4 + 1) / 2 + 1 of them, and interpolated slopes two.
 _REACH: Final = 4
 
 
 def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
-    """Check levels; validators of configurations call this.
+    """Check the levels of a configuration.
 
     Raises:
         ValueError: no network on VGG16 has such levels.
@@ -40,20 +40,20 @@ def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
 Level = tuple[Tensor, Tensor]
 """Features (B, C, h, w) and confidences (B, 1, h, w) of a level."""
 Cellwise = Callable[[Tensor], tuple[Tensor, ...]]
-"""Makes maps (B, _, h, w) of one (B, C, h, w), each cell of them of the same cell alone."""
+"""A function from maps (B, C, h, w) to several maps (B, _, h, w), cell by cell."""
 Channels = Annotated[int, Field(ge=1, le=2048)]
 """Number of channels of a layer; the widest of VGG16 has 512."""
 
 
 class Decoder(nn.ModuleList):
-    """The decoder: steps from stride 16 to finer ones, each with the encoder's block as input too.
+    """The decoder: steps from stride 16 to finer ones, each with a skip from the encoder.
 
     Attributes:
         sizes: channels of each level, coarse to fine.
     """
 
     def __init__(self, width: float, steps: Sequence[int], strides: Sequence[int]) -> None:
-        """Build the decoder of an encoder of ``width``; ``steps`` are channels, stride 8 to 1."""
+        """Build the decoder for an encoder of ``width``; ``steps`` are channels, stride 8 to 1."""
         skips = channels(width)[::-1]
         sizes = [skips[0], *steps[: STRIDES.index(strides[-1])]]
         super().__init__(
@@ -85,18 +85,18 @@ class Decoder(nn.ModuleList):
         heads: Sequence[Cellwise],
         shown: NDArray[np.bool_] | None = None,
     ) -> Iterator[tuple[Tensor, ...]]:
-        """Yield what a head makes of the map of each level, which ``forward`` describes.
+        """Yield the output of each level's head on the map of ``forward``.
 
-        The map of the finest level, the largest, is made and read a few rows at a time.
+        The finest level, the largest, is computed a few rows at a time.
 
         Args:
-            blocks: outputs of the encoder's blocks, as ``forward`` takes them.
-            heads: of each level, coarse to fine.
-            shown: cells (h, w) of the finest level that are wanted; None stands for all. Cells of
-                any level that lie far from them may be zero. The others do not change.
+            blocks: outputs of the encoder's blocks, as for ``forward``.
+            heads: heads of the levels, coarse to fine.
+            shown: cells (h, w) of the finest level that are needed; None for all. Cells of any
+                level far from them may be zero. The others do not change.
         """
         skips = list(blocks)
-        del blocks  # each of them can go once it is decoded
+        del blocks  # frees each of them once it is decoded
         wanted = _spans(shown)
         decoded = skips.pop()
         if 0 in self._wanted:
@@ -116,12 +116,12 @@ def _itself(maps: Tensor) -> tuple[Tensor]:
 
 
 def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
-    """Return the wanted columns (h, 2) of each row: the first, and one past the last.
+    """Return the needed columns (h, 2) of each row: the first, and one past the last.
 
-    They are w and 0 where none is wanted.
+    They are w and 0 in rows without any.
 
     Args:
-        shown: wanted cells (h, w), or None for all.
+        shown: needed cells (h, w), or None for all.
     """
     if shown is None or not shown.any():
         return None
@@ -133,7 +133,7 @@ def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
 
 
 def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
-    """Return the spans of a level whose cells have so many times the side."""
+    """Return the spans of a level with cells ``times`` as large."""
     if spans is None:
         return None
     begins = np.arange(0, len(spans), times)
@@ -144,13 +144,13 @@ def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] |
 
 
 class _Window(NamedTuple):
-    """Cells ``first`` to ``last``, both even, along one side of a map, and what they are made of.
+    """The inputs of cells ``first`` to ``last``, both even, along one side of a map.
 
     Attributes:
         coarse: cells of the map of half the resolution.
-        fine: cells of the encoder's block, one more at either side where there is one.
-        shift: where those begin in the resized coarse map.
-        before: where the wanted cells begin in those.
+        fine: cells of the encoder's block, with one more at either side inside the map.
+        shift: start of ``fine`` in the resized coarse map.
+        before: start of the needed cells in ``fine``.
     """
 
     coarse: slice
@@ -160,7 +160,7 @@ class _Window(NamedTuple):
 
     @staticmethod
     def of(first: int, last: int, size: int) -> _Window:
-        # The convolution sees one cell more at either side, and the resizing one of the coarse map.
+        # The convolution needs one more cell at either side, and the resizing one coarse cell.
         before, after = int(first > 0), int(last < size)
         start = max(first // 2 - 2, 0)
         return _Window(
@@ -178,14 +178,13 @@ def _decode(
     head: Cellwise,
     spans: NDArray[np.int64] | None = None,
 ) -> tuple[Tensor, ...]:
-    """Apply a step of the decoder to maps of half its resolution and the encoder's block.
+    """Apply a step of the decoder, and a head, to maps of half its resolution and a skip.
 
-    What goes into the convolution is made for some rows at a time: of a whole picture it would take
-    three times the memory of the result. Of these rows, only columns near the ``spans`` (rows, 2)
-    are made, where there are such, and the others are zero. The ``head`` reads them at once.
+    It runs in strips of rows, because the input of the convolution takes three times the memory of
+    the result. With ``spans`` (rows, 2), only columns near them are computed; the others are zero.
     """
     rows, columns = (2 * side for side in coarse.shape[-2:])
-    # The statistics of a batch are those of whole maps.
+    # In training, batch normalisation needs whole maps.
     count = rows if step.training else _ROWS
     whole: list[Tensor] = []
     for top in range(0, rows, count):
@@ -211,6 +210,6 @@ def _decode(
 
 
 def _zeros(like: Tensor, rows: int, columns: int) -> Tensor:
-    """Return maps of zeros, channels-last, of the channels and type of others."""
+    """Return maps of zeros, channels-last, with the channels and type of others."""
     batch, depth = like.shape[:2]
     return like.new_zeros((batch, rows, columns, depth)).permute(0, 3, 1, 2)

@@ -1,4 +1,4 @@
-"""Maps of integers resized to twice their sides, in compiled loops."""
+"""Compiled bilinear upsampling of integer maps by 2."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SIGNATURE: Final = "void(u1[:,:,:,::1], u1[:,:,:,::1], i2[::1])"
 
 
 def double_integers(maps: Tensor) -> Tensor:
-    """Return what ``quantization.doubled`` returns of uint8 maps (B, C, h, w)."""
+    """Resize uint8 maps (B, C, h, w) as ``quantization.double`` does."""
     cells = maps.permute(0, 2, 3, 1).contiguous().numpy()
     batch, height, width, channels = cells.shape
     made = np.empty((batch, 2 * height, 2 * width, channels), np.uint8)
@@ -30,7 +30,7 @@ def _double(cells: NDArray[np.uint8], made: NDArray[np.uint8], row: NDArray[np.i
     for one in range(batch):
         for y in range(2 * height):
             here = y // 2
-            # A cell is three parts of the one that it lies in and one part of the next.
+            # A cell is 3/4 of the one it lies in and 1/4 of the next.
             other = min(max(here + (1 if y % 2 else -1), 0), height - 1)
             near, far = cells[one, here].ravel(), cells[one, other].ravel()
             for k in range(np.uint64(width * channels)):

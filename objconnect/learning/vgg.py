@@ -9,12 +9,12 @@ from torch import Tensor, nn
 
 # Channels of the convolutions of each block. Between blocks there is a pooling by 2.
 BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Mean and deviation of RGB in 0..1 over ImageNet, by which networks based on VGG16 normalise.
+# ImageNet's mean and standard deviation of RGB in 0..1, which normalise the input.
 IMAGENET_MEAN: Final = (0.485, 0.456, 0.406)
 IMAGENET_STD: Final = (0.229, 0.224, 0.225)
-# Rows of an image that the first block sees at once, an even number: fewer take more time.
+# Number of rows of a strip in the first block, an even number: smaller strips take more time.
 _ROWS: Final = 128
-# Rows beyond them that its two convolutions see.
+# Number of further rows at either side that the block's two convolutions need.
 _HALO: Final = 2
 
 
@@ -24,10 +24,10 @@ def channels(width: float) -> list[int]:
 
 
 def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
-    """Make the five blocks, each a list of 3x3 convolutions with ReLUs, without the poolings.
+    """Return the five blocks, each a list of 3x3 convolutions with ReLUs, without the poolings.
 
     With poolings between them, the order of layers is that of torchvision's ``vgg16().features``,
-    so that weights of networks built on it can be loaded by position.
+    so that its weights can be loaded by position.
 
     Args:
         width: number of channels as a share of VGG16's.
@@ -46,7 +46,7 @@ def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
 
 
 def vgg16_encoder(width: float = 1.0, extra: int = 0) -> nn.ModuleList:
-    """Make the blocks of ``vgg16_blocks`` as modules. All but the first begin with a pooling.
+    """Return the blocks of ``vgg16_blocks`` as modules. All but the first begin with a pooling.
 
     Parameters are named ``BLOCK.LAYER``, as in PixLoc's encoder.
     """
@@ -63,7 +63,7 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
         encoder: result of ``vgg16_encoder``.
         image: images (B, 3, H, W), RGB, in 0..1 or of bytes. They are normalised by ImageNet's
             statistics here.
-        finest: outputs of finer strides are not kept: at stride 1 they take most of the memory.
+        finest: finest stride of the outputs; at stride 1 they take most of the memory.
     """
     first, second = encoder[0], encoder[1]
     assert isinstance(second, nn.Sequential)
@@ -84,7 +84,7 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
 
 
 def in_unit(image: Tensor) -> Tensor:
-    """Return images in 0..1, of such images or of bytes."""
+    """Return images in 0..1, converted from bytes if necessary."""
     return image / 255 if image.dtype == torch.uint8 else image
 
 
@@ -95,10 +95,10 @@ def _normalise(image: Tensor) -> Tensor:
 
 
 def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
-    """Apply the first block and the pooling after it to some rows of an image at a time.
+    """Apply the first block and its pooling to an image in strips of rows.
 
-    What lies between them would take several times the memory of all that is kept. All strips have
-    as many rows, as oneDNN compiles a convolution for each size.
+    The full maps of the block would take several times the memory of the result. All strips have
+    the same height, because oneDNN compiles a convolution for each size.
     """
     height = image.shape[-2]
     # Strips begin at even rows, which are pooled with the next ones.
@@ -120,7 +120,7 @@ def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
 
 
 def keep_variance(network: nn.Module) -> None:
-    """Initialise convolutions wider than one cell so that they keep the variance through ReLUs."""
+    """Initialise convolutions larger than 1x1 so that ReLUs keep the variance (He et al.)."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -1,1 +1,1 @@
-"""The engine: features, matching, alignment, coarse search, tracking, and the everyday job."""
+"""The engine: features, matching, alignment, coarse search, tracking and the ``localize`` job."""

@@ -1,4 +1,4 @@
-"""What made a pose: the method with its configuration, and the versions of packages."""
+"""Provenance of poses: the method with its configuration, and the versions of packages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _POSES = "poses"
 
 
 class Method(Record):
-    """The method that was run. ``config`` holds everything that changes its result."""
+    """A method; ``config`` holds everything that changes its result."""
 
     name: str
     config: dict[str, Any]
@@ -22,7 +22,7 @@ class Method(Record):
 
     @staticmethod
     def of(localizer: Localizer) -> Method:
-        """Return what results record of a localizer."""
+        """Return the record of a localizer."""
         return Method(
             name=localizer.name,
             config=localizer.config.model_dump(mode="json"),
@@ -31,7 +31,7 @@ class Method(Record):
 
     @staticmethod
     def external(name: str, poses_sha256: str) -> Method:
-        """Return the method of another program, of which only the poses are known."""
+        """Return the record of another program, of which only the poses are known."""
         return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
 
     @property

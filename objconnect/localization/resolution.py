@@ -1,4 +1,4 @@
-"""Ground resolution of photographs, and the scale at which two of them can be compared."""
+"""Ground resolution of photographs, and the scale that makes two of them comparable."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# Fewer points in view do not determine the resolution of a photograph.
+# Least number of points in view that determine the resolution of a photograph.
 _MIN_POINTS: Final = 10
-# Sine of the least angle below the horizon. A camera that looks more flatly, as from a car, sees
-# near and far things side by side: its picture has no one resolution.
+# Sine of the least angle of the optical axis below the horizon. Flatter views, as from a car, have
+# near and far things side by side and no single resolution.
 _LEAST_DOWN: Final = math.sin(math.radians(20))
 SAME_RESOLUTION: Final = 1.25
-"""Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and
-street-level views have no single resolution."""
+"""Ratio of resolutions below which photographs are not resized; networks tolerate it."""
 
 
 def metres_per_pixel(
@@ -30,15 +29,15 @@ def metres_per_pixel(
     xyz: NDArray[np.float64],
     view_from_camera: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the ground resolution of a photograph at the median depth of the points it shows.
+    """Return the ground resolution of a photograph at the median depth of the points in view.
 
-    It is NaN where these are too few, and where the camera looks nearly along the ground.
+    It is NaN if these are too few, or if the camera looks nearly along the ground.
 
     Args:
         pose: ``cam_from_world``.
         camera: camera of the photograph.
         xyz: (N, 3) points that may be in view.
-        view_from_camera: (3, 3) how the camera is then turned; None for not at all.
+        view_from_camera: (3, 3) rotation of the camera for the view; None for none.
     """
     axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
     if -float(axis @ pose.rotation.numpy()[:, 2]) < _LEAST_DOWN:
@@ -52,16 +51,11 @@ def metres_per_pixel(
     return float(depth.median()) / float(np.mean(camera.focal))
 
 
-def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
-    """Return the median metres per pixel at which photographs of a map are seen, NaN if unknown.
-
-    Args:
-        sparse_map: the map.
-        shrunk: gives the pixels seen per pixel of a camera's photographs.
-    """
+def map_resolution(sparse_map: SparseMap, scale_of: Callable[[Camera], float]) -> float:
+    """Return the median metres per pixel of a map's resized photographs, NaN if unknown."""
     resolutions = [
         metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
-        / shrunk(image.camera)
+        / scale_of(image.camera)
         for image in sparse_map.images.values()
     ]
     known = [each for each in resolutions if math.isfinite(each)]
@@ -69,20 +63,20 @@ def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
 
 
 def observed_xyz(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """Return the points that a photograph of a map observes, (N, 3)."""
+    """Return the points (N, 3) that a photograph of a map observes."""
     return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
 
 
 def scale_to(
     wanted: float, own: float, largest: float, same_resolution: float = SAME_RESOLUTION
 ) -> float:
-    """Return the scale at which to look at a photograph so that it has a wanted resolution.
+    """Return the scale of a photograph that gives a wanted resolution.
 
     Args:
-        wanted: metres per pixel to see it at; NaN where unknown.
-        own: metres per pixel of the photograph; NaN where unknown.
+        wanted: metres per pixel of the result; NaN if unknown.
+        own: metres per pixel of the photograph; NaN if unknown.
         largest: the largest scale; beyond 1 it is used only to reach ``wanted``.
-        same_resolution: resolutions whose ratio is below this are left as they are.
+        same_resolution: ratio of resolutions below which the photograph is not resized.
 
     Example:
         >>> scale_to(wanted=0.2, own=0.1, largest=1.0)

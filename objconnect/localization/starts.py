@@ -1,4 +1,4 @@
-"""Starting poses of a query: its prior, completed from photographs of the map."""
+"""Starting poses of a query: its prior, completed by those of reference images."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 # An altitude whose sigma exceeds this share of the height above ground counts as unknown.
 _UNKNOWN_ALTITUDE_SHARE: Final = 0.2
-# Heights above ground whose ratio is below this share one starting altitude.
+# Ratio of heights above ground below which they give one starting altitude.
 _SAME_HEIGHT_RATIO: Final = 1.15
-# Photographs turned less than this against each other share one heading.
+# Angle between headings below which they give one start.
 _SAME_HEADING_DEG: Final = 45.0
 
 
@@ -29,19 +29,19 @@ def starts(
     chosen: NDArray[np.int64],
     same_place_m: float | None = None,
 ) -> list[Pose]:
-    """Return poses (``cam_from_world``, float64) at which a query may be, the likeliest first.
+    """Return starts of a query (``cam_from_world``, float64), the likeliest first.
 
-    Where the altitude is not known, each altitude of the photographs gives a start: a drone also
-    climbs and descends. Where no attitude is known, each distinct heading of the photographs gives
-    one: a survey flies half of its lines the other way round. Without a prior these are the
-    photographs' own poses, and without a position the photographs' places.
+    If the altitude is unknown, each distinct height of the reference images gives a start: a drone
+    also climbs and descends. If the attitude is unknown, each of their distinct headings gives one:
+    a survey flies half of its lines in the opposite direction. Without a position the reference
+    images give it, and without a prior their whole poses.
 
     Args:
-        prior: of the query, finite.
+        prior: prior of the query, finite.
         sparse_map: the map.
-        chosen: rows of ``sparse_map.names`` to take it from, best first; one at least.
-        same_place_m: where nothing is known, photographs farther apart than this (metres) are
-            starts of their own, though they share a heading; None for never.
+        chosen: rows of the reference images in ``sparse_map.names``, best first; at least one.
+        same_place_m: without a prior, reference images farther apart than this (metres) are
+            separate starts though they share a heading; None for never.
     """
     posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
     if prior is None or not (prior.has_position or prior.has_heading):
@@ -66,12 +66,12 @@ def starts(
 
 
 def start_of(prior: Prior | None) -> By:
-    """Return what ``starts`` takes the place of a query from: its prior or photographs."""
+    """Return the source of the position in ``starts``: the prior or reference images."""
     return By.PRIOR if prior is not None and prior.has_position else By.RETRIEVAL
 
 
 def _distinct_heights(heights: Sequence[float]) -> list[int]:
-    """Return the rows from whose height the ground looks larger or smaller than from all before."""
+    """Return the rows of heights that differ from all kept before."""
     kept: list[int] = []
     for row, height in enumerate(heights):
         ratios = (height / max(heights[other], 1e-9) for other in kept)
@@ -81,7 +81,7 @@ def _distinct_heights(heights: Sequence[float]) -> list[int]:
 
 
 def _distinct_headings(posed: Sequence[Pose], same_place_m: float | None = None) -> list[Pose]:
-    """Return the poses whose heading differs from that of all kept before, within a distance."""
+    """Return the poses whose heading differs from that of all kept before within a distance."""
     same_heading = math.radians(_SAME_HEADING_DEG)
     same_place = math.inf if same_place_m is None else same_place_m
     kept: list[Pose] = []

@@ -1,1 +1,1 @@
-"""The object-connect network, whose features depend on objects and are aligned directly."""
+"""The object-connect network: features that depend on objects, for direct alignment."""

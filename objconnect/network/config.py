@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from objconnect.learning.unet import Channels, check_levels
 from objconnect.scene.config import Config
 
-# Options of earlier versions that weights record, with the only values that there are now.
+# Constants that older weights record as options, with the only supported values.
 _FIXED: Final[Mapping[str, object]] = {
     "finest_object_stride": 4,
     "segmenter": {
@@ -26,31 +26,31 @@ _FIXED: Final[Mapping[str, object]] = {
 
 
 class DetectorConfig(Config):
-    """The configuration of a detector of objects."""
+    """Configuration of the object detector."""
 
     stride: int = Field(
         4,
         ge=1,
-        description="Pixels per cell of its maps; one of the strides of the network's levels.",
+        description="Stride of its maps, px per cell; one of the strides of the network's levels.",
     )
     size: int = Field(64, ge=4, description="Number of channels of its convolutions.")
-    vector: int = Field(32, ge=2, description="Number of channels of the vector of an object.")
+    vector: int = Field(32, ge=2, description="Number of channels of an object's vector.")
 
 
 class ConstellationConfig(Config):
-    """The configuration of the graph over objects."""
+    """Configuration of the graph over objects."""
 
     vector: int = Field(32, ge=2, description="Number of channels of the objects' vectors.")
     size: int = Field(64, ge=4, description="Number of channels of the nodes.")
-    out: int = Field(32, ge=2, description="Number of channels of the vectors that are compared.")
+    out: int = Field(32, ge=2, description="Number of channels of the output vectors.")
     layers: int = Field(
-        2, ge=0, description="Times that nodes hear of their neighbours; 0 for no graph."
+        2, ge=0, description="Number of rounds of message passing; 0 for no messages."
     )
-    neighbours: int = Field(12, ge=1, description="Number of neighbours that a node hears of.")
+    neighbours: int = Field(12, ge=1, description="Number of neighbours of a node.")
 
 
 class ObjConnectNetConfig(Config):
-    """The configuration of the network. Each block of the method can be switched off.
+    """Configuration of the network. Each block of the method can be switched off.
 
     Levels run from coarse to fine.
     """
@@ -73,7 +73,7 @@ class ObjConnectNetConfig(Config):
     strides: tuple[int, ...] = Field(
         (16, 4, 2),
         min_length=1,
-        description="Strides of the levels, pixels of the image per cell.",
+        description="Strides of the levels, px per cell.",
     )
     dims: tuple[Channels, ...] = Field(
         (128, 128, 32),
@@ -92,18 +92,18 @@ class ObjConnectNetConfig(Config):
     segment_side: float = Field(
         32.0,
         ge=4,
-        description="Typical side of an object, pixels; images too small for N objects of this "
-        "side have fewer.",
+        description="Typical side of an object, px; images too small for N objects of this side "
+        "have fewer.",
     )
     attention: bool = Field(
         True,
-        description="Switches equations (1) to (3), which add features of the object to each cell.",
+        description="Equations (1) to (3), which add features of the object to each cell.",
     )
     object_graph: bool = Field(
         True,
-        description="Switches equations (4) and (5), a graph over the points of each object.",
+        description="Equations (4) and (5), a graph over the points of each object.",
     )
-    scene_graph: bool = Field(True, description="Switches a graph over all objects.")
+    scene_graph: bool = Field(True, description="A graph over all objects.")
     detector: DetectorConfig | None = Field(
         None, description="Detector of learned objects; None for none."
     )
@@ -115,12 +115,14 @@ class ObjConnectNetConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _earlier(cls, values: Any) -> Any:
-        """Leave out what were options when weights were written, where it is what holds now."""
+        """Drop constants that older weights record as options, if their values are supported."""
         if not isinstance(values, Mapping):
             return values
         for name, fixed in _FIXED.items():
             if name in values and values[name] != fixed:
-                raise ValueError(f"{name} is {values[name]} in these weights, and {fixed} here")
+                raise ValueError(
+                    f"{name} is {values[name]} in these weights; only {fixed} is supported"
+                )
         return {name: value for name, value in values.items() if name not in _FIXED}
 
     @model_validator(mode="after")
@@ -135,5 +137,5 @@ class ObjConnectNetConfig(Config):
         if self.segmentation == "learned" and self.detector is None:
             raise ValueError("learned segmentation needs a detector")
         if self.detector is not None and self.detector.stride not in self.strides:
-            raise ValueError("the stride of the detector is one of the levels' strides")
+            raise ValueError("the stride of the detector must be one of the levels' strides")
         return self

@@ -1,8 +1,8 @@
-"""The graph over the objects of a scene: what an object is among its neighbours.
+"""A graph network over the objects of a scene, which describes an object among its neighbours.
 
-Nodes are centres with vectors. An object hears of its nearest neighbours: their vectors, and where
-they stand from it. The same graph describes the objects of a photograph, laid out on the ground
-under an assumed heading and height, and those of a map, so that the two can be compared.
+Nodes are centres with vectors. Edges to the nearest neighbours encode their metric offsets. The
+same graph describes the objects of a photograph, laid out on the ground under an assumed heading
+and height, and those of a map, so that the two can be compared.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from torch.nn import functional
 
 from objconnect.network.config import ConstellationConfig
 
-# Metres that a neighbour's distance is measured in.
-_FAR: Final = 10.0
-# Places whose neighbours are looked for at once.
+# Unit of the offsets between neighbours, metres.
+_UNIT_M: Final = 10.0
+# Number of nodes whose neighbours are computed at once.
 _AT_ONCE: Final = 512
-# What is said of where a neighbour stands.
+# Number of channels of an edge.
 _EDGE: Final = 12
 
 
 class _Layer(nn.Module):
-    """One round of messages: ReLU of what the neighbour is, where it stands, and what one is."""
+    """One round of messages, each the ReLU of node, neighbour and edge features."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -62,17 +62,17 @@ class ConstellationGraph(nn.Module):
         self.sharpness = nn.Parameter(torch.tensor(math.log(10.0)))
 
     def to_tensor(self, numbers: NDArray[np.float32] | NDArray[np.float64]) -> Tensor:
-        """Return numbers as the graph takes them: single precision, on its device."""
+        """Return numbers as a tensor in single precision on the graph's device."""
         return torch.from_numpy(numbers).to(self.sharpness.device).float()
 
     def neighbours(self, where: Tensor) -> tuple[Tensor, Tensor]:
-        """Return rows (N, k) of the nearest neighbours of places (N, 2), and which exist (N, k)."""
+        """Return rows (N, k) of the nearest neighbours of positions (N, 2), and which exist."""
         count = min(self.config.neighbours, len(where) - 1)
         shape, device = (len(where), self.config.neighbours), where.device
         near = torch.zeros(shape, dtype=torch.long, device=device)
         there = torch.zeros(shape, device=device)
         if count > 0:
-            # Of some at a time: all distances of a large map do not fit into memory.
+            # In parts, because all distances of a large map do not fit into memory.
             for first in range(0, len(where), _AT_ONCE):
                 last = min(first + _AT_ONCE, len(where))
                 rows = torch.arange(first, last, device=device)
@@ -91,15 +91,15 @@ class ConstellationGraph(nn.Module):
         near: Tensor,
         there: Tensor,
     ) -> Tensor:
-        """Describe N objects under H assumptions; returns unit vectors (H, N, out).
+        """Return unit vectors (H, N, out) of N objects under H hypotheses.
 
         Args:
-            vectors: (N, V) of the objects.
-            where: (H, N, 2) metres to the east and north.
+            vectors: (N, V) vectors of the objects.
+            where: (H, N, 2) positions to the east and north, metres.
             rise: (H, N) height of the centres above the ground, metres.
-            side: (H, N) metres.
+            side: (H, N) sides of the objects, metres.
             near: (N, k) rows of the neighbours.
-            there: (N, k) 1 where there is such a neighbour.
+            there: (N, k) 1 if the neighbour exists, else 0.
         """
         extent = torch.stack([side.clamp_min(0.1).log(), rise.clamp(-5, 50) / 5], -1)
         own = vectors.expand(len(where), -1, -1)
@@ -112,9 +112,9 @@ class ConstellationGraph(nn.Module):
 
 
 def _edges(where: Tensor, near: Tensor) -> Tensor:
-    """Describe where neighbours stand, (H, N, k, _EDGE)."""
-    apart = (where[:, near] - where[:, :, None]) / _FAR
-    length = apart.norm(dim=-1, keepdim=True)
-    bounded = apart / (1 + length)
-    waves = [wave(apart * scale) for scale in (0.8, 2.5) for wave in (torch.sin, torch.cos)]
+    """Return the encoded offsets of neighbours, (H, N, k, _EDGE)."""
+    offset = (where[:, near] - where[:, :, None]) / _UNIT_M
+    length = offset.norm(dim=-1, keepdim=True)
+    bounded = offset / (1 + length)
+    waves = [wave(offset * scale) for scale in (0.8, 2.5) for wave in (torch.sin, torch.cos)]
     return torch.cat([bounded, length / (1 + length), (1 / (1 + length)), *waves], -1)

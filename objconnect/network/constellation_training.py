@@ -2,10 +2,10 @@
 
 ``python -m objconnect.network.constellation_training SCENE...``
 
-The detector finds the objects of a scene's map and of its queries. An object of a query that lies
-where a landmark of the map does is the same. The graph is trained to describe the two alike, and
-differently from all other landmarks, while headings and heights are wrong by as much as a search
-assumes and some objects are missing.
+The detector finds the objects of a scene's map and of its queries. An object of a query at the
+position of a landmark is that landmark. The graph is trained to describe the two alike and all
+other landmarks differently. Headings and heights get errors as large as those of a search, and some
+objects are left out.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig
 from objconnect.network.constellation import ConstellationGraph
-from objconnect.network.landmarks import Landmarks, on_ground
+from objconnect.network.landmarks import Landmarks, place_on_ground
 from objconnect.network.network import read_network, start_from
 from objconnect.network.object_map import ObjectFinder, map_ground
-from objconnect.network.object_matching import LaidOut, describe_landmarks, lay_out
+from objconnect.network.object_matching import ObjectLayout, describe_landmarks, lay_out
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
@@ -40,13 +40,11 @@ from objconnect.scene.runtime.device import AUTO, torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
-# Pictures are looked at in full, as queries are.
+# Longer side (px) of resized images, as for queries.
 LONGEST: Final = 1024
-
-
 SAME_M: Final = 1.5
-"""An object this near to a landmark is the same, metres."""
-# Photographs in a step, of one scene; highest learning rate and weight decay.
+"""Largest distance between an object and its landmark, metres."""
+# Number of photographs in a step, all of one scene; highest learning rate and weight decay.
 _QUERIES: Final = 4
 _RATE: Final = 2e-3
 _DECAY: Final = 1e-3
@@ -55,18 +53,16 @@ _MISSING_LANDMARKS: Final = 0.25
 
 
 class ConstellationTraining(Config):
-    """The training of the graph: how long, and how wrong queries are made."""
+    """Options of the training of the graph: its length and the errors of queries."""
 
     steps: int = Field(1500, ge=1, description="Number of steps of the optimizer.")
     turn_deg: float = Field(
-        6.0, ge=0, description="Standard deviation of the error of the heading, degrees."
+        6.0, ge=0, description="Standard deviation of the error of the heading, deg."
     )
     stretch: float = Field(
         0.08, ge=0, description="Standard deviation of the logarithm of the error of the height."
     )
-    moved_m: float = Field(
-        0.4, ge=0, description="Standard deviation of the error of a centre, metres."
-    )
+    moved_m: float = Field(0.4, ge=0, description="Standard deviation of the error of a centre, m.")
     missing: float = Field(
         0.4,
         ge=0,
@@ -76,35 +72,32 @@ class ConstellationTraining(Config):
     seed: int = Field(0, description="Seed of all random numbers.")
 
 
-class LessonQuery(NamedTuple):
+class TrainingQuery(NamedTuple):
     """The objects of a query, laid out at its true heading.
 
     Attributes:
-        name: of the photograph.
-        session: that it belongs to.
-        laid: its objects.
-        height: of the camera above the ground, metres.
-        landmark: (N,) row of the landmark that each is, -1 for none.
-        xyz: (N, 3) where it truly lies, world metres.
+        height: height of the camera above the ground, metres.
+        landmark: (N,) row of the landmark of each object, -1 for none.
+        xyz: (N, 3) true positions of the objects, world metres.
     """
 
     name: str
     session: str
-    laid: LaidOut
+    laid: ObjectLayout
     height: float
     landmark: NDArray[np.int64]
     xyz: NDArray[np.float64]
 
 
-class Lesson(NamedTuple):
-    """A scene: the landmarks of its map, and its queries."""
+class TrainingScene(NamedTuple):
+    """The landmarks of a scene's map, and its queries."""
 
     name: str
     landmarks: Landmarks
-    queries: list[LessonQuery]
+    queries: list[TrainingQuery]
 
 
-def lesson(scene: Scene, finder: ObjectFinder) -> Lesson:
+def build_training_scene(scene: Scene, finder: ObjectFinder) -> TrainingScene:
     """Find the objects of a scene's map and of those of its queries that look down.
 
     Raises:
@@ -131,17 +124,17 @@ def lesson(scene: Scene, finder: ObjectFinder) -> Lesson:
                 laid = lay_out(found, camera, pose.rotation)
                 if not len(laid):
                     continue
-                placed = on_ground(found, camera, pose, ground).xyz
+                placed = place_on_ground(found, camera, pose, ground).xyz
                 xyz = placed[laid.rows]
                 centre = pose.centre().numpy()
                 height = float(centre[2]) - ground.height_at(centre[0], centre[1])
                 same = _same(xyz, landmarks.xyz)
-                queries.append(LessonQuery(name, session, laid, height, same, xyz))
-    return Lesson(scene.name, landmarks, queries)
+                queries.append(TrainingQuery(name, session, laid, height, same, xyz))
+    return TrainingScene(scene.name, landmarks, queries)
 
 
 def _same(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the row of the landmark that lies where each object does, -1 for none, each once."""
+    """Return the row of the landmark at each object's position, -1 for none, each row once."""
     if not len(landmarks):
         return np.full(len(xyz), -1)
     away = np.linalg.norm(xyz[:, None, :2] - landmarks[None, :, :2], axis=-1)
@@ -153,19 +146,19 @@ def _same(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[n
 
 def describe_query(
     graph: ConstellationGraph,
-    query: LessonQuery,
+    query: TrainingQuery,
     rows: NDArray[np.int64],
     wrong: tuple[float, float] = (0.0, 1.0),
     moved: NDArray[np.float64] | None = None,
 ) -> Tensor:
-    """Describe some objects of a query among themselves, (n, D) of unit length.
+    """Return unit vectors (n, D) of some objects of a query among themselves.
 
     Args:
-        graph: describes them.
+        graph: the graph.
         query: the query.
-        rows: (n,) of the objects.
-        wrong: rad by which the heading is wrong, and factor by which the height is.
-        moved: (n, 2) metres by which the objects are moved.
+        rows: (n,) rows of the objects.
+        wrong: error of the heading (rad), and factor on the height.
+        moved: (n, 2) errors of the objects' positions, metres.
     """
     laid, (turn, stretch) = query.laid, wrong
     cosine, sine = np.cos(turn), np.sin(turn)
@@ -186,7 +179,7 @@ def describe_query(
 
 
 def train_graph(
-    lessons: Sequence[Lesson],
+    lessons: Sequence[TrainingScene],
     config: ConstellationConfig,
     options: ConstellationTraining,
     device: torch.device,
@@ -229,10 +222,9 @@ def train_graph(
     return graph.eval()
 
 
-# More than six parameters: they are what one step has drawn.
 def _query_loss(
     graph: ConstellationGraph,
-    query: LessonQuery,
+    query: TrainingQuery,
     theirs: Tensor,
     number: NDArray[np.int64],
     rng: np.random.Generator,
@@ -275,7 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         extract = MapExtractor(network, LONGEST, "float32")
         finder = ObjectFinder(extract, network.detector)
         options = ConstellationTraining(seed=given.seed)
-        lessons = [lesson(Scene.open(path), finder) for path in given.scenes]
+        lessons = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
         config = ConstellationConfig(vector=network.detector.config.vector)
         graph = train_graph(lessons, config, options, device)
         whole = start_from(given.weights, {"constellation": config.model_dump()})

@@ -1,8 +1,8 @@
-"""Learned objects of any class: the centre of each, the cells that belong to it, and its vector.
+"""Class-agnostic object detector: the centre, the cells and the vector of each object.
 
 Centres are peaks of a heat map, after Zhou et al., "Objects as Points" (2019). Cells belong to the
-centre that they point to, after Cheng et al., "Panoptic-DeepLab" (CVPR 2020). The detector sees the
-features of a network's levels, which bear a change of season, so that its objects do too.
+centre that they point to, after Cheng et al., "Panoptic-DeepLab" (CVPR 2020). The input is the
+features of a network's levels, which are robust to a change of season.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from objconnect.network.segmentation import NOTHING
 
 Level = tuple[Tensor, Tensor]
 
-# A heat map begins with a probability of about one in a hundred, as few cells hold a centre.
+# Initial logit of the heat map, about one in a hundred: few cells hold a centre.
 _RARE: Final = -4.6
 
 
 class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
-    """What the detector says of every cell of B images. See the properties."""
+    """Output maps of the detector for B images; see the properties."""
 
     @property
     def centre(self) -> Tensor:
@@ -60,13 +60,13 @@ class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
 
 @dataclass(frozen=True)
 class Detections:
-    """The objects of an image, the surest first, N of them.
+    """The N objects of an image, the highest score first.
 
     Attributes:
         xy: (N, 2) centres, pixels.
         score: (N,) probability that there is an object.
         side: (N,) side of a square of its size, pixels.
-        rise: (N,) height of the centre above the ground, in pixels as seen at its depth.
+        rise: (N,) height of the centre above the ground, pixels at its depth.
         vectors: (N, V) of unit length.
     """
 
@@ -79,20 +79,14 @@ class Detections:
     def __len__(self) -> int:
         return len(self.xy)
 
-    def on_processor(self) -> Detections:
-        """Return the same objects in the memory of the processor."""
+    def cpu(self) -> Detections:
+        """Return the objects on the CPU."""
         parts = (self.xy, self.score, self.side, self.rise, self.vectors)
         return Detections(*(each.cpu() for each in parts))
 
 
 class ObjectDetector(nn.Module):
-    """A few convolutions over the features of all levels, at one stride.
-
-    Args:
-        config: its configuration.
-        strides: strides of the levels that it sees, coarse to fine.
-        dims: numbers of channels of their features.
-    """
+    """A few convolutions over the features of all levels, coarse to fine, at one stride."""
 
     def __init__(self, config: DetectorConfig, strides: Sequence[int], dims: Sequence[int]) -> None:
         super().__init__()
@@ -122,11 +116,11 @@ class ObjectDetector(nn.Module):
             self.places.bias[0] = _RARE
 
     def forward(self, levels: Sequence[Level]) -> DetectorMaps:
-        """Detect objects, given features, of any length, and confidences of a network's levels."""
+        """Return the maps for features of any length and confidences of a network's levels."""
         return self.detect(self.join_levels(levels))
 
     def join_levels(self, levels: Sequence[Level]) -> Tensor:
-        """Return unit features and confidences of all levels at the stride of the detector."""
+        """Return unit features and confidences of all levels, resized to the detector's stride."""
         stride = self.config.stride
         shape = levels[self._strides.index(stride)][0].shape[-2:]
         parts = []
@@ -143,7 +137,7 @@ class ObjectDetector(nn.Module):
         return torch.cat(parts, 1)
 
     def detect(self, joined: Tensor) -> DetectorMaps:
-        """Detect objects, given what ``joined`` returns."""
+        """Return the maps for the result of ``join_levels``."""
         body = self.body(self.join(joined))
         places = self.places(body)
         vector = functional.normalize(self.vectors(body), dim=1)
@@ -152,14 +146,14 @@ class ObjectDetector(nn.Module):
         )
 
 
-def detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Detections:
+def extract_detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Detections:
     """Return the objects of the first image of a batch: peaks of the heat map.
 
     Args:
-        maps: of the detector.
-        stride: its pixels per cell.
-        count: most objects to return.
-        least: probability below which a peak is none.
+        maps: maps of the detector.
+        stride: pixels per cell.
+        count: maximum number of objects.
+        least: least probability of an object.
     """
     heat = torch.sigmoid(maps.centre[:1].float())
     peak = (heat == functional.max_pool2d(heat, 3, 1, 1)) & (heat >= least)
@@ -179,21 +173,21 @@ def detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Det
 
 
 def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> Tensor:
-    """Return which object each cell of the first image belongs to, (h, w) int64, or ``NOTHING``.
+    """Return the object of each cell of the first image, (h, w) int64, or ``NOTHING``.
 
-    A cell that is inside an object belongs to the centre that lies nearest to where it points.
+    A cell inside an object belongs to the centre nearest to the position it points to.
 
     Args:
-        maps: of the detector.
+        maps: maps of the detector.
         found: objects of the image.
         stride: pixels per cell of the detector's maps.
-        cell: pixels per cell of the label map. Where it is finer than the maps, it interpolates
-            between their cells: many objects are no wider than a few of these.
+        cell: pixels per cell of the label map. If it is finer than the maps, these are
+            interpolated, because many objects are only a few of their cells wide.
     """
     finer = max(1, stride // cell)
-    # Places are interpolated, and not offsets, which are another at each cell.
+    # Positions are interpolated instead of offsets, which are relative to their cells.
     pointed = functional.interpolate(
-        maps.offset[:1].float() + middles(maps.offset), scale_factor=finer, mode="bilinear"
+        maps.offset[:1].float() + cell_centres(maps.offset), scale_factor=finer, mode="bilinear"
     )
     inside = functional.interpolate(
         maps.inside[:1, None].float(), scale_factor=finer, mode="bilinear"
@@ -209,7 +203,7 @@ def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> 
     return labels
 
 
-def middles(maps: Tensor) -> Tensor:
-    """Return the middle (2, h, w), x y in cells, of each cell of maps (..., h, w)."""
+def cell_centres(maps: Tensor) -> Tensor:
+    """Return the centre (2, h, w), x y in cells, of each cell of maps (..., h, w)."""
     rows, columns = (torch.arange(n, device=maps.device) + 0.5 for n in maps.shape[-2:])
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"))

@@ -1,4 +1,4 @@
-"""Where a query may be, by its objects: starts of the alignment where no prior gives them."""
+"""Candidate poses of a query from its objects, as starts of the alignment without a prior."""
 
 from __future__ import annotations
 
@@ -23,45 +23,41 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.runtime.progress import progress_within
 
-# Headings tried over the full turn: within half a step, neighbours look alike.
+# Number of headings over the full turn; within half a step the graph's vectors change little.
 _HEADINGS: Final = 24
-# Angles between the camera's axis and the plumb line, tried where gravity is not known, one after
-# the other.
+# Tilts of the camera to try, one after the other, if gravity is unknown.
 _TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
-# The other tilts are not tried where the best place of the first has so many times the score of the
-# second.
+# Ratio of the best to the second-best score at the first tilt from which no other tilt is tried.
 _CLEAR_RATIO: Final = 2.0
 
 
-class ObjectPlaceOptions(Config):
-    """Options of starts from objects."""
+class ObjectSearchOptions(Config):
+    """Options of the search by objects."""
 
-    candidates: int = Field(
-        12, ge=1, description="Places to return at most, before those of the place search."
-    )
+    candidates: int = Field(12, ge=1, description="Maximum number of candidates.")
     most_landmarks: int = Field(
         5000,
         ge=0,
-        description="In a map with more of them the place search is asked first. Its time grows "
-        "less with the map, and more things look alike.",
+        description="Number of landmarks of a map above which the coarse search comes before the "
+        "search by objects. Its time grows less with the map, and more objects look alike.",
     )
 
 
-class ObjectPlaceFinder:
-    """Finds places of a map by the objects of a query.
+class ObjectSearch:
+    """Finds candidate poses in a map by the objects of a query.
 
     Args:
-        network: with a detector and a graph over objects.
-        extract: of its feature maps.
-        options: of the search.
+        network: network with a detector and a graph over objects.
+        extract: computes its feature maps.
+        options: options of the search.
 
     Attributes:
-        is_first: once prepared, whether the map is small enough to ask objects before the place
-            search.
+        is_first: once prepared, whether the map is small enough for this search to come before the
+            coarse search.
     """
 
     def __init__(
-        self, network: ObjConnectNet, extract: MapExtractor, options: ObjectPlaceOptions
+        self, network: ObjConnectNet, extract: MapExtractor, options: ObjectSearchOptions
     ) -> None:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
@@ -70,19 +66,16 @@ class ObjectPlaceFinder:
         self._watched: MapObjects | None = None
         self.is_first = True
 
-    def watcher(self, source: ReferenceSource) -> MapObjects | None:
-        """Return what finds objects in the feature maps of a map's photographs, or of a part.
+    def observer(self, source: ReferenceSource) -> MapObjects | None:
+        """Return an observer that finds objects in the feature maps of a map's photographs.
 
-        It is None where the cache holds the objects.
+        It is None if the cache holds the objects.
         """
-        self._watched = self._find.watcher(source)
+        self._watched = self._find.observer(source)
         return self._watched
 
     def prepare(self, source: ReferenceSource) -> None:
-        """Find the objects of a map, or take those that the watcher found or the cache holds.
-
-        Args:
-            source: what references of the map are computed from.
+        """Find the objects of a map unless the observer or the cache has them.
 
         Raises:
             InputError: a photograph is broken or changed meanwhile.
@@ -90,7 +83,7 @@ class ObjectPlaceFinder:
         landmarks = self._find.load_landmarks(source, self._watched)
         self._watched, sparse_map = None, source.kept.sparse_map
         ground = map_ground(sparse_map)
-        # Photographs of a street look over the ground, and show no object from above.
+        # A map of street-level photographs has no objects seen from above.
         self._connect = None
         if len(landmarks):
             self._connect = Connector(self._graph, landmarks, ground, self._options.candidates)
@@ -98,7 +91,7 @@ class ObjectPlaceFinder:
         self.is_first = len(landmarks) <= self._options.most_landmarks
 
     def find(self, query: Query) -> list[Candidate]:
-        """Return places where the query may be, best first; none in a map without objects."""
+        """Return candidates, best first; none in a map without objects."""
         if self._connect is None:
             return []
         found = self._find(query.image, query.camera)
@@ -106,32 +99,32 @@ class ObjectPlaceFinder:
         if query.prior is not None and query.prior.cam_from_world_rotation is not None:
             return self._connect(found, query.camera, base, *rest)
         connect = self._connect
-        places: list[Candidate] = []
+        candidates: list[Candidate] = []
         with progress_within("objects, tilts of camera", len(_TILTS_DEG)) as advance:
             for done, degrees in enumerate(_TILTS_DEG, 1):
-                # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
+                # A tilted camera looks ahead: the ground is at the bottom of its picture.
                 up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
-                places += connect(found, query.camera, up @ base, *rest)
+                candidates += connect(found, query.camera, up @ base, *rest)
                 advance(done)
-                if done == 1 and (not places or _is_clear(places)):
+                if done == 1 and (not candidates or _is_clear(candidates)):
                     break
-        return sorted(places, key=lambda place: -place.score)[: self._options.candidates]
+        return sorted(candidates, key=lambda each: -each.score)[: self._options.candidates]
 
 
-def _is_clear(places: Sequence[Candidate]) -> bool:
-    """Return whether the first of some places stands out."""
-    return len(places) == 1 or places[0].score > _CLEAR_RATIO * places[1].score
+def _is_clear(candidates: Sequence[Candidate]) -> bool:
+    """Return whether the first candidate has a clearly higher score than the second."""
+    return len(candidates) == 1 or candidates[0].score > _CLEAR_RATIO * candidates[1].score
 
 
 def headings_around(
     prior: Prior | None, heights: Sequence[float], headings: int = _HEADINGS
 ) -> tuple[Tensor, list[float], list[float]]:
-    """Return what may be: the attitude at a heading of 0, headings (rad) and heights (m).
+    """Return the attitude at a heading of 0, and the headings (rad) and heights (m) to try.
 
     Args:
-        prior: what is known; without an attitude the camera is taken to look straight down.
-        heights: of the map's photographs above the ground.
-        headings: tried over the full turn.
+        prior: prior of the query; without an attitude the camera is assumed to look straight down.
+        heights: heights of the map's photographs above the ground, metres.
+        headings: number of headings over the full turn.
     """
     base, turns = possible_headings(prior, headings)
     return base, turns, [part * float(np.median(heights)) for part in ALTITUDES]

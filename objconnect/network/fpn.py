@@ -22,7 +22,10 @@ class FeaturePyramid(nn.Module):
     """
 
     def __init__(self, width: float, size: int, strides: tuple[int, ...]) -> None:
-        """Build a pyramid of ``size`` channels at ``strides``, coarse first, for an encoder."""
+        """Build a pyramid of ``size`` channels at ``strides``, coarse to fine.
+
+        ``width`` is that of the encoder.
+        """
         super().__init__()
         self.sizes = [size] * len(strides)
         self._wanted = [STRIDES.index(stride) for stride in strides]

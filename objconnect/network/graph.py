@@ -1,8 +1,8 @@
 """Graphs over the points of an object, and over the objects of a scene.
 
-The points of an object are the cells of its region, and not the cloud's points that the current
-pose projects into it. The features then depend on the image alone. They can be cached and shared by
-any number of pose hypotheses.
+The points of an object are the cells of its region, not the map points that the current pose
+projects into it. The features then depend on the image alone, and any number of pose hypotheses
+share them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from objconnect.network.objects import Occupancy, affinity, centres, small
+from objconnect.network.objects import Occupancy, affinity, centres, init_small
 
 _TINY = 1e-6
 
@@ -42,7 +42,7 @@ class ObjectGraph(nn.Module):
     def __init__(self, size: int) -> None:
         super().__init__()
         self.convolution = PointConvolution(size)
-        self.out = small(nn.Linear(size, size))
+        self.out = init_small(nn.Linear(size, size))
 
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
         """Return points (B, h w, C) with the output of the graph added."""
@@ -77,7 +77,7 @@ class SceneGraph(nn.Module):
         self.alpha = nn.Parameter(torch.tensor(4.0))
         self.beta = nn.Parameter(torch.tensor(1.0))
         self.join = nn.Linear(2 * size, size)
-        self.out = small(nn.Linear(size, size))
+        self.out = init_small(nn.Linear(size, size))
 
     def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
         """Return rows (B, h w, C) with the output of the graph added."""

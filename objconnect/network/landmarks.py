@@ -1,7 +1,7 @@
-"""The objects of a map: centres that several photographs see, with vectors and sizes.
+"""The landmarks of a map: objects that several photographs show, with vectors and sizes.
 
-A photograph gives the direction of a centre, and its height above the ground. The ground is that of
-the map's points. Centres of several photographs that lie together and look alike are one landmark.
+A photograph gives the ray to an object's centre and its height above the ground, which comes from
+the map's points. Near and similar objects of several photographs are one landmark.
 """
 
 from __future__ import annotations
@@ -21,30 +21,29 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.nearest import Nearest
 from objconnect.scene.geometry.pose import Pose
 
-# Numerical guard: flatter rays meet the ground too far away, as a share of the distance.
-_FLATTEST: Final = 0.2
-# Rounds in which a ray's place on the ground and the height of the ground there agree.
+# Least drop of the ray to an object's foot, per unit of depth, for an intersection with the map's
+# ground: flatter rays meet it too far away.
+_MIN_DROP: Final = 0.2
+# Iterations of the intersection of a ray with uneven ground.
 _ROUNDS: Final = 3
-
-
 COUNT: Final = 256
-"""Most objects of a photograph, which bounds time."""
+"""Maximum number of objects of a photograph, which bounds time."""
 LEAST_SCORE: Final = 0.2
-"""Objects of a lower probability are left out."""
-# Centres this near may be one landmark: metres, and a share of the side of large objects.
+"""Least probability of an object."""
+# Largest distance of objects of one landmark: metres, and a share of the side of large objects.
 _RADIUS_M: Final = 1.0
 _RADIUS_SHARE: Final = 0.35
-# Vectors that differ more are not of one landmark.
+# Least cosine between vectors of one landmark.
 _LEAST_COSINE: Final = 0.4
-# Nearest objects of all photographs among which one looks for those of a landmark.
+# Number of nearest objects of all photographs that may join a landmark.
 _CROWD: Final = 64
-# Photographs that must show a landmark, where more than one shows its place, and their share.
+# Least number and share of the photographs with a landmark in view that must detect it.
 _LEAST_VIEWS: Final = 2
 _LEAST_SHARE: Final = 0.3
 
 
 class Placed(NamedTuple):
-    """Objects of a photograph on the ground, N of them.
+    """N objects of a photograph, placed on the ground.
 
     Attributes:
         xyz: (N, 3) centres, world metres; NaN where the ray does not meet the ground.
@@ -59,7 +58,7 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class Landmarks:
-    """The objects of a map, M of them.
+    """The M landmarks of a map.
 
     Attributes:
         xyz: (M, 3) centres, world metres.
@@ -83,7 +82,7 @@ class Landmarks:
         return len(self.xyz)
 
     def some(self, rows: NDArray[np.int64]) -> Landmarks:
-        """Return some of the landmarks."""
+        """Return the landmarks of some rows."""
         return Landmarks(*(getattr(self, name)[rows] for name in self.ARRAYS))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -93,30 +92,34 @@ class Landmarks:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Landmarks:
-        """Return the landmarks that ``arrays`` was called of. Others raise ``ValueError``."""
+        """Return the landmarks of ``arrays``.
+
+        Raises:
+            ValueError: the arrays have other shapes.
+        """
         xyz, *floats, views = (arrays[name] for name in Landmarks.ARRAYS)
         vectors, sides, rises, scores = (each.astype(np.float32) for each in floats)
         if not all(len(each) == len(xyz) for each in (vectors, sides, rises, scores, views)):
-            raise ValueError("its lists are of different lengths")
+            raise ValueError("its arrays have different lengths")
         if xyz.shape != (len(xyz), 3) or vectors.ndim != 2:
-            raise ValueError("its lists have other shapes than landmarks")
+            raise ValueError("its arrays have not the shapes of landmarks")
         return Landmarks(xyz.astype(np.float64), vectors, sides, rises, scores, views)
 
 
 class ObjectRays(NamedTuple):
-    """Rays of a camera to objects, at a depth of one.
+    """Rays of a camera to objects; lengths are per unit of depth.
 
     Attributes:
         along: (N, 3) from the camera to the centres, in the axes of the world.
-        sides: (N,) of the objects.
-        rises: (N,) heights of the centres above their foot.
-        falls: (N,) how far below the camera the foot lies; NaN where the lens has no such ray.
+        sides: (N,) sides of the objects.
+        rises: (N,) heights of the centres above the objects' feet.
+        drops: (N,) heights of the camera above the objects' feet; NaN for invalid rays.
     """
 
     along: NDArray[np.float64]
     sides: NDArray[np.float64]
     rises: NDArray[np.float64]
-    falls: NDArray[np.float64]
+    drops: NDArray[np.float64]
 
 
 def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> ObjectRays:
@@ -126,40 +129,25 @@ def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> Ob
     focal = float(np.mean(camera.focal))
     along = (rays @ cam_from_world).numpy()
     rises, sides = found.rise.double().numpy() / focal, found.side.double().numpy() / focal
-    falls = np.where(valid.numpy(), rises - along[:, 2], np.nan)
-    return ObjectRays(along, sides, rises, falls)
+    drops = np.where(valid.numpy(), rises - along[:, 2], np.nan)
+    return ObjectRays(along, sides, rises, drops)
 
 
-def on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid) -> Placed:
-    """Place the objects of a photograph on the ground.
-
-    Args:
-        found: the objects.
-        camera: of the photograph.
-        pose: ``cam_from_world``.
-        ground: of the map.
-    """
+def place_on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid) -> Placed:
+    """Place the objects of a photograph with a pose ``cam_from_world`` on the ground."""
     rays = object_rays(found, camera, pose.rotation)
     centre = pose.centre().numpy()
-    falls = np.where(rays.falls > _FLATTEST, rays.falls, np.nan)
-    height = np.full(len(falls), ground.height_at(centre[0], centre[1]))
+    drops = np.where(rays.drops > _MIN_DROP, rays.drops, np.nan)
+    height = np.full(len(drops), ground.height_at(centre[0], centre[1]))
     for _ in range(_ROUNDS):
-        depth = (centre[2] - height) / falls
+        depth = (centre[2] - height) / drops
         xyz = centre + depth[:, None] * rays.along
         height = np.array([ground.height_at(x, y) if x == x else 0.0 for x, y, _ in xyz.tolist()])
     return Placed(xyz, rays.sides * depth, rays.rises * depth)
 
 
 class View(NamedTuple):
-    """A photograph of the map with its objects.
-
-    Attributes:
-        name: of the photograph.
-        camera: of the photograph.
-        pose: ``cam_from_world``.
-        found: its objects.
-        placed: the same on the ground.
-    """
+    """A photograph of the map with its objects, in pixels and placed on the ground."""
 
     name: str
     camera: Camera
@@ -169,7 +157,7 @@ class View(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """Which photographs show landmarks, and where; K observations in order of their landmarks.
+    """K observations of landmarks in photographs, sorted by landmark.
 
     Attributes:
         landmark: (K,) row of the landmark.
@@ -183,9 +171,10 @@ class Tracks(NamedTuple):
 
 
 def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
-    """Return the landmarks that the objects of several photographs are of, and their tracks.
+    """Merge the objects of several photographs to landmarks; return these and their tracks.
 
-    The surest object takes those of other photographs that lie near and look alike; then the next.
+    The object with the highest score takes near and similar ones of other photographs; then the
+    next.
     """
     size = views[0].found.vectors.shape[1] if views else 1
     rows = [np.flatnonzero(np.isfinite(view.placed.xyz).all(1)) for view in views]
@@ -234,7 +223,7 @@ def _groups(
     sides: NDArray[np.float64],
     photograph: NDArray[np.int64],
 ) -> list[list[int]]:
-    """Return the rows of the objects of each landmark, one of a photograph at most."""
+    """Return the rows of the objects of each landmark, at most one per photograph."""
     if not len(xyz):
         return []
     taken = np.zeros(len(xyz), bool)
@@ -255,6 +244,6 @@ def _groups(
 
 
 def _shows(view: View, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether a photograph shows places (M, 3)."""
+    """Return whether points (M, 3) are in a photograph's view."""
     projected = view.camera.project(view.pose.transform(torch.from_numpy(xyz)))
     return (projected.valid & view.camera.contains(projected.xy)).numpy()

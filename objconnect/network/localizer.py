@@ -1,4 +1,4 @@
-"""The object-connect network as a localizer: aligned like PixLoc's, from many starts."""
+"""The localizer ``objconnect``: alignment of the object-connect network's features."""
 
 from __future__ import annotations
 
@@ -8,30 +8,29 @@ from typing import Final
 from pydantic import Field
 
 from objconnect.learning.checkpoint import shipped_path
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import SearchingConfig
-from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions
+from objconnect.network.finder import ObjectSearch, ObjectSearchOptions
 from objconnect.network.network import read_network
 from objconnect.scene.runtime.device import torch_device
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
-"""The weights that come with the project."""
+"""The shipped weights."""
 
 
 class ObjConnectConfig(SearchingConfig):
     """Options of the objconnect localizer."""
 
-    objects: ObjectPlaceOptions | None = Field(
-        ObjectPlaceOptions(),
-        description="Starts from objects where no prior gives them, before the place search; None "
-        "for none.",
+    objects: ObjectSearchOptions | None = Field(
+        ObjectSearchOptions(),
+        description="Search by objects for images without position or heading; None for none.",
     )
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):
-    """See the module.
+    """The localizer ``objconnect``.
 
     Raises:
         InputError: the weights are missing or not of this network.
@@ -40,9 +39,9 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
         network.to(torch_device(config.device))
-        fold(network, config.precision)
+        fuse_layers(network, config.precision)
         objects = None
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)
-            objects = ObjectPlaceFinder(network, extract, config.objects)
+            objects = ObjectSearch(network, extract, config.objects)
         super().__init__("objconnect", network, digest, config, objects)

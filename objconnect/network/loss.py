@@ -2,8 +2,7 @@
 
 Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
 Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and
-the contrastive loss of ``training.contrastive`` is added, whose negatives are other
-places.
+the contrastive loss of ``learning.training.contrastive`` is added.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
     """Equation (7), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
 
     It is computed at the true pose of image 2. The paper uses the predicted pose, which equals it
-    at the end of training. At the beginning, the predicted pose would make features of wrong places
-    similar.
+    at the end of training. At the beginning, the predicted pose would make features of different
+    points similar.
 
     Args:
         levels: features of unit length.
@@ -55,9 +54,9 @@ def pose_distance(
 ) -> tuple[Tensor, list[Tensor]]:
     """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
-    It is the smooth Huber function up to 50 pixels, and a finer level counts only where the
-    coarser one ended near the truth. PixLoc is trained in the same way, so that the two methods
-    differ in their features alone.
+    It is the pseudo-Huber function up to 50 pixels, and a finer level counts only if the coarser
+    one ended near the truth. PixLoc is trained in the same way, so the two methods differ in their
+    features alone.
 
     Args:
         by_level: predicted poses after each level, coarse to fine.
@@ -76,7 +75,7 @@ def total(
 ) -> Tensor:
     """Return the loss of equation (6), the weighted sum of (7) and (8), plus the contrastive loss.
 
-    Both losses are about one when features have begun to distinguish places.
+    Both losses are about one when features begin to be distinctive.
 
     Args:
         contrast: the contrastive loss.

@@ -1,4 +1,4 @@
-"""Readers of given objects: label pictures, and masks in COCO's run-length encoding."""
+"""Readers of object masks: label pictures, and COCO's run-length encoding."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from objconnect.network.segmentation import NOTHING, Labels, keep_largest
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text, require_readable
 
-# A number of objects that no label picture of 16 bits exceeds.
+# More objects than a label picture of 16 bits can have.
 _ALL = 1 << 16
-# The most pixels of a label picture (33 megapixels). Arrays of more would take a gigabyte.
+# Maximum size of a label picture (33 megapixels); larger arrays would take a gigabyte.
 _MOST_PIXELS = 1 << 25
 _GREY = ("1", "L", "P", "I", "I;16")
 
 
 def read_label_png(path: Path, count: int) -> Labels:
-    """Read the labels of a picture of one channel. 0 is no object; other values are objects.
+    """Read the labels of a picture of one channel, in which 0 is no object.
 
     Args:
         path: PNG of 8 or 16 bits. For a palette, the labels are the indices and not the colours.
@@ -65,8 +65,8 @@ def read_label_png(path: Path, count: int) -> Labels:
 def _check_size(width: int, height: int, what: str) -> None:
     if width * height > _MOST_PIXELS:
         raise InputError(
-            f"{what} has {width} x {height} pixels, and at most {_MOST_PIXELS} pixels are read: "
-            "make it smaller"
+            f"{what} has {width} x {height} pixels; the maximum is {_MOST_PIXELS} pixels: make it "
+            "smaller"
         )
 
 

@@ -1,4 +1,4 @@
-"""The object-connect network: a feature pyramid whose features depend on the image's objects."""
+"""The object-connect network: dense features that depend on the image's objects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from objconnect.network.detector import (
     Detections,
     DetectorMaps,
     ObjectDetector,
-    detections,
+    extract_detections,
     label_map,
 )
 from objconnect.network.fpn import FeaturePyramid
@@ -41,7 +41,7 @@ _OURS: Final = "segmentation"
 # Finest stride of levels with objects. On finer levels the object blocks would cost as much as the
 # rest of the network and add nothing: nearly all neighbouring cells share an object.
 _FINEST_OBJECT_STRIDE: Final = 4
-# Probability from which a learned object is one, and pixels per cell of the label maps of these.
+# Least probability of a learned object, and pixels per cell of their label maps.
 _LEARNED_SCORE: Final = 0.35
 _LEARNED_STRIDE: Final = 2
 
@@ -52,8 +52,8 @@ class ObjectBlocks(nn.Module):
     """The object blocks of one level that are switched on. Each adds to the features.
 
     Attributes:
-        residuals: in training, what each block last added, as a share of the features before: the
-            ratio of their norms, by name. A block near 0 does nothing.
+        residuals: in training, the norm of what each block last added divided by that of its input,
+            by the name of the block.
     """
 
     def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
@@ -81,10 +81,9 @@ class ObjectBlocks(nn.Module):
 
 
 class ObjConnectNet(nn.Module):
-    """The object-connect network, with the damping of the aligner that is trained with it.
+    """The object-connect network, with the damping of the alignment that is trained with it.
 
     Attributes:
-        config: configuration of the network.
         damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 
@@ -129,8 +128,8 @@ class ObjConnectNet(nn.Module):
             labels: int64 label maps (B, _, _) of any size that cover the image, see
                 ``objconnect.network.segmentation``; None segments the image as configured.
             levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are wanted, as ``unet.Decoder.levels`` takes
-                them; a network with objects or another decoder makes all cells.
+            shown: cells of the finest level that are needed, as for ``unet.Decoder.levels``; a
+                network with objects or another decoder computes all cells.
 
         Returns:
             Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
@@ -143,18 +142,14 @@ class ObjConnectNet(nn.Module):
         return self.describe(image, labels, levels, shown)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
-        """Return the objects of images, on the finest level that has objects.
-
-        Args:
-            image: images, as ``forward`` takes them.
-            labels: label maps, as ``forward`` takes them.
+        """Return the objects of images, on the finest level that has objects; see ``forward``.
 
         Raises:
-            InputError: the network was made without objects, or label maps are missing.
+            InputError: the network has no objects, or label maps are missing.
         """
         objects = self.describe(image, labels)[1]
         if objects is None:
-            raise InputError("this network was trained without objects: it has no centres")
+            raise InputError("this network has no objects: choose weights with a segmentation")
         return objects
 
     def describe(
@@ -166,7 +161,7 @@ class ObjConnectNet(nn.Module):
     ) -> tuple[list[Level], Objects | None]:
         """Return the results of both ``forward`` and ``objects`` in one pass.
 
-        The objects are None where the network has none. Arguments are those of ``forward``.
+        The objects are None if the network has none. Arguments are those of ``forward``.
         """
         if not self._with_objects:
             return list(islice(self._levels(image, shown), levels)), None
@@ -191,7 +186,7 @@ class ObjConnectNet(nn.Module):
         return levels_made, objects
 
     def residuals(self) -> dict[str, float]:
-        """Return what each object block last added in training, see ``ObjectBlocks``."""
+        """Return ``ObjectBlocks.residuals`` of all levels, for the training log."""
         shares = {}
         for stride, blocks in zip(self.config.strides, self.objects_of, strict=False):
             assert isinstance(blocks, ObjectBlocks)
@@ -206,7 +201,7 @@ class ObjConnectNet(nn.Module):
         return segment(image, self.config)
 
     def predict_segments(self, image: Tensor) -> Tensor:
-        """Return the detector's objects as label maps, which ``segment`` describes.
+        """Return the detector's objects as label maps, as ``segment`` does.
 
         Raises:
             InputError: the network has no detector.
@@ -214,7 +209,7 @@ class ObjConnectNet(nn.Module):
         return self._to_labels(self._decode(image))
 
     def detect_objects(self, image: Tensor) -> list[Detections]:
-        """Return the detector's objects of images (B, 3, H, W), the surest first.
+        """Return the detector's objects of images (B, 3, H, W), the highest score first.
 
         Raises:
             InputError: the network has no detector.
@@ -247,7 +242,7 @@ class ObjConnectNet(nn.Module):
     def _detect(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
         if self.detector is None:
             raise InputError("this network has no detector of objects")
-        # It sees the features without objects, as it did in training.
+        # Its input is the features without objects, as in training.
         with torch.no_grad():
             maps = self.detector([self._level(*each) for each in enumerate(decoded)])
         count, least = self.config.segments, _LEARNED_SCORE
@@ -256,7 +251,7 @@ class ObjConnectNet(nn.Module):
             DetectorMaps(each[number : number + 1] for each in maps)
             for number in range(len(maps.centre))
         ]
-        return [(one, detections(one, stride, count, least)) for one in single]
+        return [(one, extract_detections(one, stride, count, least)) for one in single]
 
     def _level(self, number: int, maps: Tensor) -> Level:
         # PixLoc's head predicts the uncertainty, hence the sign.
@@ -293,10 +288,10 @@ def read_network(path: Path) -> tuple[ObjConnectNet, str]:
 
 
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
-    """Make a network to be trained from weights of this network or of PixLoc.
+    """Return a network for training, initialised from weights of this network or of PixLoc.
 
-    All weights that fit the settings are loaded. With another decoder, these are the encoder's. A
-    detector or a graph over objects that the settings name begins anew.
+    All weights that fit the settings are loaded; with another decoder, only the encoder's. A
+    detector or a graph over objects in the settings is initialised at random.
 
     Args:
         path: file of weights.
@@ -310,7 +305,7 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     if _OURS not in config:
         peer, _ = pixloc.read_network(path)
         if peer.config.extra_convolutions:
-            raise InputError(f"{path} is of a VGG19: the encoder here is a VGG16")
+            raise InputError(f"{path} has a VGG19 encoder: give weights with a VGG16 encoder")
         tensors, made = peer.state_dict(), peer.config
         config = {"width": made.width, "decoder": "unet", "steps": made.decoder}
         config |= {"strides": made.strides, "dims": made.dims}

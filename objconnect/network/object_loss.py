@@ -1,4 +1,4 @@
-"""The losses of learned objects: where they are, which cells are theirs, and which is which."""
+"""The losses of the object detector: centres, cells, sizes and identities of objects."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from torch.nn import functional
 
 from objconnect.learning.training.contrastive import sample
 from objconnect.learning.training.objects import GROUND, UNKNOWN, ImageObjects
-from objconnect.network.detector import DetectorMaps, middles
+from objconnect.network.detector import DetectorMaps, cell_centres
 
-# Weights of the losses, with which they are about equal when a detector begins to find objects.
+# Weights that make the losses about equal when the detector begins to find objects.
 _SHARES: Final = {"centres": 1.0, "inside": 1.0, "offsets": 0.5, "sides": 0.3, "rises": 0.3}
 IDENTITY_SHARE: Final = 0.5
 """Weight of the contrastive loss of vectors."""
 
-# Temperature by which the cosines of vectors are divided.
+# Temperature that divides the cosines of vectors.
 _TEMPERATURE: Final = 0.1
-# Objects of which an image shows fewer pixels need not be found.
+# Least number of visible pixels of an object that is to be detected.
 _MIN_PIXELS: Final = 12
-# Spread of a centre in the heat map as a share of the object's side.
+# Standard deviation of a centre in the heat map as a share of the object's side.
 _SPREAD: Final = 0.17
 # Share of an offset's length that counts as its uncertainty.
 _FAR_SHARE: Final = 0.15
@@ -31,15 +31,15 @@ _LEAST, _LEAST_SIDE = 1e-4, 0.5
 
 
 class _Targets(NamedTuple):
-    """What the maps of an image should say.
+    """Target maps of an image.
 
     Attributes:
         labels: (h, w) row of the object of each cell, ``GROUND`` or ``UNKNOWN``.
-        heat: (h, w) 1 at cells with a centre, less beside them.
+        heat: (h, w) 1 at cells with a centre, less around them.
         offset: (2, h, w) cells to the centre of the object.
         log_side: (h, w) logarithm of the side, pixels.
         rise: (h, w) logarithm of one plus the height of the centre, in sides.
-        weight: (h, w) of cells of objects; a large object counts as the root of its cells.
+        weight: (h, w) weights of cells of objects, 1 / sqrt(number of the object's cells).
     """
 
     labels: Tensor
@@ -51,10 +51,10 @@ class _Targets(NamedTuple):
 
 
 def cell_labels(labels: Tensor, stride: int) -> Tensor:
-    """Return the label of each cell (h, w), given those of pixels (S, S).
+    """Return the label of each cell (h, w) from those of pixels (S, S).
 
-    A cell shows the object with most of its pixels if these are a quarter of the cell or more, for
-    small objects cover no cell as a whole.
+    The object with most pixels in a cell gives its label if it covers at least a quarter of it:
+    small objects cover no cell entirely.
     """
     height, width = (side // stride for side in labels.shape)
     cut = labels[: height * stride, : width * stride]
@@ -67,25 +67,25 @@ def cell_labels(labels: Tensor, stride: int) -> Tensor:
     return torch.where(unknown, UNKNOWN, found).long()
 
 
-def findable(objects: ImageObjects, side: int) -> Tensor:
-    """Return which objects (n,) an image of ``side`` pixels shows well enough to be found."""
+def is_findable(objects: ImageObjects, side: int) -> Tensor:
+    """Return whether objects (n,) are visible enough in an image of ``side`` pixels."""
     inside = ((objects.centres > 0) & (objects.centres < side)).all(1)
     return inside & (objects.pixels >= _MIN_PIXELS)
 
 
 def _targets(objects: ImageObjects, stride: int) -> _Targets:
     labels = cell_labels(objects.labels, stride)
-    middle = middles(labels)
+    middle = cell_centres(labels)
     heat = torch.zeros(*labels.shape, device=labels.device)
     centres, cells = objects.centres / stride, objects.sides / stride
-    found = findable(objects, len(objects.labels))
+    found = is_findable(objects, len(objects.labels))
     spread = (cells * _SPREAD).clamp(0.6, 4.0)
     for centre, sigma in zip(centres[found], spread[found], strict=True):
         holds = centre.floor() + 0.5
         away = (middle - holds[:, None, None]).square().sum(0)
         heat = torch.maximum(heat, torch.exp(-away / (2 * sigma**2)))
     shown = labels >= 0
-    # Cells of nothing take the values of a first object, at a weight of zero.
+    # Cells without an object get the values of the first one, with zero weight.
     of = labels.clamp(min=0)
 
     def paint(values: Tensor) -> Tensor:
@@ -106,10 +106,10 @@ def _targets(objects: ImageObjects, stride: int) -> _Targets:
 def place_loss(
     maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int
 ) -> tuple[Tensor, dict[str, float]]:
-    """Return the loss of centres, cells, offsets, sides and rises of B images, and figures.
+    """Return the loss of centres, cells, offsets, sides and rises of B images, and log values.
 
-    Centres have the focal loss of CenterNet, cells the cross entropy, and the rest the smooth L1
-    distance over the cells of objects.
+    It is CenterNet's focal loss for centres, the cross entropy for cells, and the smooth L1
+    distance over the cells of objects for the rest.
     """
     targets = [_targets(each, stride) for each in objects]
     labels, heat, offset, log_side, rise, weight = map(torch.stack, zip(*targets, strict=True))
@@ -124,7 +124,7 @@ def place_loss(
         away = functional.smooth_l1_loss(said.float(), true, reduction="none")
         return (away * weight).sum() / total
 
-    # Far from the centre of a large object, an offset is known to a share of it.
+    # The tolerance of an offset grows with its length.
     far = 1 + _FAR_SHARE * offset.abs().sum(1)
     pointing = distance(maps.offset[:, 0] / far, offset[:, 0] / far)
     pointing = pointing + distance(maps.offset[:, 1] / far, offset[:, 1] / far)
@@ -144,7 +144,7 @@ def place_loss(
 def identity_loss(
     maps: DetectorMaps, objects: Sequence[ImageObjects], stride: int
 ) -> tuple[Tensor, float]:
-    """Return the contrastive loss of the vectors at true centres, and the share found first.
+    """Return the contrastive loss of the vectors at true centres, and the recall at rank 1.
 
     The positive of an object is the same object in another image of the batch. All other objects
     of the batch are negatives.
@@ -152,7 +152,7 @@ def identity_loss(
     vectors, ids, images = [], [], []
     side = maps.vector.shape[-1] * stride
     for number, each in enumerate(objects):
-        found = findable(each, side)
+        found = is_findable(each, side)
         cells = each.centres[found] / stride
         vectors.append(sample(maps.vector[number : number + 1], cells[None])[0])
         ids.append(each.ids[found])

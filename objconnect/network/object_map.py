@@ -1,4 +1,4 @@
-"""Objects of photographs and of maps, found by a network with a detector."""
+"""Detection of the objects of photographs and of the landmarks of maps."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
-from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, detections
-from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merge, on_ground
+from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, extract_detections
+from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merge, place_on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -27,38 +27,31 @@ from objconnect.scene.runtime.tuning import trim_heap
 from objconnect.scene.storage.digests import digest_of
 
 _FORMAT: Final = 4
-# Files of the objects of the map.
+# Name of cache files with the landmarks of a map.
 _OBJECTS: Final = "objects"
-# Files of the objects of each photograph, and the arrays in them.
+# Name of cache files with the objects of each photograph, and the arrays in them.
 _DETECTIONS: Final = "detections"
 _ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
-# Side of the cells in which the height of the ground is the median of the map's points, metres.
+# Side of the cells of the ground's heights, metres.
 _GROUND_M: Final = 4.0
-# What stands on the ground is narrower, metres.
+# Largest width of things on the ground that are removed from its heights, metres.
 _WIDEST_M: Final = 28.0
 
 
 class ObjectFinder:
-    """Finds the objects of photographs.
-
-    Args:
-        extract: of the feature maps that the detector sees.
-        detector: of objects.
-    """
+    """Finds the objects of photographs."""
 
     def __init__(self, extract: MapExtractor, detector: ObjectDetector) -> None:
         self._extract, self._detector = extract, detector
 
     def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
-        """Return the objects of a photograph (H, W, 3), in its own pixels."""
+        """Return the objects of a photograph (H, W, 3), in its pixels."""
         return self.of(*self._extract(rgb, camera))
 
     @torch.inference_mode()
     def of(self, view: WarpedImage, levels: Sequence[FeatureMap]) -> Detections:
-        """Return the objects of a view in pixels of its photograph, given its feature maps."""
-        found = self.detect(
-            view.picture, self._detector([(level.features, level.confidence) for level in levels])
-        )
+        """Return the objects of a view with feature maps, in pixels of its photograph."""
+        found = self.detect(self._detector([(each.features, each.confidence) for each in levels]))
         at = found.xy.double().numpy()
         kept = torch.from_numpy(view.shows(at))
         return Detections(
@@ -69,16 +62,13 @@ class ObjectFinder:
             found.vectors[kept],
         )
 
-    def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
-        """Return the objects of a picture (H, W, 3), given what the detector says of it.
-
-        They are on the processor, whatever device the maps are on.
-        """
+    def detect(self, maps: DetectorMaps) -> Detections:
+        """Return the objects of a picture from the maps of the detector, on the CPU."""
         stride = self._detector.config.stride
-        return detections(maps, stride, COUNT, LEAST_SCORE).on_processor()
+        return extract_detections(maps, stride, COUNT, LEAST_SCORE).cpu()
 
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
-        """Return the objects that the photographs of a map show from above.
+        """Return the landmarks in the photographs of a map that look down.
 
         Raises:
             InputError: a photograph is missing or broken.
@@ -94,20 +84,16 @@ class ObjectFinder:
         """
         return list(MapObjects(self, ReferenceSource(kept, self._extract, "", "", 0)).views())
 
-    def watcher(self, source: ReferenceSource) -> MapObjects | None:
-        """Return what finds the objects of a map in the feature maps of its references.
+    def observer(self, source: ReferenceSource) -> MapObjects | None:
+        """Return an observer that finds objects in the feature maps of a map's photographs.
 
-        It is None where the cache holds the objects.
+        It is None if the cache holds the landmarks.
         """
         is_known = source.kept.holds(_OBJECTS, *self._map_made_of(source))
         return None if is_known else MapObjects(self, source)
 
     def load_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
-        """Return the objects of a map, from the cache where it holds them.
-
-        Args:
-            source: what references of the map are computed from.
-            watched: what ``watcher`` returned.
+        """Return the landmarks of a map, computed unless the cache holds them.
 
         Raises:
             InputError: a photograph is broken or changed meanwhile.
@@ -123,19 +109,15 @@ class ObjectFinder:
         return store.make(0, Landmarks.ARRAYS, Landmarks.of)
 
     def _map_made_of(self, source: ReferenceSource) -> tuple[object, ...]:
-        """Return all that decides the objects of a map beside its photographs."""
+        """Return the inputs of the cache key beside the photographs."""
         return _FORMAT, source.extractor_key
 
 
 class MapObjects:
     """The objects of a map's photographs that look down.
 
-    It implements ``Watch``: photographs that the references see
-    anyway are seen once.
-
-    Args:
-        find: finds the objects of a view.
-        source: what references of the map are computed from.
+    It implements ``FeatureObserver``, so that feature maps of a photograph are computed once for
+    reference features and objects.
     """
 
     def __init__(self, find: ObjectFinder, source: ReferenceSource) -> None:
@@ -145,7 +127,7 @@ class MapObjects:
         self._found: dict[str, Detections] = {}
 
     def lacks(self, image: MapImage, key: str) -> bool:
-        """Return whether a photograph looks down and its objects are not known."""
+        """Return whether a photograph looks down and its objects are unknown."""
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
         if image.name not in self._found:
@@ -157,12 +139,12 @@ class MapObjects:
     def __call__(
         self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
     ) -> None:
-        """Find the objects of a photograph, given how it was seen and its feature maps."""
+        """Find the objects of a photograph from its view and feature maps."""
         if self.lacks(image, key):
             self._found[image.name] = self._find.of(view, maps)
 
     def views(self) -> Iterator[View]:
-        """Yield the photographs that look down with their objects, looking at those not yet seen.
+        """Yield the photographs that look down with their objects, computed where they are unknown.
 
         Raises:
             InputError: a photograph is missing or broken.
@@ -175,12 +157,12 @@ class MapObjects:
                     self(image, key, *self._see(image))
                     trim_heap()
                 found = self._found[image.name]
-                placed = on_ground(found, image.camera, image.pose, ground)
+                placed = place_on_ground(found, image.camera, image.pose, ground)
                 yield View(image.name, image.camera, image.pose, found, placed)
                 advance(done)
 
     def write(self) -> None:
-        """Keep the objects of each photograph, for maps to which photographs are added.
+        """Write the objects of each photograph to the cache, for later additions to the map.
 
         Raises:
             InputError: a photograph changed meanwhile.
@@ -204,9 +186,9 @@ class MapObjects:
 
 
 def map_ground(sparse_map: SparseMap) -> GroundGrid:
-    """Return the height of a map's ground on a grid, without what stands on it.
+    """Return the heights of a map's ground on a grid, without things that stand on it.
 
-    What is narrower than the window of a morphological opening is taken away.
+    A morphological opening removes things narrower than its window.
     """
     grid = ground_grid(sparse_map.xyz, _GROUND_M)
     cells = max(1, round(_WIDEST_M / _GROUND_M))

@@ -1,9 +1,9 @@
-"""Objects of a photograph connected with those of a map: the poses at which they agree.
+"""Matching of a photograph's objects with the landmarks of a map, which gives candidate poses.
 
-For each heading and height that may be, the photograph's objects are laid out on level ground and
-described among their neighbours. Every object then votes, with the landmarks that are most like it,
-for the place of the camera. The places with most votes are refined: landmarks near where an object
-should lie pull heading, height and place.
+For each heading and height to try, the photograph's objects are laid out on level ground and
+described among their neighbours. Every object then votes for the camera's position with its most
+similar landmarks. The positions with most votes are refined by least squares with the landmarks
+near each object.
 """
 
 from __future__ import annotations
@@ -27,48 +27,49 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
 CANDIDATES: Final = 5
-"""Poses that a photograph's objects may have, at most."""
-# Numerical guard: flatter rays meet level ground too far away.
-_FLATTEST: Final = 0.35
-# Likenesses of objects and landmarks computed at once, and assumptions, which bounds memory.
+"""Default maximum number of candidate poses of a photograph."""
+# Least drop of the ray to an object's foot, per unit of depth, for an intersection with level
+# ground: flatter rays meet it too far away.
+_MIN_LEVEL_DROP: Final = 0.35
+# Maximum numbers of similarities and of hypotheses computed at once, which bounds memory.
 _AT_ONCE: Final = 8_000_000
 _BATCH: Final = 28
 # Cells to either side of the origin, more than any map has.
 _CELLS: Final = 1 << 20
-# Landmarks that an object votes with, and that it may be in the refinement, the most likely ones.
+# Numbers of the most similar landmarks of an object in the vote and in the refinement.
 _MATCHES: Final = 6
 _CONSIDERED: Final = 16
-# Side of the cells of the votes, metres: what an object's place is unsure by.
+# Side of the cells of the vote, metres: the error of an object's position.
 _CELL_M: Final = 4.0
-# Places with most votes that are refined, which bounds time, and rounds of the refinement.
+# Number of positions that are refined, which bounds time, and rounds of the refinement.
 _REFINED: Final = 40
 _REFINEMENTS: Final = 2
-# Standard deviation of a landmark's distance from where an object should lie, metres, and the
-# weight of a match, 1 at most, below which it pulls nothing.
+# Standard deviation of a landmark's distance from its object, metres, and least weight of a match
+# in the refinement, where 1 is the largest.
 _NEAR_M: Final = 2.0
 _LEAST_WEIGHT: Final = 0.05
-# Candidates of the same heading are farther apart than this, and those at one place differ more.
+# Least difference of two candidates in position, or else in heading.
 _APART_M: Final = 8.0
 _APART: Final = math.radians(17)
-# How far a refined heading may be from the assumed one, and the ratio of their heights: as far as
-# the next assumptions and half as far again.
+# Largest change of heading and largest ratio of heights in the refinement: 1.5 times the spacing of
+# the hypotheses.
 _MOST_TURN: Final = math.radians(23)
 _MOST_STRETCH: Final = 1.25
-# A photograph with fewer objects connects with nothing: three fit anything.
+# Least number of objects of a photograph: three fit anything.
 _LEAST_OBJECTS: Final = 4
 _Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LaidOut:
-    """Objects on level ground, as seen from one height above it, N of them.
+class ObjectLayout:
+    """N objects on level ground; lengths are in heights of the camera above it.
 
     Attributes:
         offset: (N, 2) from the point below the camera, to the east and north.
         rise: (N,) heights of the centres above the ground.
         side: (N,) sides.
         vectors: (N, V) of unit length.
-        rows: (N,) of the photograph's objects that these are.
+        rows: (N,) rows of the photograph's objects.
     """
 
     offset: _Vector
@@ -81,24 +82,24 @@ class LaidOut:
         return len(self.offset)
 
 
-def lay_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> LaidOut:
-    """Lay the objects of a photograph out on level ground; lengths are in heights above it.
+def lay_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> ObjectLayout:
+    """Lay the objects of a photograph out on level ground.
 
     Args:
         found: the objects.
-        camera: of the photograph.
+        camera: camera of the photograph.
         cam_from_world: rotation (3, 3).
     """
     rays = object_rays(found, camera, cam_from_world)
-    rows = np.flatnonzero(rays.falls > _FLATTEST)
-    depth = 1 / rays.falls[rows]
+    rows = np.flatnonzero(rays.drops > _MIN_LEVEL_DROP)
+    depth = 1 / rays.drops[rows]
     offset = depth[:, None] * rays.along[rows, :2]
     vectors = found.vectors[torch.from_numpy(rows)]
-    return LaidOut(offset, rays.rises[rows] * depth, rays.sides[rows] * depth, vectors, rows)
+    return ObjectLayout(offset, rays.rises[rows] * depth, rays.sides[rows] * depth, vectors, rows)
 
 
-class _Pose2(NamedTuple):
-    """Heading (rad), height above the ground (m) and place (east, north; m) of a camera."""
+class _GroundPose(NamedTuple):
+    """Heading (rad), height above the ground (m) and position (east, north; m) of a camera."""
 
     heading: float
     height: float
@@ -106,14 +107,7 @@ class _Pose2(NamedTuple):
 
 
 class Connector:
-    """Connects photographs with the landmarks of a map.
-
-    Args:
-        graph: describes objects among their neighbours.
-        landmarks: of the map.
-        ground: of the map.
-        candidates: poses to return at most.
-    """
+    """Matches the objects of photographs with the landmarks of a map."""
 
     def __init__(
         self,
@@ -137,73 +131,73 @@ class Connector:
         headings: Sequence[float],
         heights: Sequence[float],
     ) -> list[Candidate]:
-        """Return the poses at which objects of a photograph agree with the map's, best first.
+        """Return candidate poses of a photograph, best first.
 
         Args:
-            found: the objects.
-            camera: of the photograph.
+            found: its objects.
+            camera: camera of the photograph.
             base: (3, 3) ``cam_from_world`` at a heading of 0.
-            headings: to try, rad, counter-clockwise turns of the camera about the vertical.
-            heights: above the ground to try, metres.
+            headings: headings to try: counter-clockwise rotations about the vertical, rad.
+            heights: heights above the ground to try, metres.
         """
-        laid = lay_out(found, camera, base)
-        if len(laid) < _LEAST_OBJECTS or not len(self._landmarks):
+        layout = lay_out(found, camera, base)
+        if len(layout) < _LEAST_OBJECTS or not len(self._landmarks):
             return []
         assumed = [(heading, height) for heading in headings for height in heights]
-        starts = self._vote(laid, np.array(assumed))
-        refined, scores = self._refine(laid, starts)
-        kept: list[tuple[float, _Pose2]] = []
+        starts = self._vote(layout, np.array(assumed))
+        refined, scores = self._refine(layout, starts)
+        kept: list[tuple[float, _GroundPose]] = []
         for row in np.argsort(-scores, kind="stable").tolist():
-            if all(self._apart(refined[row], other) for _, other in kept):
+            if all(self._is_distinct(refined[row], other) for _, other in kept):
                 kept.append((float(scores[row]), refined[row]))
             if len(kept) == self._candidates:
                 break
         return [Candidate(self._pose(base, each), score) for score, each in kept]
 
-    def _apart(self, one: _Pose2, other: _Pose2) -> bool:
+    def _is_distinct(self, one: _GroundPose, other: _GroundPose) -> bool:
         far = float(np.linalg.norm(one.place - other.place)) > _APART_M
         turn = abs(_wrap(one.heading - other.heading))
         return far or turn > _APART
 
-    def _pose(self, base: Tensor, found: _Pose2) -> Pose:
+    def _pose(self, base: Tensor, found: _GroundPose) -> Pose:
         rotation = base @ so3_exp(found.heading * UP)
         east, north = found.place.tolist()
         up = self._ground.height_at(east, north) + found.height
         return Pose(rotation, -rotation @ torch.tensor([east, north, up], dtype=torch.float64))
 
-    def _likely(
-        self, laid: LaidOut, assumed: _Vector, count: int
+    def _match_landmarks(
+        self, layout: ObjectLayout, assumed: _Vector, count: int
     ) -> tuple[_Vector, _Vector, NDArray[np.int64]]:
-        """Lay objects out under assumptions (H, 2) of heading and height.
+        """Match objects with landmarks under hypotheses (H, 2) of heading and height.
 
         Returns:
-            Where they lie from the camera (H, N, 2), metres, and the probabilities and the rows of
-            the landmarks that each most likely is (H, N, K), at most ``count``.
+            Positions of the objects relative to the camera (H, N, 2), metres, and the probabilities
+            and rows of the most likely landmarks of each (H, N, K), at most ``count``.
         """
         heading, height = assumed.T
         cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
-        x, y = laid.offset.T
+        x, y = layout.offset.T
         where = np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
         where = where * height[:, None, None]
         graph = self._graph
-        near, there = graph.neighbours(graph.to_tensor(laid.offset))
-        vectors = laid.vectors.to(near.device)
-        batch = max(1, min(_BATCH, _AT_ONCE // (len(laid) * len(self._landmarks))))
+        near, there = graph.neighbours(graph.to_tensor(layout.offset))
+        vectors = layout.vectors.to(near.device)
+        batch = max(1, min(_BATCH, _AT_ONCE // (len(layout) * len(self._landmarks))))
         count = min(count, len(self._landmarks))
-        # Made before what is large: kept arrays between large ones that go would hold their memory.
-        weights = np.empty((len(assumed), len(laid), count))
+        # Allocated before the large temporary arrays, so that these leave no gaps in the heap.
+        weights = np.empty((len(assumed), len(layout), count))
         rows = np.empty(weights.shape, np.int64)
         for first in range(0, len(assumed), batch):
             part = slice(first, first + batch)
             own = graph(
                 vectors,
                 graph.to_tensor(where[part]),
-                graph.to_tensor(laid.rise * height[part, None]),
-                graph.to_tensor(laid.side * height[part, None]),
+                graph.to_tensor(layout.rise * height[part, None]),
+                graph.to_tensor(layout.side * height[part, None]),
                 near,
                 there,
             )
-            # A softmax, which is quicker without its maximum: no cosine is larger than one.
+            # A softmax; the largest cosine, one, replaces its maximum, which saves time.
             sharpness = graph.sharpness.exp()
             likely = ((sharpness * own) @ self._described.T).sub_(sharpness).exp_()
             best, row = likely.topk(count, -1)
@@ -211,11 +205,11 @@ class Connector:
             rows[part] = row.cpu().numpy()
         return where, weights, rows
 
-    def _vote(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
-        """Return the places with most votes, each with the matches that voted for it."""
-        where, weight, row_ = self._likely(laid, assumed, _MATCHES)
+    def _vote(self, layout: ObjectLayout, assumed: _Vector) -> list[tuple[_GroundPose, _Matches]]:
+        """Return the poses with most votes, each with the matches that voted for it."""
+        where, weight, row_ = self._match_landmarks(layout, assumed, _MATCHES)
         place = self._xy[row_] - where[:, :, None]
-        # Each vote counts in the four cells around it, by how near their middles are.
+        # Each vote is distributed bilinearly to the four cells around it.
         at = place / _CELL_M - 0.5
         corner = np.floor(at).astype(np.int64)
         number = np.arange(len(assumed))[:, None, None]
@@ -236,29 +230,29 @@ class Connector:
             objects, _ = np.nonzero(near)
             matches = _Matches(objects, row_[one][near], weight[one][near])
             heading, height = assumed[one].tolist()
-            found.append((_Pose2(heading, height, middle), matches))
+            found.append((_GroundPose(heading, height, middle), matches))
         return found
 
     def _refine(
-        self, laid: LaidOut, starts: Sequence[tuple[_Pose2, _Matches]]
-    ) -> tuple[list[_Pose2], _Vector]:
+        self, layout: ObjectLayout, starts: Sequence[tuple[_GroundPose, _Matches]]
+    ) -> tuple[list[_GroundPose], _Vector]:
         """Refine poses; return them with the scores that they had before the last step."""
-        poses = [self._fit(laid, start, start, matches) for start, matches in starts]
+        poses = [self._fit(layout, start, start, matches) for start, matches in starts]
         scores = np.zeros(len(poses))
         for _ in range(_REFINEMENTS):
             assumed = np.array([(pose.heading, pose.height) for pose in poses])
-            where, some, row = self._likely(laid, assumed, _CONSIDERED)
+            where, some, row = self._match_landmarks(layout, assumed, _CONSIDERED)
             there = np.array([pose.place for pose in poses])[:, None] + where
             squared = np.square(self._xy[row] - there[:, :, None]).sum(-1)
             weight = some * np.exp(-squared / (2 * _NEAR_M**2))
             best = weight.argmax(-1)[..., None]
             weight = np.take_along_axis(weight, best, -1)[..., 0]
             landmark = np.take_along_axis(row, best, -1)[..., 0]
-            scores = weight.sum(1) / math.sqrt(len(laid))
+            scores = weight.sum(1) / math.sqrt(len(layout))
             pulls = weight > _LEAST_WEIGHT
             poses = [
                 self._fit(
-                    laid,
+                    layout,
                     starts[number][0],
                     pose,
                     _Matches(np.flatnonzero(fine), landmark[number][fine], weight[number][fine]),
@@ -267,15 +261,17 @@ class Connector:
             ]
         return poses, scores
 
-    def _fit(self, laid: LaidOut, start: _Pose2, pose: _Pose2, matches: _Matches) -> _Pose2:
-        """Return the pose at which matches lie nearest, near what was assumed at the start.
+    def _fit(
+        self, layout: ObjectLayout, start: _GroundPose, pose: _GroundPose, matches: _Matches
+    ) -> _GroundPose:
+        """Return the pose that fits matches best, within bounds around the start.
 
-        It is the similarity of least squares between the objects, laid out from a height of one,
-        and their landmarks, in complex numbers.
+        It is the least-squares similarity between the layout and its landmarks, computed with
+        complex numbers.
         """
         if len(set(matches.objects.tolist())) < 3:
             return pose
-        x, y = laid.offset[matches.objects].T
+        x, y = layout.offset[matches.objects].T
         own = x + 1j * y
         east, north = self._xy[matches.landmarks].T
         theirs = east + 1j * north
@@ -296,11 +292,11 @@ class Connector:
             np.clip(abs(turn), start.height / _MOST_STRETCH, start.height * _MOST_STRETCH)
         )
         there = middle_there - height * np.exp(-1j * heading) * middle
-        return _Pose2(heading, height, np.array([there.real, there.imag]))
+        return _GroundPose(heading, height, np.array([there.real, there.imag]))
 
 
 class _Matches(NamedTuple):
-    """Objects with landmarks that are like them.
+    """K matches of objects with landmarks.
 
     Attributes:
         objects: (K,) rows of the objects.
@@ -314,7 +310,7 @@ class _Matches(NamedTuple):
 
 
 def describe_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tensor:
-    """Describe landmarks among their neighbours, (M, D) of unit length."""
+    """Return unit vectors (M, D) of landmarks among their neighbours."""
     where = graph.to_tensor(landmarks.xyz[:, :2])
     near, there = graph.neighbours(where)
     described: Tensor = graph(
@@ -329,5 +325,5 @@ def describe_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tenso
 
 
 def _wrap(angle: float) -> float:
-    """Return an angle (rad) within half a turn of 0."""
+    """Return an angle (rad) wrapped to -pi to pi."""
     return (angle + math.pi) % math.tau - math.pi

@@ -1,4 +1,4 @@
-"""Training of the detector of objects, on a network that is kept as it is."""
+"""Training of the object detector on a frozen network."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
-from objconnect.localization.featuremetric.training import both, half_precision
+from objconnect.localization.featuremetric.training import half_precision, stack_images
 from objconnect.network.config import DetectorConfig
 from objconnect.network.detector import DetectorMaps
 from objconnect.network.localizer import SHIPPED
@@ -20,10 +20,10 @@ from objconnect.scene.errors import InputError
 
 
 class ObjectTraining:
-    """Implements ``objconnect.learning.training.loop.Trainable`` for the detector of objects.
+    """Implements ``objconnect.learning.training.loop.Trainable`` for the object detector.
 
-    ``TrainConfig.weights`` are those of the network whose features it sees, by default the shipped
-    ones. They do not change, so that poses are aligned as before.
+    ``TrainConfig.weights`` are those of the network that computes its features, by default the
+    shipped ones. They do not change, so that the alignment does not change.
     """
 
     def __init__(self, config: TrainConfig) -> None:
@@ -41,12 +41,12 @@ class ObjectTraining:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """See ``Trainable``."""
         if not batch.objects:
-            raise InputError("pairs know no objects: set pairs.objects, and use no photographs")
-        # Running means of the network's normalisation would change in training.
+            raise InputError("pairs have no objects: set pairs.objects, and use no photographs")
+        # Running means of the network's normalisation would change in training mode.
         self.network.eval()
         with half_precision(batch):
             with torch.no_grad():
-                levels = self.network(both(batch))
+                levels = self.network(stack_images(batch))
             maps = self._detector(levels)
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride

@@ -1,8 +1,8 @@
 """Objects in a feature map: occupancies, affinities, attention and centres.
 
 Maps are rows of cells here, (B, h w, C), so that a 1x1 convolution is a linear layer. An occupancy
-is not stored as N x h w numbers. Instead, each cell has the index of its object, and sums over
-objects are sums by index.
+stores the index of each cell's object instead of N x h w numbers; sums over objects are sums by
+index.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Occupancy:
 
     @property
     def present(self) -> Tensor:
-        """Return which objects (B, N) have a cell."""
+        """Return whether objects (B, N) have a cell."""
         return self.area > 0
 
     def mean(self, rows: Tensor) -> Tensor:
@@ -82,7 +82,7 @@ class Attention(nn.Module):
     def __init__(self, size: int) -> None:
         super().__init__()
         self.join = nn.Linear(2 * size, size)
-        self.out = small(nn.Linear(size, size))
+        self.out = init_small(nn.Linear(size, size))
 
     def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
         """Return rows (B, h w, C) with the output added."""
@@ -118,7 +118,7 @@ class Objects(NamedTuple):
     present: Tensor
 
 
-def small(layer: nn.Linear) -> nn.Linear:
+def init_small(layer: nn.Linear) -> nn.Linear:
     """Initialise the last layer of a residual block so that the untrained block adds little."""
     with torch.no_grad():
         layer.weight *= _SMALL

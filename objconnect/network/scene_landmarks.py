@@ -1,4 +1,4 @@
-"""The command ``landmarks``: the learned objects of a scene's map, kept with the scene."""
+"""The command ``landmarks``: detect the objects of a scene's map and store them in the scene."""
 
 from __future__ import annotations
 
@@ -32,20 +32,14 @@ from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 LANDMARKS: Final = "landmarks.h5"
-"""The file of a scene with the objects of its map."""
+"""Name of the file of a scene with the landmarks of its map."""
 
 _HEAD: Final = "landmark,e,n,u,side_m,above_ground_m,probability,photographs,first_photograph"
 
 
 @dataclass(frozen=True)
 class LandmarksReport:
-    """The objects of a scene's map.
-
-    Attributes:
-        landmarks: the objects.
-        observations: number of times that photographs show them.
-        files: files that were written.
-    """
+    """The landmarks of a scene's map, the number of their observations and the written files."""
 
     landmarks: Landmarks
     observations: int
@@ -70,19 +64,20 @@ class LandmarksReport:
 def find_landmarks(
     path: Path, weights: Path | None = None, out: Path | None = None, device: str = AUTO
 ) -> LandmarksReport:
-    """Find the learned objects of a scene's map, and keep them in the scene.
+    """Detect the objects of a scene's map and store them in the scene.
 
-    Those that an earlier call found are replaced. The map is not changed.
+    Those of an earlier call are replaced. The map does not change.
 
     Args:
         path: finished scene with a map.
         weights: weights of an object-connect network with a detector; None takes the shipped ones.
-        out: table of the objects to write besides, CSV.
+        out: CSV table of the landmarks to write, too.
         device: device of the network, as in ``objconnect.scene.runtime.device.Device``.
 
     Raises:
         InputError: the scene is not finished or has no map, the weights have no detector, a
-            photograph is missing or broken, ``out`` cannot be written, or the device is not there.
+            photograph is missing or broken, ``out`` cannot be written, or the device does not
+            exist.
     """
     on, scene = torch_device(device), Scene.open(path)
     outputs: list[OutputFile | Path] = [path / LANDMARKS]
@@ -108,7 +103,7 @@ def find_landmarks(
 
 
 def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Tracks] | None:
-    """Return the objects that are kept with a scene; None where there are none of its map.
+    """Return the landmarks stored in a scene; None if there are none of its map.
 
     Raises:
         InputError: the file is damaged.
@@ -139,7 +134,7 @@ def _write(path: Path, landmarks: Landmarks, tracks: Tracks, sparse_map: SparseM
 
 
 def _table(landmarks: Landmarks, tracks: Tracks) -> str:
-    """Return the objects as CSV, a row each, with the first photograph that shows it."""
+    """Return the landmarks as CSV, each with the first photograph that shows it."""
     first = dict(zip(reversed(tracks.landmark.tolist()), reversed(tracks.name), strict=True))
     text = io.StringIO()
     text.write(f"{_HEAD}\n")

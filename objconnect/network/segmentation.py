@@ -19,15 +19,15 @@ from objconnect.scene.runtime.tuning import worker_threads
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
-# Long side (pixels) at which images are segmented: finer than the levels with objects of an image
-# of 512 pixels. At 256, SLIC takes twice the time.
+# Longer side (px) of the segmented image: finer than the levels with objects of an image of 512
+# pixels. At 256, SLIC takes twice the time.
 _LONG_SIDE: Final = 192
-# SLIC has converged after 5 iterations; 10 take twice the time. Compactness is the weight of
-# distances relative to colours, which its authors recommend.
+# SLIC converges within 5 iterations; 10 take twice the time. Compactness, the weight of distances
+# relative to colours, is that of its authors.
 _SLIC_ITERATIONS: Final = 5
 _SLIC_COMPACTNESS: Final = 10.0
-# k of Felzenszwalb and Huttenlocher for colours in 0..1, by which segments grow, and the standard
-# deviation of their blur, cells.
+# Scale k of Felzenszwalb and Huttenlocher for colours in 0..1, and the standard deviation of the
+# blur, cells.
 _FELZENSZWALB_SCALE: Final = 100.0
 _FELZENSZWALB_BLUR: Final = 0.8
 
@@ -40,7 +40,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
 
     Args:
         images: images (B, 3, H, W), RGB in 0..1.
-        config: configuration, of which ``segmentation``, ``segments`` and ``segment_side`` count.
+        config: configuration; ``segmentation``, ``segments`` and ``segment_side`` are used.
 
     Returns:
         Labels (B, h, w) int64 on the device of the images, 0 to N - 1 or ``NOTHING``. The label

@@ -1,4 +1,4 @@
-"""The object-connect network for the training loop."""
+"""Training of the object-connect network."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from torch import Tensor
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.localization.featuremetric.training import (
-    both,
     contrast_of,
     filters_and_damping,
     half_precision,
     levels_of,
     pixels_of,
+    stack_images,
     unroll,
 )
 from objconnect.network.config import ObjConnectNetConfig
@@ -34,7 +34,7 @@ from objconnect.scene.errors import InputError
 
 
 class ObjConnectTraining:
-    """Implements ``Trainable``. It trains like PixLoc, with (7) added.
+    """Implements ``Trainable``: PixLoc's training with equation (7) added.
 
     ``TrainConfig.network`` takes the switches of ``ObjConnectNetConfig``. ``TrainConfig.weights``
     may be weights of this network, also with other switches, or weights of PixLoc.
@@ -55,7 +55,7 @@ class ObjConnectTraining:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """See ``Trainable``."""
         strides = self.network_config.strides
-        images = both(batch)
+        images = stack_images(batch)
         labels = self._segments(images)
         with half_precision(batch):
             maps, objects = self.network.describe(images, labels)

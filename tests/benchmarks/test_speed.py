@@ -15,12 +15,12 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import objconnect.localization.align.linearise as linearising
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.learning.quantization import largest_values, quantize
 from objconnect.localization.align.residuals import Level, LevelCost
 from objconnect.localization.align.sampling import CellTable, stencil
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
-from objconnect.localization.depth.sweep import window
+from objconnect.localization.depth.sweep import window_offsets
 from objconnect.localization.depth.window_sweep import WindowSweep
 from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.network.localizer import SHIPPED
@@ -193,7 +193,7 @@ def test_windows_ours(
     benchmark: BenchmarkFixture, photographs: tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]
 ) -> None:
     here, other, xy = photographs
-    sweep = WindowSweep(here, xy, window(), 8.0)
+    sweep = WindowSweep(here, xy, window_offsets(), 8.0)
     depths = torch.linspace(1 / 85, 1 / 75, 11).expand(2000, -1)
     found = benchmark(sweep, depths, other)
     assert found.shape == (2000, 11) and (found > -1).mean() > 0.5
@@ -216,7 +216,7 @@ def test_network(benchmark: BenchmarkFixture, way: str) -> None:
     network, _ = read_network(SHIPPED)
     half = way.endswith("bfloat16")
     if way != "as trained":
-        fold(network, "bfloat16" if half else "float32")
+        fuse_layers(network, "bfloat16" if half else "float32")
     image = torch.rand(1, 3, 512, 512).contiguous(memory_format=torch.channels_last)
     if way == "quantized":
         if not torch.cpu._is_vnni_supported():

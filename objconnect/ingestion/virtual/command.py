@@ -194,8 +194,6 @@ def _survey(
 ) -> _Survey:
     """Read both rasters completely, and compute the area that both cover."""
     collar = describe_collar(_strips(colours))  # reads the whole file: damage is found early
-        _strips(colours)
-    )  # reads the whole file, so that damage is noticed early
     low, high = np.inf, -np.inf
     for known in _valid_rows(heights):
         low, high = min(low, float(known.min())), max(high, float(known.max()))

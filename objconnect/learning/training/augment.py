@@ -1,4 +1,4 @@
-"""Photometric augmentation: changes of images by weather, sensor and hour that move no pixel."""
+"""Photometric augmentation: changes of images by weather, sensor and hour."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def photometric(
 
     Args:
         image: (H, W, 3) uint8 RGB.
-        rng: decides everything.
+        rng: random generator.
         strength: 0 changes nothing; 1 changes as much as a season, with bright ground turned white.
     """
     if strength == 0:

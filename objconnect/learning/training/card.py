@@ -16,7 +16,7 @@ from objconnect.scene.storage.files import read_text
 
 CARD: Final = "card.md"
 RESIDUAL: Final = "residual "
-"""Figures of the log that begin so are what a block adds to features, as a share of them."""
+"""Prefix of the log's values of ``ObjectBlocks.residuals``."""
 
 
 def write_card(
@@ -45,8 +45,8 @@ def write_card(
         f"# Weights of {method}",
         "",
         f"- file: {weights.name}, {megabytes:.1f} MB, sha256 {sha256_of(weights)}",
-        f"- trained on: {_places(scenes)}",
-        f"- looked at while training: {_places(validation) or 'nothing'}",
+        f"- trained on: {_sites(scenes)}",
+        f"- validated on: {_sites(validation) or 'nothing'}",
         f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours "
         f"on {config.device}",
         f"- settings beside the defaults: {json.dumps(changed, sort_keys=True)}",
@@ -55,13 +55,13 @@ def write_card(
     for row in last:
         seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
         figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
-        lines.append(f"- at the end, on what was looked at: {figures}")
+        lines.append(f"- validation at the end: {figures}")
     residuals = {k: v for row in rows for k, v in row.items() if k.startswith(RESIDUAL)}
     if residuals:
         shares = ", ".join(f"{k.removeprefix(RESIDUAL)} {v:.3g}" for k, v in residuals.items())
-        lines.append(f"- what blocks add at the end, as a share of their input: {shares}")
+        lines.append(f"- outputs of blocks relative to their input, at the end: {shares}")
     write_text(run / CARD, "\n".join(lines) + "\n")
 
 
-def _places(scenes: Sequence[Scene]) -> str:
+def _sites(scenes: Sequence[Scene]) -> str:
     return ", ".join(f"{scene.manifest.preset} {scene.manifest.seed}" for scene in scenes)

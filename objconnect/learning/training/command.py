@@ -31,7 +31,7 @@ def train(
 
     Args:
         method: name of the method.
-        make: function that makes the method from the configuration.
+        make: creates the method from the configuration.
         data: finished scenes with depth, taken by pinhole cameras.
         out: folder of the run: checkpoint, log, curves, and at the end the weights and their card.
         config: configuration of the training.
@@ -46,13 +46,13 @@ def train(
     """
     check_output_folder(out, [*data, *validation])
     scenes = [Scene.open(path) for path in data]
-    looked_at = [Scene.open(path) for path in validation]
+    validated = [Scene.open(path) for path in validation]
     size, points = config.crop, config.points
     rendered = RenderedPairs(scenes, size, points, config.strength, config.pairs)
     planes = None
     if config.photographs and config.photograph_share > 0:
         planes = PlanePairs(config.photographs, size, points, config.strength, config.pairs)
-    chosen = RenderedPairs(looked_at, size, points, 0.0, config.pairs) if looked_at else None
+    chosen = RenderedPairs(validated, size, points, 0.0, config.pairs) if validated else None
     sources = PairSources(rendered, planes, chosen)
     described = {"method": method, "scenes": [_identity(scene) for scene in scenes]}
     if config.weights is not None:
@@ -60,19 +60,19 @@ def train(
     first = join(torch_device(config.device)).rank == 0
     with write_lock(out) if first else nullcontext():
         trained = make(config)
-        # Weights to begin with have a width of their own.
+        # Initial weights determine the width.
         width = getattr(trained.network_config, "width", config.width)
         config = config.model_copy(update={"width": width})
         weights = train_loop(trained, config, sources, out, described)
         if first:
-            write_card(out, method, config, scenes, looked_at)
+            write_card(out, method, config, scenes, validated)
     return weights
 
 
 def _identity(scene: Scene) -> str:
-    """Return preset, seed and the digest of all flights of a scene; maps may be added to it."""
+    """Return preset, seed and the digest of all flights of a scene, without its maps."""
     flights = {
-        name: found for name, found in scene.manifest.sha256.items() if name.startswith("sessions/")
+        name: sha for name, sha in scene.manifest.sha256.items() if name.startswith("sessions/")
     }
     content = sha256(json.dumps(flights, sort_keys=True))
     return f"{scene.manifest.preset} {scene.manifest.seed} {content}"

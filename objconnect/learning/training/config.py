@@ -13,11 +13,11 @@ from objconnect.scene.runtime.device import AUTO, Device
 
 
 class TrainConfig(Config):
-    """All settings that decide the weights, besides the scenes."""
+    """All settings of a training except the scenes."""
 
     steps: int = Field(3000, ge=1, description="Number of steps of the optimizer.")
     batch: int = Field(8, ge=1, description="Number of pairs per step and process.")
-    crop: int = Field(192, ge=96, description="Side of the square images, pixels.")
+    crop: int = Field(192, ge=96, description="Side of the square images, px.")
     points: int = Field(192, ge=64, description="Number of points per pair.")
     rate: float = Field(
         1e-3,
@@ -48,22 +48,18 @@ class TrainConfig(Config):
         0.25,
         gt=0,
         le=1,
-        description="Width of a network from random weights; 1 is that of the authors.",
+        description="Width of a network with random initial weights; 1 is that of the authors.",
     )
     network: dict[str, Any] = Field(
         default_factory=dict,
         description="Further options of the network, by the names of the method's configuration.",
     )
-    weights: Path | None = Field(
-        None, description="Weights to start from; None starts from random ones."
-    )
-    validate_every: int = Field(
-        200, ge=1, description="Number of steps between evaluations of the validation scenes."
-    )
+    weights: Path | None = Field(None, description="File of initial weights; None for random ones.")
+    validate_every: int = Field(200, ge=1, description="Number of steps between validations.")
     save_every: int = Field(100, ge=1, description="Number of steps between checkpoints.")
-    workers: int = Field(1, ge=0, description="Number of processes that make pairs.")
-    # Under ``torchrun``, each process takes a CUDA device of its own where no number is given.
+    workers: int = Field(1, ge=0, description="Number of data loading processes.")
+    # Under ``torchrun``, each process takes its own CUDA device unless a number is given.
     device: Device = AUTO
-    pairs: PairOptions = Field(PAIRS, description="How pairs are drawn.")
+    pairs: PairOptions = Field(PAIRS, description="Options of the training pairs.")
     losses: LossOptions = Field(LOSSES, description="Weights of the losses.")
     seed: int = Field(0, description="Seed of all random numbers.")

@@ -1,4 +1,4 @@
-"""Square crops of photographs, resized and turned about the camera's axis, with their cameras."""
+"""Square crops of photographs, resized and rotated about the optical axis, with their cameras."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from objconnect.scene.geometry.views import resample, roll_rotation
 
 
 class Crop(NamedTuple):
-    """A square cut of a photograph.
+    """A square crop of a photograph.
 
     Attributes:
         image: (S, S, 3) uint8; black outside the photograph.
-        camera: pinhole camera of the crop.
         crop_from_camera: rotation (4, 4) from the photograph's camera frame to the crop's.
         affine: (2, 3) maps pixels of the photograph to those of the crop.
     """
@@ -40,7 +39,7 @@ def crop(
     size: int,
     angle: float = 0.0,
 ) -> Crop:
-    """Cut a square around a pixel of a photograph, resized and turned.
+    """Cut a square around a pixel of a photograph, resized and rotated.
 
     Args:
         image: the photograph (H, W, 3).
@@ -48,7 +47,7 @@ def crop(
         centre: pixel (2,) of the photograph that becomes the middle of the crop.
         scale: pixels of the crop per pixel of the photograph.
         size: side S of the crop, pixels.
-        angle: angle by which the picture is turned counter-clockwise, radians.
+        angle: counter-clockwise rotation, radians.
     """
     turn = roll_rotation(angle)
     linear = scale * turn[:2, :2]

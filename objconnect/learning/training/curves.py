@@ -1,4 +1,4 @@
-"""A picture of the training curves."""
+"""The plot of the training curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COLUMNS = 3
 
 
 def draw_curves(log: Path, picture: Path) -> None:
-    """Plot every figure of the log against the step: training smoothed, validation as points."""
+    """Plot every value of the log against the step: training smoothed, validation as points."""
     figures: dict[str, list[tuple[int, float]]] = {}
     for line in read_text(log, "training log").splitlines():
         row = json.loads(line)

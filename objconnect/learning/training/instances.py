@@ -1,4 +1,4 @@
-"""The objects of a frame's instance layer as a crop of the frame shows them."""
+"""True objects in a crop of a rendered frame, from its instance layer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from objconnect.learning.training.objects import GROUND, UNKNOWN, PairObjects
 from objconnect.scene.bundle.manifest import SceneObject
 from objconnect.scene.geometry.views import from_pixel_centres
 
-# Objects without a centre that a photograph shows: photographs hold parts of them.
+# Classes of long objects, of which photographs show parts, and the largest side of other objects.
 LINES: Final = frozenset({"wire", "fence", "hedge"})
 LARGEST_M: Final = 40.0
 _BEYOND: Final = 65535
@@ -27,14 +27,14 @@ def objects_of(
     objects: Mapping[int, SceneObject],
     first_id: int,
 ) -> PairObjects:
-    """Return the objects that a crop of a frame shows.
+    """Return the objects in a crop of a frame.
 
     Args:
         instances: (H, W) ids of the frame's pixels, 0 for none.
         cut: the crop.
         crop_from_world: (4, 4) pose of the crop's camera.
         objects: objects of the scene by id.
-        first_id: added to the ids, so that those of several scenes differ.
+        first_id: offset of the ids, which makes those of several scenes differ.
     """
     size = cut.image.shape[1], cut.image.shape[0]
     moved = from_pixel_centres(cut.affine)

@@ -1,4 +1,4 @@
-"""The pixels at which features are trained, mostly corners, where maps have points too."""
+"""Pixels at which features are trained: mostly corners, as the points of maps."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 # Threshold of FAST, grey levels.
 _CORNER_THRESHOLD: Final = 8
-# Share of the points that lie at corners. The others are random, so that features of plain ground
-# are trained too.
+# Share of the pixels at corners. The others are random, so that features of plain ground are
+# trained, too.
 _CORNER_SHARE: Final = 0.75
 
 
 def keypoints(
     image: NDArray[np.uint8], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and random places.
+    """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and at random.
 
     Args:
         image: (H, W, 3) uint8.
-        count: number of pixels; corners are drawn with equal probability, whatever their strength.
-        rng: generator of the draws.
+        count: number of pixels; corners are drawn uniformly, whatever their strength.
+        rng: random generator.
     """
     height, width = image.shape[:2]
     corners = cv2.FastFeatureDetector.create(_CORNER_THRESHOLD).detect(image)

@@ -1,4 +1,4 @@
-"""The training loop for any method, in one or several processes. Interrupted runs continue."""
+"""The training loop of all methods, in one or several processes; interrupted runs resume."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from torch import Tensor, distributed, nn
 from torch.utils.data import DataLoader, Dataset
 
-from objconnect.learning.checkpoint import fault_of, write_weights
+from objconnect.learning.checkpoint import describe_fault, write_weights
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
@@ -35,17 +35,17 @@ WEIGHTS: Final = "weights.safetensors"
 _CHECKPOINT = "checkpoint.pt"
 LOG: Final = "log.jsonl"
 _RUN = "run.json"
-# Settings that may differ when a run goes on, as they do not change what it learns.
+# Settings that may differ when a run resumes, because they do not change the weights.
 _FREE: Final = ("workers", "device", "save_every", "validate_every")
 _CURVES = "curves.png"
-# Steps until the highest learning rate, which the first gradients of random weights do not bear.
-_RISE: Final = 50
+# Number of steps in which the learning rate rises to its maximum.
+_RISE_STEPS: Final = 50
 # Weight decay, and the largest norm of the gradient.
 _DECAY: Final = 1e-4
 _LARGEST_GRADIENT: Final = 5.0
-# What is looked at while training, which changes no weights.
+# Number of batches of a validation.
 _VALIDATION_BATCHES = 8
-# The seed of validation pairs, which are the same in all runs.
+# Seed of the validation pairs, which are the same in all runs.
 _VALIDATION_SEED = 987654321
 
 
@@ -63,7 +63,7 @@ class Trainable(Protocol):
         ...
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
-        """Return the loss of a batch, and figures to log by name.
+        """Return the loss of a batch, and values for the log by name.
 
         Args:
             batch: pairs of images.
@@ -72,12 +72,12 @@ class Trainable(Protocol):
         ...
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
-        """Return the parameters with their learning rates, as torch's optimizers take them."""
+        """Return parameter groups with learning rates for torch's optimizers."""
         ...
 
 
 class _Drawn(Dataset[Pair]):
-    """The pairs of a run by index. The seed and the index decide a pair."""
+    """The pairs of a run by index; seed and index determine a pair."""
 
     def __init__(self, sources: Sequence[PairSource], shares: Sequence[float], seed: int) -> None:
         self._sources, self._shares, self._seed = sources, shares, seed
@@ -87,8 +87,8 @@ class _Drawn(Dataset[Pair]):
         return self._sources[rng.choice(len(self._sources), p=self._shares)].draw(rng)
 
 
-class _Stretch:
-    """The indices of the pairs of some steps, batch by batch, for one of several processes."""
+class _BatchIndices:
+    """The indices of the pairs of a range of steps, batch by batch, for one of the processes."""
 
     def __init__(self, first: int, last: int, batch: int, rank: int, world: int) -> None:
         self._steps, self._batch, self._rank, self._world = range(first, last), batch, rank, world
@@ -107,7 +107,6 @@ class PairSources:
     """The sources of the pairs of a run.
 
     Attributes:
-        rendered: pairs of training scenes.
         photographs: pairs of plain photographs, or None.
         validation: pairs of validation scenes, or None for no validation.
     """
@@ -117,7 +116,7 @@ class PairSources:
     validation: PairSource | None = None
 
     def draw(self, photograph_share: float, seed: int) -> _Drawn:
-        """Return the training pairs, of which a share is made of photographs if there are any."""
+        """Return the training pairs; a share is of photographs if there are any."""
         if self.photographs is None:
             return _Drawn([self.rendered], [1.0], seed)
         shares = [1 - photograph_share, photograph_share]
@@ -131,10 +130,10 @@ def train_loop(
     out: Path,
     described: Mapping[str, Any],
 ) -> Path:
-    """Train a method, or continue its interrupted training, and write the weights.
+    """Train a method, or resume its interrupted training, and write the weights.
 
-    The seed decides every pair, so that an interrupted and resumed run sees the same pairs as an
-    uninterrupted one. Under ``torchrun`` each process takes its share of the pairs.
+    The seed determines every pair, so that a resumed run has the same pairs as an uninterrupted
+    one. Under ``torchrun`` each process takes its share of the pairs.
 
     Args:
         method: the method to train.
@@ -168,8 +167,8 @@ def train_loop(
             share = config.photograph_share * (1 if begin == 0 else 0.5)
             drawn = sources.draw(share, config.seed)
             start = max(first, begin)
-            stretch = _Stretch(start, max(start, end), config.batch, rank, world)
-            loader = _loader(drawn, stretch, config.workers)
+            indices = _BatchIndices(start, max(start, end), config.batch, rank, world)
+            loader = _loader(drawn, indices, config.workers)
             asked = time.perf_counter()
             for step, batch in enumerate(loader, start):
                 began = time.perf_counter()
@@ -209,10 +208,7 @@ class Processes(NamedTuple):
 
 
 def join(device: torch.device) -> Processes:
-    """Connect to the other processes of ``torchrun``, which learn on devices of the same type.
-
-    Without ``torchrun``, there is one process.
-    """
+    """Connect to the other processes of ``torchrun``, if any, on devices of the same type."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
@@ -220,9 +216,9 @@ def join(device: torch.device) -> Processes:
 
 
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
-    """Claim the folder for this run, or continue where it already belongs to this run.
+    """Claim the folder for this run, or resume the run that it holds.
 
-    Another length is another run, as the rate falls over all steps.
+    A run of another length is another run, because the learning rate depends on the length.
     """
     folder = _resumable(out, run)
     if folder.resume(
@@ -236,8 +232,8 @@ def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
         for name in (_CHECKPOINT, LOG, _CURVES, WEIGHTS):
             if os.path.lexists(out / name):
                 raise WriteError(
-                    f"cannot write {out / name}: another file stands there, and {out} holds no run "
-                    "of ours: name another folder"
+                    f"cannot write {out / name}: another file stands there, and {out} holds no "
+                    "training run: name another folder"
                 )
         folder.begin()
 
@@ -262,11 +258,11 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
     return ResumableFolder(out, out / _RUN, request, difference)
 
 
-def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
+def _loader(drawn: _Drawn, indices: _BatchIndices, workers: int) -> DataLoader[Pair]:
     # A forked worker would inherit the locks of torch's threads, which may be locked.
     return DataLoader(
         drawn,
-        batch_sampler=stretch,
+        batch_sampler=indices,
         collate_fn=collate,
         num_workers=workers,
         multiprocessing_context="spawn" if workers else None,
@@ -276,15 +272,15 @@ def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
 
 @contextmanager
 def _naming_the_dead() -> Iterator[None]:
-    """Report the death of a process that makes pairs as an error message of one line."""
+    """Report the death of a data loading process in an error message of one line."""
     try:
         yield
     except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise
         raise InputError(
-            f"a process that makes pairs died ({str(error).splitlines()[0]}): the same command "
-            "goes on from the last checkpoint; where memory ran out, with fewer workers"
+            f"a data loading process died ({str(error).splitlines()[0]}): run the same command to "
+            "resume from the last checkpoint; give fewer workers if memory ran out"
         ) from error
 
 
@@ -301,7 +297,7 @@ def _validate(
     device: torch.device,
     progress: float,
 ) -> dict[str, float]:
-    """Return the mean figures over the validation pairs, which are the same at every call."""
+    """Return the mean values over the validation pairs, which are the same at every call."""
     method.network.eval()
     kept = torch.random.get_rng_state()
     torch.manual_seed(_VALIDATION_SEED)
@@ -319,7 +315,7 @@ def _schedule(
     optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
 ) -> None:
     """Set the learning rates: a linear rise, then a cosine that falls to a hundredth."""
-    rise = min(1.0, (step + 1) / _RISE)
+    rise = min(1.0, (step + 1) / _RISE_STEPS)
     fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
     for group, peak in zip(optimizer.param_groups, peaks, strict=True):
         group["lr"] = peak * rise * fall
@@ -355,7 +351,7 @@ def _restore(
         return int(state["done"])
     except Exception as error:
         raise InputError(
-            f"{path} is damaged ({fault_of(error)}): remove it to begin again"
+            f"{path} is damaged ({describe_fault(error)}): remove it to begin again"
         ) from error
 
 
@@ -371,8 +367,8 @@ def _read_log(path: Path, until: int) -> Iterator[str]:
             step = _FIGURES.validate_json(line)["step"]
         except (ValidationError, KeyError):
             raise InputError(
-                f"line {number} of {path} is damaged: remove the line, or the log to draw curves "
-                "anew from here"
+                f"line {number} of {path} is damaged: remove the line, or the whole log to begin a "
+                "new one"
             ) from None
         if step < until:
             yield line
@@ -384,7 +380,7 @@ class _Logger(Protocol):
 
 @contextmanager
 def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
-    """Append one line of figures per step. Lines after the checkpoint are removed first."""
+    """Append one line of values per step. Lines after the checkpoint are removed first."""
     if rank > 0:
         yield lambda step, figures: None
         return

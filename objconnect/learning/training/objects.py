@@ -1,4 +1,4 @@
-"""The true objects that the images of a training pair show."""
+"""The true objects in the images of a training pair."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 GROUND: Final = -1
-"""The label of pixels that show no object."""
+"""The label of pixels without an object."""
 UNKNOWN: Final = -2
-"""The label of pixels that count in no loss: beyond the photograph, or of what has no centre."""
+"""The label of pixels without a loss: outside the photograph, or of objects without a centre."""
 
 
 class PairObjects(NamedTuple):
-    """The objects that one image of a pair shows, n of them.
+    """The n objects in one image of a pair.
 
     Attributes:
-        labels: (S, S) int32 row of the object that each pixel shows, ``GROUND`` or ``UNKNOWN``.
-        ids: (n,) int64, equal for one object in all images of a scene.
-        centres: (n, 2) where the middle of its box projects, pixels; also outside the image.
-        sides: (n,) side of a square of the area of its box from above, pixels.
-        rises: (n,) height of the middle of its box above its foot, pixels as seen there.
-        pixels: (n,) number of its pixels.
+        labels: (S, S) int32 row of the object of each pixel, ``GROUND`` or ``UNKNOWN``.
+        ids: (n,) int64, the same for an object in all images of a scene.
+        centres: (n, 2) projected centres of the boxes, pixels; they may be outside the image.
+        sides: (n,) side of a square of the area of the box from above, pixels.
+        rises: (n,) height of the box's centre above its foot, pixels at its depth.
+        pixels: (n,) number of visible pixels.
     """
 
     labels: NDArray[np.int32]

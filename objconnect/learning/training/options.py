@@ -1,4 +1,4 @@
-"""Options of training: how pairs of images are drawn, and the weights of the losses."""
+"""Options of training: pairs of images, and the weights of the losses."""
 
 from __future__ import annotations
 
@@ -12,32 +12,31 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class PairOptions(Config):
-    """How pairs of images are drawn, from scenes and from single photographs."""
+    """Options of training pairs from scenes and from single photographs."""
 
     min_overlap: float = Field(
         0.3,
         gt=0,
         lt=1,
-        description="Share of each other's ground that two frames of a scene must see.",
+        description="Least share of each frame's ground in a pair that the other frame sees.",
     )
     max_turn_deg: float = Field(
         45.0,
         gt=0,
         le=180,
-        description="Largest angle between the headings of two frames after both are turned north "
-        "up, as networks take them. A small network cannot learn from a pair with a larger one.",
+        description="Largest angle between the cameras of a pair after both are rotated north up, "
+        "as the input of networks is, deg. A small network cannot learn from larger ones.",
     )
     heading_deg: float = Field(
         8.0,
         ge=0,
-        description="Largest error of an aircraft's heading, by which pictures are turned north "
-        "up.",
+        description="Largest error of the heading by which pictures are rotated north up, deg.",
     )
     cross_share: float = Field(
         0.65,
         ge=0,
         le=1,
-        description="Share of the pairs whose frames are of different conditions.",
+        description="Share of the pairs with frames of different conditions.",
     )
     zoom: tuple[Positive, Positive] = Field(
         (0.5, 1.2), description="Range of the size of crops relative to the frames."
@@ -46,13 +45,11 @@ class PairOptions(Config):
         0.85,
         ge=0,
         le=1,
-        description="Share of pairs whose frames of different heights are resized to the same "
-        "metres per pixel.",
+        description="Share of the pairs whose frames are resized to the same ground resolution.",
     )
     objects: bool = Field(
         False,
-        description="Whether pairs of scenes know their objects, which the training of objects "
-        "needs.",
+        description="Add the true objects to pairs of scenes, for the training of the detector.",
     )
 
 
@@ -60,7 +57,7 @@ class LossOptions(Config):
     """The weights of the losses relative to the contrastive loss (nats)."""
 
     pose_share: float = Field(
-        0.3, ge=0, description="Weight of the pose loss (pixels). Finally both are about one."
+        0.3, ge=0, description="Weight of the pose loss (px). In the end both are about one."
     )
     trust_share: float = Field(0.3, ge=0, description="Weight of the loss of the confidence.")
     feature_share: float = Field(

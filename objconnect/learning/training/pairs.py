@@ -15,13 +15,13 @@ from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.projection import Intrinsics
 
 MIN_POINTS: Final = 64
-"""A pair with fewer points is drawn again."""
+"""Least number of points of a pair; with fewer, another pair is drawn."""
 
 BORDER_PX: Final = 4.0
-"""Points closer to the edge of an image are left out: features there see beyond it."""
+"""Least distance of points from the edge of an image: features there depend on the padding."""
 
-# Largest rotation of the start of an alignment from the truth, and largest translation as a share
-# of the depth. Both are as large as the errors of an aircraft's own pose.
+# Largest rotation of a start from the truth, and largest translation as a share of the depth: those
+# of an aircraft's own pose.
 _START_DEG: Final = 10.0
 _START_SHARE: Final = 0.08
 
@@ -48,15 +48,13 @@ class Pair(NamedTuple):
     Attributes:
         image_a: reference image (S, S, 3) uint8 RGB.
         image_b: query image (S, S, 3) uint8 RGB.
-        camera_a: camera of the reference image.
-        camera_b: camera of the query image.
         b_from_a: rigid transform (4, 4) of the camera frames, metres.
         start: wrong ``b_from_a`` (4, 4) from which an alignment starts.
         points: points (N, 3) that both images show, in the frame of camera a, metres.
         xy_a: their projections (N, 2) in image a, pixels.
         xy_b: their projections (N, 2) in image b, pixels.
-        valid: (N,) bool; false for rows that only fill the arrays.
-        objects: the objects of image a and of image b, or None where they are not known.
+        valid: (N,) bool; false for padding.
+        objects: the objects of image a and of image b; None if unknown.
     """
 
     image_a: NDArray[np.uint8]
@@ -73,7 +71,7 @@ class Pair(NamedTuple):
 
 
 class PairSource(Protocol):
-    """A source of pairs. Equal states of the generator draw equal pairs."""
+    """A source of pairs. Equal states of the generator give equal pairs."""
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """Draw a pair."""
@@ -90,11 +88,7 @@ class PairBatch(NamedTuple):
         intrinsics_b: intrinsics of the query cameras, batch shape (B,).
         b_from_a: transforms of batch shape (B,), float32.
         start: wrong transforms of batch shape (B,), float32.
-        points: points (B, N, 3).
-        xy_a: pixels (B, N, 2).
-        xy_b: pixels (B, N, 2).
-        valid: (B, N) bool.
-        objects: the objects of the images a, then of the images b; empty where they are not known.
+        objects: the objects of the images a, then of the images b; empty if unknown.
     """
 
     image_a: Tensor
@@ -175,7 +169,7 @@ def wrong_start(
 ) -> NDArray[np.float64]:
     """Draw a wrong transform (4, 4) near the truth, for a camera ``depth`` metres from the ground.
 
-    The camera b is turned by up to 10 degrees and moved by up to 8 % of the depth. Both lengths are
+    Camera b is rotated by up to 10 degrees and moved by up to 8 % of the depth. Both lengths are
     uniform, so that small errors are as frequent as large ones.
     """
     turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
@@ -189,10 +183,10 @@ def wrong_start(
 def fill(
     size: int, points: NDArray[np.float64], *others: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
-    """Cut or fill arrays to exactly ``size`` rows. The first row is repeated to fill them.
+    """Cut or pad arrays to ``size`` rows; the first row is the padding.
 
     Returns:
-        Which rows are real, (size,) bool, and the arrays.
+        Whether a row is no padding, (size,) bool, and the arrays.
     """
     count = min(len(points), size)
     rows = np.concatenate([np.arange(count), np.zeros(size - count, np.int64)])

@@ -1,7 +1,7 @@
-"""Training pairs made of single photographs, which are treated as flat ground seen by two cameras.
+"""Training pairs from single photographs, which are warped as flat ground seen by two cameras.
 
-They train networks on real photographs without rendered scenes, as in HomographyNet and SuperPoint
-(DeTone et al., 2016 and 2018).
+They train networks on real photographs, as in HomographyNet and SuperPoint (DeTone et al., 2016 and
+2018).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 
-# Height (m) of the cameras over single photographs, which are treated as flat ground.
+# Height (m) of the virtual cameras over the ground.
 _HEIGHT_M: Final = 80.0
-# Largest tilt of these cameras about each axis.
+# Largest tilt of the virtual cameras about each axis.
 _TILT_DEG: Final = 15.0
 
 
@@ -110,10 +110,10 @@ class PlanePairs:
 def _looking_down(
     over: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
 ) -> NDArray[np.float64]:
-    """Draw ``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down."""
+    """Return a random ``camera_from_ground`` (4, 4) over a point; ground x right, y down."""
     height = _HEIGHT_M * rng.uniform(0.85, 1.2)
     tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
-    # Networks take pictures turned north up; this is the error of the heading by which they are.
+    # The input of networks is rotated north up; this is the error of the heading.
     heading = np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
     turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
     pose = np.eye(4)
@@ -130,7 +130,7 @@ def _render(
     camera_from_ground: NDArray[np.float64],
     size: int,
 ) -> NDArray[np.uint8]:
-    """Return the photograph, which lies on the ground, as the camera sees it, (size, size, 3)."""
+    """Return the camera's view (size, size, 3) of a photograph that lies on the ground."""
     K = np.array(
         [
             [camera.focal[0], 0, camera.principal[0]],

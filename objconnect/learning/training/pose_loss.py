@@ -11,11 +11,11 @@ from torch import Tensor
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import Intrinsics
 
-# The largest error (px) that counts in the pose loss of a level.
+# Upper bound (px) of the error of a level in the loss.
 _CLAMP_PX: Final = 50.0
-# A level counts only where the error after the coarser level is below this many of its cells.
+# Largest error after a level, in its cells, at which the next finer level counts.
 _NEAR_CELLS: Final = 3.0
-# Pairs with fewer points are left out.
+# Least number of points of a pair.
 _MIN_POINTS: Final = 10
 
 
@@ -24,7 +24,6 @@ class Seen(NamedTuple):
 
     Attributes:
         points: points (B, N, 3), world.
-        intrinsics: intrinsics of the camera.
         valid: points (B, N) to use, bool.
     """
 

@@ -1,4 +1,4 @@
-"""Training pairs cut from rendered scenes: two frames, often of different seasons and hours."""
+"""Training pairs from rendered scenes: crops of two frames, often of different conditions."""
 
 from __future__ import annotations
 
@@ -33,11 +33,10 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import looks_down, north_angle, upright
 from objconnect.scene.storage.images import read_rgb
 
-# More than a scene has objects, so that ids of several scenes differ.
+# Offset between the object ids of two scenes: more than a scene has objects.
 _IDS: Final = 1 << 17
 # Largest relative difference of two depths of the same point.
 _SAME_DEPTH: Final = 0.01
-
 
 _Pairs = list[tuple[int, int]]
 
@@ -55,7 +54,7 @@ class _Frame:
 class RenderedPairs:
     """Draws pairs from finished scenes with depth. Implements ``PairSource``.
 
-    Files are opened when the first pair is drawn, so that the object can be sent to workers.
+    Files are opened with the first pair, so that the object can be pickled for workers.
     """
 
     def __init__(
@@ -87,7 +86,7 @@ class RenderedPairs:
     def draw(self, rng: np.random.Generator) -> Pair:
         """See ``PairSource``."""
         while True:
-            # Scenes are drawn alike often: a street has fewer pairs than a survey.
+            # Scenes are drawn uniformly, because a street has fewer pairs than a survey.
             same, cross = self._pairs[rng.integers(len(self._pairs))]
             pairs = cross if rng.uniform() < self._options.cross_share else same
             a, b = pairs[rng.integers(len(pairs))]
@@ -101,7 +100,7 @@ class RenderedPairs:
         return np.asarray(self._layers(frame).read("depth", frame.index))
 
     def _objects(self, frame: _Frame, cut: Crop) -> PairObjects:
-        """Return the objects that a crop of a frame shows."""
+        """Return the objects in a crop of a frame."""
         number = frame.session[0]
         if number not in self._by_id:
             listed = self._scenes[number].objects.objects
@@ -147,8 +146,8 @@ class RenderedPairs:
         if rng.uniform() < options.level_share:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Frames from above are both turned by the same quarter turns, because south of the equator
-        # light comes from the north. Along a street the sky is always up.
+        # Frames from above are rotated by the same multiple of 90 degrees, because south of the
+        # equator light comes from the north. Along a street the sky is always up.
         above = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
         joint = np.pi / 2 * rng.integers(4) if above else 0.0
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])

@@ -1,4 +1,4 @@
-"""Featuremetric alignment: the pose at which a picture's features equal those of the map's points.
+"""Featuremetric alignment: the pose at which an image's features equal those of the map's points.
 
 For every scale, coarse to fine, ``aligner`` minimises over the pose
 

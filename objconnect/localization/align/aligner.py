@@ -1,4 +1,4 @@
-"""The aligner: poses from features, coarse to fine."""
+"""Featuremetric alignment of poses, coarse to fine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Alignment:
     """The result of an alignment, with the batch shape (B) or (B, K) of the starts.
 
     Attributes:
-        pose: ``cam_from_world``, float64; where alignment failed, the last one before it did.
+        pose: ``cam_from_world``, float64; on failure, the last one before it.
         by_level: the pose after each level, coarse to fine; the last is ``pose``.
         covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
             infinite on the diagonal where the points do not determine it.
@@ -50,11 +50,11 @@ class Alignment:
 
     @property
     def has_failed(self) -> Tensor:
-        """Return (...) where alignment failed, so that the pose must not be used."""
+        """Return (...) whether alignment failed, so that the pose must not be used."""
         return self.failure != _ALIGNED
 
     def reason(self, *index: int) -> str:
-        """Return why one element failed, in words; empty where it did not."""
+        """Return why one element failed; empty if it did not."""
         code = int(self.failure[index])
         return _WHY[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
 
@@ -62,16 +62,16 @@ class Alignment:
 def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     """Align queries to the points of a map.
 
-    Points and poses are taken relative to the starting position, so that coordinates far from the
-    origin cost no precision; poses and 6 x 6 systems are in double precision, all else in single
-    (in double where the features are). No gradient flows from a level into the one before.
+    Points and poses are relative to the starting position, so that coordinates far from the origin
+    keep their precision. Poses and 6 x 6 systems are in double precision, all else in the precision
+    of the features, at least single. No gradient flows from a level into the one before.
 
     Args:
         problem: B queries with one start each, or K.
-        with_covariance: whether covariances are wanted; without, none is known.
+        with_covariance: whether to compute covariances; if not, all are infinite.
 
     Returns:
-        A finite pose whatever the input: what cannot be aligned has failed, with a reason.
+        Finite poses whatever the input; an element that cannot be aligned has a failure.
 
     Example:
         A map of two channels that hold the pixel itself, seen by a camera 10 m above four points:
@@ -93,7 +93,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         ...         [torch.full((6,), 1e-3)], Options(min_points=4, iterations=100),
         ...     )
         ... )
-        >>> bool(aligned.failed.any())
+        >>> bool(aligned.has_failed.any())
         False
         >>> bool(aligned.pose.translation.abs().max() < 0.02)
         True

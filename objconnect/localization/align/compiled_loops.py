@@ -1,4 +1,4 @@
-"""What ``residuals`` and ``descent`` compute, in compiled loops for processors.
+"""Compiled loops for the CPU that replace ``residuals`` and ``descent`` in torch.
 
 Results differ by rounding alone.
 """
@@ -29,7 +29,7 @@ from objconnect.scene.runtime.tuning import worker_threads
 
 
 def _record(kind: type[NamedTuple], *fields: Any) -> Any:
-    """Return the type of a record for Numba, given those of its fields."""
+    """Return Numba's type of a record from the types of its fields."""
     return types.NamedTuple(fields, kind)
 
 
@@ -46,14 +46,14 @@ _AROUND: Final = _record(
 _MOVING: Final = _record(records.Moving, _POSES, boolean[::1], i8[::1], f8[::1], _AROUND)
 _RULES: Final = _record(records.Rules, f8[::1], *[f8] * 6, i8, i8)
 _DESCEND: Final = types.void(_LEVEL, _POINTS, _MOVING, _RULES, i8, i8)
-# Poses of fewer points than this in all are not worth a second thread.
+# Least number of points of all poses together for a second thread.
 _WORTH_THREADS: Final = 1024
 
 
 def descend_compiled(
     cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
 ) -> State:
-    """Return what ``descent.descend`` does, with careful steps."""
+    """Minimise the cost of one level as ``descent.descend`` does with careful steps."""
     positions, used, moved = _arrays(cost.points, cost.mask, alive)
     turns, shifts = (np.array(each, float) for each in _arrays(pose.rotation, pose.translation))
     (axes,) = _arrays(damping.double())
@@ -86,7 +86,7 @@ def descend_compiled(
 
 
 def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
-    """Do work on the first poses here, and on others in as many threads as torch may use."""
+    """Divide poses among as many threads as torch may use, this one included."""
     threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
     own, *others = pairwise(poses * k // threads for k in range(threads + 1))
     if not others:
@@ -100,13 +100,13 @@ def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None
 
 
 def around(cost: LevelCost, pose: Pose) -> Linearisation:
-    """Return what ``LevelCost.linearise`` does."""
+    """Compute the cost around poses as ``LevelCost.linearise`` does."""
     still = torch.zeros(len(cost.first), dtype=torch.bool)
     return descend_compiled(cost, pose, still, torch.zeros(6), Options()).around
 
 
 def _level(cost: LevelCost) -> records.Level:
-    # Confidence that is not known is one, and not read.
+    # A missing confidence is a placeholder, which is not read.
     one = torch.ones(1, 1)
     trust = one if cost.trust is None else cost.trust.cells.float()
     target_trust = one if cost.target_trust is None else cost.target_trust.float()

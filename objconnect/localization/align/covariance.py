@@ -1,4 +1,4 @@
-"""Covariance of an aligned pose, from the residuals it was found by and the curvature there."""
+"""Covariance of an aligned pose from its residuals and the curvature of the cost."""
 
 from __future__ import annotations
 
@@ -17,38 +17,36 @@ from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.trees import rows
 from objconnect.scene.geometry.pose import Pose
 
-# Degrees of freedom of a pose, in patches: each patch contributes two numbers.
+# Degrees of freedom of a pose in patches, each of which contributes two.
 _POSE_IN_PATCHES = 3
-# A rotation variance (rad^2) as large as this means that nothing is known of the rotation.
+# Rotation variance (rad^2) from which the rotation counts as unknown.
 _ANY_TURN = math.pi**2
 # Side of the square patches of a level (cells) whose points count as dependent.
 _PATCH_CELLS: Final = 24.0
-# How far the scatter of the patches' pulls is drawn to that of independent residuals.
+# Share by which the scatter of the patches' gradients is shrunk to that of independent residuals.
 _SHRINKAGE: Final = 0.6
-# Standard deviations from a pose at which the curvature of its cost is measured: nearer, noise of
-# the features decides; farther, the cost is no parabola.
+# Distance from a pose, in standard deviations, at which the curvature of its cost is measured:
+# nearer, noise of the features dominates; farther, the cost is not quadratic.
 _CURVATURE_SIGMAS: Final = 3.6
-# Least curvature assumed in any direction, as a share of Gauss and Newton's: no direction in which
-# points pull is quite unknown.
+# Lower bound of the measured curvature in any direction, as a share of Gauss-Newton's.
 _LEAST_SHARE: Final = 0.05
 
 
 def covariance(
     around: Linearisation, patch_cells: float = _PATCH_CELLS, shrinkage: float = _SHRINKAGE
 ) -> Tensor:
-    """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
+    """Return the covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
-    Huber's sandwich H^-1 S H^-1, with S the sum of p p^T and p the pull of each patch of the
-    picture on the pose. It assumes nothing about how the channels of a feature depend on one
-    another, nor the points of one patch (Liang and Zeger, Biometrika 1986, on clusters): neighbours
-    see the same, and a point may occur several times, as several photographs show it. S is scaled
-    up for the degrees of freedom that the pose itself uses. Infinite on the diagonal where the
-    points do not determine a pose.
+    It is Huber's sandwich H^-1 S H^-1, where S is the sum of p p^T and p the gradient ("pull") of
+    each patch of the image. Channels of a feature and points of one patch may depend on one another
+    (Liang and Zeger, Biometrika 1986, on clusters): neighbours show the same, and a point occurs
+    once for each reference image. S is scaled up for the degrees of freedom of the pose itself. The
+    diagonal is infinite where the points do not determine a pose.
 
     Args:
         around: the cost at the M poses.
         patch_cells: side of the patches, cells.
-        shrinkage: how far S is drawn to what independent residuals would give, 0 to 1.
+        shrinkage: share by which S is shrunk to that of independent residuals, 0 to 1.
     """
     scatter, count = _scatter(_grids(around, patch_cells))
     return _sandwich(around.hessian.detach().double(), scatter, count, shrinkage)
@@ -57,13 +55,13 @@ def covariance(
 def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHRINKAGE) -> Tensor:
     """Return covariances (M, 6, 6) as ``covariance`` does.
 
-    Few patches tell six directions apart badly: of their scatter the largest axes are too large and
-    the smallest too small. It is drawn to the multiple of H with the same trace where H is the
-    identity (Ledoit and Wolf, Journal of Multivariate Analysis 2004).
+    The scatter of few patches has too large major and too small minor axes. It is shrunk towards
+    the multiple of H with the same trace in the basis in which H is the identity (Ledoit and Wolf,
+    Journal of Multivariate Analysis 2004).
 
     Args:
-        H: (M, 6, 6) second derivatives of half the summed cost. Those of Gauss and Newton are right
-            where residuals are small.
+        H: (M, 6, 6) second derivatives of half the summed cost. Gauss-Newton's are right where
+            residuals are small.
         scatter: (M, 6, 6) as ``_scatter`` returns it.
         count: (M,) patches with points.
         shrinkage: share of that multiple of H.
@@ -88,22 +86,22 @@ def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHR
 
 @dataclass(frozen=True)
 class Spread:
-    """How far aligned poses may be off, as far as the query tells.
+    """Uncalibrated covariances of aligned poses, and the figures that calibrate them.
 
     Attributes:
         covariance: (B, 6, 6) of the left tangent, rotation (rad) then translation (m); infinite on
             the diagonal where the points do not determine a pose.
         curvature: (B,) geometric mean of the curvature of the cost over six directions, as a share
-            of Gauss and Newton's, at most 1; 0 where the points do not determine a pose.
+            of Gauss-Newton's, at most 1; 0 where the points do not determine a pose.
         depth: (B,) median depth of the points in view, metres; zero without any.
-        patches: (B,) number of patches of the picture with points in view.
-        view_cosine: (B,) mean cosine of the angle between the directions in which the pose and the
-            photographs of the features see the points in view; 1 if the latter are not known.
-        informative_cost: (B,) mean cost of the points by how much each tells of the pose, as a
-            share of their mean cost; 1 where they do not determine a pose.
-        level: (B,) mean over six directions of the scatter of the patches' pulls, as a share of the
-            Hessian of Gauss and Newton; 0 where the points do not determine a pose.
-        equal_patches: (B,) number of equal patches whose level would be known as well.
+        patches: (B,) number of patches of the image with points in view.
+        view_cosine: (B,) mean cosine of the angle between the directions in which the query and the
+            reference images see the points in view; 1 if the latter are unknown.
+        informative_cost: (B,) mean cost of the points, weighted by their information on the pose,
+            as a share of their mean cost; 1 where they do not determine a pose.
+        level: (B,) mean over six directions of the scatter of the patches' gradients, as a share of
+            the Gauss-Newton Hessian; 0 where the points do not determine a pose.
+        equal_patches: (B,) effective number of patches for ``level``.
     """
 
     covariance: Tensor
@@ -116,16 +114,16 @@ class Spread:
     equal_patches: Tensor
 
 
-def spread(problem: Problem, aligned: Pose) -> Spread:
+def measure_spread(problem: Problem, aligned: Pose) -> Spread:
     """Compute the covariances of poses (B) aligned on the finest level of a problem.
 
-    Where a query hardly looks like the map, as in snow, the Hessian of Gauss and Newton is too
-    large: it counts the slopes of all that the query shows, also of what the map does not know and
-    the cost does not follow. So the second derivatives of the cost are measured, by differences of
-    gradients along the axes in which that Hessian is the identity, and count where they are less.
+    If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large: it includes
+    the slopes of everything in the query, also of what the map does not have. Therefore the second
+    derivatives of the cost are measured by differences of gradients, along the axes in which that
+    Hessian is the identity, and replace it where they are smaller.
 
     Args:
-        problem: what was aligned.
+        problem: the alignment problem.
         aligned: ``cam_from_world`` at the minimum.
     """
     local = Local.of(problem.starting_at(aligned))
@@ -165,10 +163,10 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
 
 
 def _informative_cost(cost: LevelCost, pose: Pose, around: Linearisation, axes: Tensor) -> Tensor:
-    """Return mean costs (B,) as in ``Spread``: a point counts by its part of the Hessian.
+    """Return ``Spread.informative_cost`` (B,): points are weighted by their part of the Hessian.
 
     Args:
-        cost: of the poses.
+        cost: cost of the finest level.
         pose: the poses (B).
         around: the cost there.
         axes: (B, 6, 6) rows along which the Hessian is the identity.
@@ -181,7 +179,7 @@ def _informative_cost(cost: LevelCost, pose: Pose, around: Linearisation, axes: 
 
 
 def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:
-    """Return mean cosines (B,) as in ``Spread``, over the points in view, (B, N)."""
+    """Return ``Spread.view_cosine`` (B,) over the points in view, (B, N)."""
     if problem.seen_from is None:
         return torch.ones(len(seen), dtype=torch.float64, device=seen.device)
     points = problem.points.double()
@@ -198,29 +196,28 @@ def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
 
 
 _Grid = tuple[Tensor, Tensor]
-"""Pulls (M, P, 6) of the patches of a grid, and the number (M,) of those with points."""
+"""Gradients (M, P, 6) of the patches of a grid, and the number (M,) of those with points."""
 
 
 def _grids(around: Linearisation, side: float) -> list[_Grid]:
-    """Return the patches of four grids half a side apart, as where borders lie is arbitrary."""
+    """Return the patches of four grids half a side apart, because their borders are arbitrary."""
     return [_by_patch(around, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
 
 
 def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
     """Sum p p^T over square patches, (M, 6, 6), and count the patches with points, (M,).
 
-    Both are means over the grids. Points thus count as the less dependent the farther apart they
-    are, as in Bartlett's window (Conley, Journal of Econometrics 1999).
+    Both are means over the grids, so that the dependence of two points falls with their distance,
+    as in Bartlett's window (Conley, Journal of Econometrics 1999).
     """
     scatter = torch.stack([_unbiased_scatter(pull, count) for pull, count in grids]).mean(0)
     return scatter, torch.stack([count for _, count in grids]).double().mean(0)
 
 
 def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
-    """Return numbers of equal patches (M,) as in ``Spread``, means over the grids.
+    """Return ``Spread.equal_patches`` (M,): Kish's effective sample size, a mean over the grids.
 
-    Where some patches pull more than others, their mean is known as well as that of fewer equal
-    ones (Kish, "Survey Sampling", 1965).
+    See Kish, "Survey Sampling", 1965.
 
     Args:
         grids: the patches.
@@ -231,18 +228,18 @@ def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
 
 
 def _unbiased_scatter(pull: Tensor, count: Tensor) -> Tensor:
-    """Return the scatter (M, 6, 6) of the pulls (M, P, 6) that a pose was fitted to."""
+    """Return the scatter (M, 6, 6) of gradients (M, P, 6), corrected for the fitted pose."""
     used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
     return pull.transpose(-1, -2) @ pull * used[:, None, None]
 
 
 def _by_patch(around: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
-    """Sum pulls over square patches, (M, P, 6), and count the patches with points, (M,).
+    """Sum gradients over square patches, (M, P, 6), and count the patches with points, (M,).
 
     Args:
         around: the cost at M poses.
-        side: of a patch, cells.
-        first: where the picture begins in the first patch, as shares of its side, x and y.
+        side: side of a patch, cells.
+        first: position of the image's corner in the first patch, as shares of its side, x and y.
     """
     pull = around.pull.detach().double()
     shift = torch.tensor(first, dtype=around.cells.dtype, device=around.cells.device)

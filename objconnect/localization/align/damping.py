@@ -1,4 +1,4 @@
-"""Damped steps of the aligner, with learned or fixed damping of each direction of the pose."""
+"""Damped steps of the alignment, with a damping factor for each direction of the pose."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from torch import Tensor
 
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
-# Numerical guard: the least value added to the diagonal of the Hessian, in its units.
+# Numerical guard: least value that is added to the diagonal of the Hessian, in its units.
 FLOOR = 1e-6
-# A rejected step multiplies the factor on the damping by this; an accepted one divides it.
+# Factor on the damping after a rejected step; an accepted one divides by it.
 CHANGE = 10.0
 # Numerical bounds of that factor.
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e8
 
 
 def solve_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
-    """Compute the steps -(H + damping * diag H)^-1 g (Marquardt), in double precision.
+    """Return the steps -(H + damping * diag H)^-1 g (Marquardt), in double precision.
 
-    Where the damped Hessian is not positive definite, only its diagonal is used.
+    If the damped Hessian is not positive definite, only its diagonal is used.
 
     Args:
         gradient: (M, 6).
@@ -36,10 +36,10 @@ def solve_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
 
 
 def apply_step(cam_from_world: Pose, step: Tensor) -> Pose:
-    """Apply steps (M, 6) to poses (M): turn about the camera, then shift.
+    """Apply steps (M, 6) to poses (M): rotate about the camera, then translate.
 
-    Rotation and translation are updated separately, which is the exponential of SE(3) to first
-    order and what weights trained elsewhere expect.
+    Rotation and translation are updated separately. This is the exponential of SE(3) to first order
+    and the convention of PixLoc's weights.
     """
     turn, shift = so3_exp(step[..., :3]), step[..., 3:]
     return Pose(

@@ -1,4 +1,4 @@
-"""Minimisation on one level: damped Gauss-Newton over a batch that shrinks as elements converge."""
+"""Damped Gauss-Newton on one level, for a batch from which converged elements are removed."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def descend(
     """Minimise the cost of one level.
 
     Args:
-        cost: the level, laid out for M poses.
-        pose: (M) where to begin.
-        alive: (M,) which elements to move at all.
+        cost: cost of the level for M poses.
+        pose: (M) initial poses.
+        alive: (M,) whether an element is minimised.
         damping: (6,) factors of the Hessian's diagonal.
-        options: how the level is minimised.
+        options: options of the minimisation.
     """
     if options.careful and can_be_compiled(cost):
         from objconnect.localization.align.compiled_loops import descend_compiled
@@ -49,7 +49,7 @@ def descend(
     finished: list[tuple[Tensor, State]] = []
     moving = alive
     for _ in range(options.iterations):
-        moving = moving & healthy(state.around, options.min_points)
+        moving = moving & can_step(state.around, options.min_points)
         if not bool(moving.all()):
             finished.append((number[~moving], rows(state, ~moving)))
             number, state, cost = number[moving], rows(state, moving), cost.rows(moving)
@@ -75,13 +75,13 @@ def descend(
     return tree_map(lambda *parts: torch.cat(parts)[order], *states)
 
 
-def healthy(around: Linearisation, min_points: int) -> Tensor:
+def can_step(around: Linearisation, min_points: int) -> Tensor:
     """Return (M,) whether enough points are in view and everything is finite."""
     return (around.seen.sum(-1) >= min_points) & is_finite(around)
 
 
 def is_finite(around: Linearisation) -> Tensor:
-    """Return (M,) whether a step can be computed."""
+    """Return (M,) whether gradient and Hessian are finite."""
     return around.gradient.isfinite().all(-1) & around.hessian.isfinite().flatten(1).all(-1)
 
 

@@ -1,9 +1,9 @@
-"""Alignment from many starts: poses all around the prior, compared on the coarsest level.
+"""Alignment from many starts: a grid of poses around the prior, compared on the coarsest level.
 
-The features of a level guide a pose over a cell or two, 30 pixels on the coarsest; a prior of 10 m
-and 10 degrees is off by a hundred. Turning the camera and moving it sideways shift the picture
-alike, so that three numbers (two shifts of the picture, one turn of it) reach all such poses. The
-best of them are refined.
+Alignment on a level converges from one or two cells, 30 pixels on the coarsest; a prior of 10 m and
+10 degrees is off by a hundred. Rotating the camera and moving it sideways shift the picture alike,
+so a grid over three parameters (two shifts and one rotation of the picture) covers all such poses.
+The best of them are refined.
 """
 
 from __future__ import annotations
@@ -27,39 +27,38 @@ from objconnect.localization.align.sampling import per_axis
 from objconnect.localization.align.trees import tree_map
 from objconnect.scene.geometry.pose import Pose
 
-# Cells of the coarsest level between neighbouring picture shifts: features guide so far.
+# Spacing of the shifts of the picture, cells of the coarsest level: the reach of an alignment.
 _SPACING_CELLS: Final = 1.7
-# Degrees between neighbouring turns about the camera's axis, by which its corners move as far.
+# Spacing of the rotations about the optical axis, which move the picture's corners as far.
 _TURN_SPACING_DEG: Final = 6.0
-# Most shifts along either axis of the picture, which bounds time.
+# Maximum number of shifts along either axis of the picture, which bounds time.
 _MAX_SHIFTS: Final = 17
-# Factor on the joint shift by errors of position and attitude, which may point in different
-# directions.
+# Factor on the joint shift by errors of position and attitude, whose directions may differ.
 _SHIFT_MARGIN: Final = 1.2
-# Largest turn about the camera's axis, as a share of the radius: errors have two more axes.
+# Largest rotation about the optical axis as a share of the radius: errors have two more axes.
 _TURN_SHARE: Final = 0.6
-# Steps after which hypotheses that have met continue as one: those that meet have met by then.
+# Steps after which hypotheses that have converged to one pose are merged.
 _MERGE_ITERATIONS: Final = 4
-# Factor on the step lengths that end a hypothesis on the coarsest level; finer ones follow.
+# Factor on the step lengths at which the coarsest level ends; finer levels follow.
 _ROUGH_CONVERGENCE: Final = 8.0
-# Poses whose points lie closer than this on average (cells) count as one.
+# Mean distance of projected points (cells) below which poses are the same.
 _SAME_POSE_CELLS: Final = 0.5
-# Cells of a level that the cost by chance is taken from; its mean is known well from these.
+# Number of cells for the mean cost by chance.
 _CHANCE_CELLS: Final = 256
 
 
 def around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg: float) -> Pose:
-    """Place poses on a grid around others, which stand in its middle: (B) -> (B, K).
+    """Return poses (B, K) on a grid around starts (B), which are in its middle.
 
     Args:
         start: ``cam_from_world`` (B).
         distance: (B,) metres to the points.
-        radius: how far to look.
+        radius: extent of the grid.
         spacing_deg: degrees between neighbouring shifts of the picture.
     """
     turn = math.radians(radius.degrees)
     aside = torch.atan(radius.metres / distance.double())
-    # Errors of position and attitude have directions of their own, and shift the picture together.
+    # Errors of position and attitude are independent, and both shift the picture.
     shift = _SHIFT_MARGIN * torch.hypot(aside, torch.full_like(aside, turn))
     steps = math.ceil(math.degrees(float(shift.max())) / spacing_deg)
     shifts = min(2 * steps + 1, _MAX_SHIFTS)
@@ -69,7 +68,7 @@ def around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg: flo
     unit, yaw = ranged(shifts), math.radians(heading) * ranged(yaws)
     x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, yaw, indexing="ij"))
     x, y = shift[:, None] * x, shift[:, None] * y
-    # The share of a shift that errors of attitude have, the rest being the position's.
+    # Share of a shift by errors of attitude; the rest is by errors of position.
     share = (turn**2 / (turn**2 + aside**2))[:, None]
     metres = (1 - share) * distance.double()[:, None]
     step = [share * x, share * y, z.expand_as(x), metres * y, -metres * x, torch.zeros_like(x)]
@@ -83,11 +82,11 @@ def around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg: flo
 
 
 def gain_over_chance(level: Level, local: Local, poses: Pose, robust_scale: float) -> Tensor:
-    """Return how much better than chance the points fit at poses (B, K) on one level, (B, K).
+    """Return the gain over chance (B, K) of poses (B, K) on one level.
 
-    The cost of every point at every cell is computed once; a pose only looks it up. The point's
-    mean cost over all cells, what it costs at a random place, is subtracted from it: points out of
-    view gain nothing, instead of making poses cheap that see few.
+    The cost of every point at every cell is computed once; a pose only looks it up. The gain of a
+    point is its mean cost over all cells, the cost by chance, less its cost. Points out of view
+    gain nothing, so that poses with few points in view are not preferred.
     """
     B, K = poses.rotation.shape[:2]
     height, width = level.features.shape[-2:]
@@ -117,8 +116,8 @@ def align_from_many(problem: Problem, radius: SearchRadius, width: Width = WIDTH
 
     Args:
         problem: B queries with one start each, the prior.
-        radius: how far from the prior to look.
-        width: how many hypotheses are compared and refined.
+        radius: extent of the search around the prior.
+        width: numbers of hypotheses that are compared and refined.
     """
     if problem.points.shape[1] < problem.options.min_points:
         return align(problem)
@@ -142,8 +141,8 @@ def _refine_on_coarsest(
 ) -> tuple[Alignment, Tensor]:
     """Refine the prior and the best hypotheses of a grid on the coarsest level.
 
-    After a few steps, those that have met continue as one. Where two of the first have met at the
-    best pose, no others are begun.
+    After a few steps, equal poses are merged. If two of the first hypotheses agree on the best
+    pose, the others are not refined.
 
     Returns:
         Alignments (B, K), the best start first, and the steps tried for each query (B,).
@@ -200,12 +199,6 @@ def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> 
     """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
     Failures come last, and of equal ones the first comes first.
-
-    Args:
-        aligned: alignments that ended on ``level``.
-        level: level of the queries.
-        robust_scale: scale of the robust cost.
-        count: number of alignments to keep for each query.
     """
     chance = _cost_by_chance(level, robust_scale)
     gain = aligned.seen * (chance[:, None] - aligned.cost)
@@ -216,9 +209,9 @@ def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> 
 
 
 def _distinct(aligned: Alignment, local: Local, level: Level) -> Alignment:
-    """Drop alignments (B, K) that are the same pose as a better one.
+    """Drop alignments (B, K), best first, that have the pose of a better one.
 
-    Alignments come best first. As many are left of every query as of the one with most.
+    All queries keep as many as the one with most distinct poses.
     """
     same = _same(aligned, local, level)
     kept = torch.ones_like(same[..., 0])
@@ -231,15 +224,15 @@ def _distinct(aligned: Alignment, local: Local, level: Level) -> Alignment:
 
 
 def _same(aligned: Alignment, local: Local, level: Level) -> Tensor:
-    """Return which alignments (B, K) project the points where which others do, (B, K, K).
+    """Return whether pairs of alignments (B, K) project the points to the same cells, (B, K, K).
 
-    Distances are in cells of the level that they go on to.
+    Distances are in cells of ``level``, on which the alignments continue.
     """
     xy, seen = _project(local, local.from_world(aligned.pose))
     cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
-    # NaN, hence not the same, where no point is in both pictures.
+    # NaN, hence not the same, if no point is in view of both.
     same: Tensor = apart < _SAME_POSE_CELLS
     return same
 
@@ -254,13 +247,13 @@ def _project(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
 
 
 def _cost_by_chance(level: Level, robust_scale: float) -> Tensor:
-    """Return the mean cost (B,) of points at places that are not theirs."""
+    """Return the mean cost (B,) of points at arbitrary cells."""
     cells = level.features.flatten(2)
     some = slice(None, None, max(1, cells.shape[-1] // _CHANCE_CELLS))
     cost = _costs(cells[..., some], level.reference, robust_scale).mean(-2)
     if level.confidence is None:
         return cost.mean(-1)
-    # Cells that do not show the photograph say nothing.
+    # Only cells that show the photograph count.
     shown = (level.confidence.flatten(1)[:, some] > 0).to(cost)
     return (cost * shown).sum(-1) / shown.sum(-1).clamp_min(1)
 

@@ -1,7 +1,7 @@
 """Loops over points that Numba compiles for ``objconnect.localization.align.compiled_loops``.
 
-A point is finished before the next begins: its twelve cells are read once, and only its products
-are written. All loops are in this file, by which Numba knows what it kept of them.
+Each point is processed as a whole: its twelve cells are read once, and only products of residuals
+and slopes are written. All loops are in this file, because Numba's cache depends on the file.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _POLYNOMIAL = 4
 def descend(
     level: Level, points: Points, moving: Moving, rules: Rules, first: int, end: int
 ) -> None:
-    """Move poses ``first`` to ``end`` to where their cost is least.
+    """Minimise the cost of poses ``first`` to ``end``.
 
     Args:
-        level: what the cost is of.
-        points: what the poses see.
-        moving: the poses, and what is written of them.
-        rules: of the minimisation.
+        level: features of queries and points.
+        points: points and cameras.
+        moving: the poses and the output arrays.
+        rules: options of the minimisation.
         first: number of the first pose.
         end: number after the last.
     """
@@ -165,7 +165,7 @@ def _solve_step(
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _move(pose: PoseArrays, step: Doubles, to: PoseArrays) -> tuple[float, float]:
-    """Write the pose of ``damping.moved``, and return the angle and the length of the step."""
+    """Write the pose of ``damping.apply_step``; return the angle and the length of the step."""
     x, y, z = step[0], step[1], step[2]
     angle = sqrt(x * x + y * y + z * z)
     a, b = 1 - angle**2 / 6, 0.5 - angle**2 / 24
@@ -188,7 +188,7 @@ def _move(pose: PoseArrays, step: Doubles, to: PoseArrays) -> tuple[float, float
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _project(cam_from_world: PoseArrays, points: Points, pose: int, out: View) -> None:
-    """Write what one pose sees of the points to use."""
+    """Write the projections of the used points for one pose."""
     turn = cam_from_world.turn.astype(np.float32)
     shift = cam_from_world.shift.astype(np.float32)
     positions, used, cameras = points.xyz[pose], points.used[pose], points.cameras
@@ -225,7 +225,7 @@ def _project(cam_from_world: PoseArrays, points: Points, pose: int, out: View) -
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _bend(u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles) -> bool:
-    """Write what distortion makes of a ray, with derivatives xx, xy and yy, if it is inside."""
+    """Write a distorted ray with its derivatives xx, xy and yy; return whether it is valid."""
     k1, k2, p1, p2 = by[0], by[1], by[2], by[3]
     uu, vv, uv2 = u * u, v * v, 2 * u * v
     r2 = uu + vv
@@ -256,7 +256,7 @@ def _stretch(r2: np.float32, by: Singles) -> tuple[np.float32, np.float32]:
 def _bend_fisheye(
     u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles
 ) -> bool:
-    """Write the same of a fisheye."""
+    """Write the same as ``_bend`` for a fisheye."""
     k1, k2, k3, k4 = by
     r = max(np.sqrt(u * u + v * v), np.float32(1e-9))
     angle = np.arctan(r)
@@ -334,7 +334,7 @@ def _bilinear(
 
 @njit(inline="always", **CALLED)  # type: ignore[untyped-decorator]
 def _row(point: Singles, slope: Singles, stride: np.float32, row: Singles) -> None:
-    """Write the derivative of a pixel's coordinate, in cells, by the tangent of the pose."""
+    """Write the derivative of a pixel's coordinate (cells) with respect to the pose."""
     (x, y, z), (of_x, of_y, of_z) = point, slope
     row[0], row[3] = (y * of_z - z * of_y) / stride, of_x / stride
     row[1], row[4] = (z * of_x - x * of_z) / stride, of_y / stride
@@ -365,7 +365,7 @@ def _products(
     low_right, after_low = features[second + 1], features[second + 2]
     under_left, under_right = features[second + width], features[second + width + 1]
     rr = rx = ry = xx = xy = yy = np.float32(0)
-    # A signed number would be tested for being negative, and cells gathered one by one.
+    # A signed index would add a test for negative values and prevent vectorised loads.
     for c in range(np.uint64(len(target))):
         # Columns and rows through the point, of which slopes are differences.
         left = b1 * top_left[c] + b * low_left[c]

@@ -1,4 +1,4 @@
-"""The cost around poses, in compiled loops where these know how, else by torch."""
+"""Linearisation of the cost around poses, by compiled loops if possible, else by torch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from objconnect.scene.runtime.device import loops_serve
 
 
 def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
-    """Compute a cost around poses (M), ``cam_from_world``, with its derivatives."""
+    """Return a cost around poses (M), ``cam_from_world``, with its derivatives."""
     if can_be_compiled(cost):
         from objconnect.localization.align.compiled_loops import around
 
@@ -19,7 +19,7 @@ def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
 
 
 def can_be_compiled(cost: LevelCost) -> bool:
-    """Return whether compiled loops know how: they know no gradients, and one precision."""
+    """Return whether compiled loops apply: single precision on the CPU without gradients."""
     tensors = (cost.table.cells, cost.points, cost.target)
     single = all(each.dtype == torch.float32 for each in tensors)
     return single and torch.is_inference_mode_enabled() and loops_serve(cost.points.device)

@@ -1,4 +1,4 @@
-"""Points and cameras relative to where each query starts."""
+"""Points and poses relative to the starting position of each query."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from objconnect.scene.geometry.projection import Intrinsics
 
 @dataclass(frozen=True)
 class Local:
-    """Points and starts relative to an origin of each query, to keep the precision of coordinates.
+    """Points and starts relative to an origin of each query, which keeps coordinates precise.
 
     Attributes:
         points: points (B, N, 3), metres from the origin of each query; zero where not usable.
-        usable: (B, N) bool, which points are finite and in the mask.
+        usable: (B, N) bool, whether points are finite and in the mask.
         intrinsics: intrinsics in the precision of the points.
         origin: position (B, 3) of the first start of each query.
         start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64.
@@ -39,7 +39,7 @@ class Local:
     def of(problem: Problem) -> Local:
         """Move a problem from the world to the origin of each of its queries.
 
-        Points are in single precision, or in double where the features are.
+        Points are in single precision, or in double if the features are.
         """
         points = problem.points
         double = problem.levels[0].features.dtype == torch.float64
@@ -81,7 +81,7 @@ class Local:
 
 
 def _shift_poses(cam_from_world: Pose, origin: Tensor) -> Pose:
-    """Return the poses (B, ...) for points from which the origins (B, 3) were subtracted."""
+    """Return the poses (B, ...) relative to origins (B, 3)."""
     between = [1] * (cam_from_world.translation.ndim - 2)
     origin = origin.view(len(origin), *between, 3, 1)
     shift = (cam_from_world.rotation @ origin)[..., 0]

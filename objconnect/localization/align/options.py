@@ -1,4 +1,4 @@
-"""What callers choose for an alignment: how levels are minimised, and how wide a search is."""
+"""Options of the alignment and of the search around a prior."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Options:
-    """How the cost of a level is minimised.
+    """Options of the minimisation of a level.
 
     Attributes:
-        iterations: steps per level; with careful, the most steps that are tried.
-        careful: a step is taken only where the cost falls, else a shorter one is tried, and the
-            level ends where steps have become small. Without it every step is taken, and the pose
-            is differentiable by features, confidences and damping, as training needs it.
+        iterations: steps per level; the maximum if ``careful``.
+        careful: whether a step is accepted only if the cost falls (else a shorter one is tried) and
+            a level ends when steps become small. If False, every step is taken, and the pose is
+            differentiable in features, confidences and damping, for training.
         border_cells: cells at the edge of a feature map in which points do not count; at least 1.
         robust_scale: norm of a residual above which it loses weight.
-        min_points: alignment has failed when fewer points than this are in view.
-        converged_m: steps shorter than this (and ``converged_deg``) end a level, metres.
-        converged_deg: steps that turn less than this (and ``converged_m``) end a level.
+        min_points: minimum number of points in view; with fewer the alignment fails.
+        converged_m: a level ends at a step below this length (m) and below ``converged_deg``.
+        converged_deg: angle of that step, degrees.
     """
 
     iterations: int = 15
@@ -31,24 +31,23 @@ class Options:
     converged_deg: float = 5e-2
 
     def rougher(self, factor: float) -> Options:
-        """Return options by which longer steps, by this factor, end a level."""
+        """Return options that end a level at steps longer by a factor."""
         metres, degrees = factor * self.converged_m, factor * self.converged_deg
         return replace(self, converged_m=metres, converged_deg=degrees)
 
 
 @dataclass(frozen=True)
 class Width:
-    """How many starts around an uncertain prior are compared and refined.
+    """Numbers of starts and points of the search around an uncertain prior.
 
     Attributes:
-        refined: starts refined beside the prior itself on the coarsest level.
-        coarse_points: points by which starts are compared and refined on the coarsest level, spread
-            over the picture.
-        first_refined: starts that are refined first, the prior among them: where another of these
-            has led to the pose of the best, the others are not refined.
-        finalists: poses that go on from the coarsest level to the finer ones.
-        compared_points: points that the levels of a search see, spread over the picture; the best
-            pose is then aligned to all.
+        refined: starts refined on the coarsest level, beside the prior itself.
+        coarse_points: points on the coarsest level, spread over the picture.
+        first_refined: starts that are refined first, with the prior; if two of them agree on the
+            best pose, the others are not refined.
+        finalists: poses that continue from the coarsest level to the finer ones.
+        compared_points: points on the other levels, spread over the picture; the best pose is then
+            aligned to all points.
     """
 
     refined: int = 8
@@ -58,7 +57,7 @@ class Width:
     compared_points: int = 512
 
     def times(self, factor: int) -> Width:
-        """Return the width by which so many times the starts, all at once, and points are tried."""
+        """Return the width with ``factor`` times the starts, all refined at once, and points."""
         refined = factor * self.refined
         return Width(
             refined,

@@ -1,4 +1,4 @@
-"""An alignment problem: the input of the aligner for a batch of queries."""
+"""An alignment problem: the input of ``align`` for a batch of queries."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ class Problem:
         intrinsics: intrinsics of the queries, batch shape (B,), or one camera for all.
         start: starting poses ``cam_from_world``, batch shape (B,), or (B, K) for K starts of every
             query, which share its features.
-        damping: factors (6,) of each level, rotation then translation: see ``damping.Damping``.
-        options: options of the minimisation.
+        damping: factors (6,) of each level, rotation then translation; see ``learning.damping``.
         mask: (B, N) bool, points to use, or None for all.
-        seen_from: (B, N, 3) centres of the photographs that the points' features are from, world
-            metres, or None if they are not known. Only ``covariance.spread`` uses them.
+        seen_from: (B, N, 3) camera centres of the points' reference images, world metres; None if
+            unknown. Only ``covariance.spread`` uses them.
     """
 
     levels: Sequence[Level]
@@ -48,19 +47,19 @@ class Problem:
         return replace(self, options=options)
 
     def at_levels(self, which: slice) -> Problem:
-        """Return the problem of some levels alone."""
+        """Return the problem with a range of levels."""
         return replace(self, levels=self.levels[which], damping=self.damping[which])
 
     def coarsest(self) -> Problem:
-        """Return the problem of the coarsest level alone."""
+        """Return the problem with the coarsest level."""
         return self.at_levels(slice(1))
 
     def finer(self) -> Problem:
-        """Return the problem of all levels but the coarsest."""
+        """Return the problem with all levels but the coarsest."""
         return self.at_levels(slice(1, None))
 
     def first_points(self, count: int) -> Problem:
-        """Return the problem of the first so many points of every query."""
+        """Return the problem with the first ``count`` points of every query."""
         if count >= self.points.shape[1]:
             return self
         mask = None if self.mask is None else self.mask[:, :count]

@@ -1,7 +1,7 @@
-"""What compiled loops take and write, by name: arrays of M poses that see N points each.
+"""Records of arrays that compiled loops read and write, for M poses with N points each.
 
-Numba keeps what it compiled until ``kernels`` changes, and knows fields by their place: after a
-change of their order here, write that file anew.
+Numba's cache depends on the file ``kernels`` alone and on the order of fields: after a change of
+the order here, touch that file.
 """
 
 from __future__ import annotations
@@ -22,10 +22,8 @@ class Maps(NamedTuple):
 
     Attributes:
         features: (cells, C).
-        trust: (cells, 1) confidence; one cell where it is not known.
-        first: (M,) the first cell of each pose's map.
-        width: cells.
-        height: cells.
+        trust: (cells, 1) confidence; a single cell if unknown.
+        first: (M,) number of the first cell of each pose's map.
     """
 
     features: Singles
@@ -36,17 +34,16 @@ class Maps(NamedTuple):
 
 
 class Level(NamedTuple):
-    """One level of the cost; ``residuals.LevelCost`` describes it.
+    """One level of the cost; see ``residuals.LevelCost``.
 
     Attributes:
-        maps: of the queries.
         target: (M, N, C) features of the points.
-        target_trust: (M, N) confidence of the points; one number where it is not known.
+        target_trust: (M, N) confidence of the points; a single number if unknown.
         stride: (2,) pixels per cell, x and y.
         border: cells at the edge of a map in which points do not count.
         twice_scale: twice the squared scale of the robust cost.
-        has_trust: whether there is confidence of the queries.
-        has_target_trust: whether there is confidence of the points.
+        has_trust: whether the confidence of the queries is known.
+        has_target_trust: whether the confidence of the points is known.
     """
 
     maps: Maps
@@ -66,10 +63,10 @@ class Cameras(NamedTuple):
         focal: (1 or M, 2) pixels.
         principal: (1 or M, 2) pixels.
         distortion: (1 or M, K).
-        limit: (1 or M, 1) radius or angle beyond which the lens folds.
-        least_depth: metres in front of the camera.
-        most_slope: of a ray against the axis.
-        fisheye: whether they are fisheyes.
+        limit: (1 or M, 1) radius or angle beyond which the lens model folds.
+        least_depth: least depth of a point, metres.
+        most_slope: largest slope of a ray against the optical axis.
+        fisheye: whether the model is a fisheye.
     """
 
     focal: Singles
@@ -82,12 +79,11 @@ class Cameras(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points, and the cameras that see them.
+    """Points and cameras.
 
     Attributes:
         xyz: (M, N, 3) metres.
-        used: (M, N) which of them to use.
-        cameras: of the poses.
+        used: (M, N) whether a point is used.
     """
 
     xyz: Singles
@@ -114,14 +110,14 @@ class Around(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """Poses that are moved, and what is written of them.
+    """Poses to minimise, and output arrays.
 
     Attributes:
-        poses: (M,), changed.
-        alive: (M,) which of them to move.
-        tried: (M,) steps tried, written.
-        factors: (M,) on the damping, written.
-        around: the cost around the last poses, written.
+        poses: (M,), changed in place.
+        alive: (M,) whether a pose is minimised.
+        tried: (M,) output: number of steps tried.
+        factors: (M,) output: factors on the damping.
+        around: output: the cost around the last poses.
     """
 
     poses: PoseArrays
@@ -132,18 +128,16 @@ class Moving(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """How the cost of a level is minimised.
+    """Options of the minimisation of a level.
 
     Attributes:
         damping: (6,) factors of the diagonal of the Hessian.
-        change: what a rejected step multiplies the damping by, and a taken one divides it by.
+        change: factor on the damping after a rejected step; an accepted one divides by it.
         least: least factor on the damping.
-        most: most of it.
-        floor: least that is added to the diagonal.
-        small_turn: rad that end a level, with
-        small_shift: metres.
-        steps: most steps.
-        min_points: fewest points in view.
+        most: largest factor on the damping.
+        floor: least value that is added to the diagonal.
+        small_turn: rotation of a step that ends a level, rad.
+        small_shift: translation of a step that ends a level, metres.
     """
 
     damping: Doubles
@@ -158,13 +152,13 @@ class Rules(NamedTuple):
 
 
 class View(NamedTuple):
-    """What one pose sees of N points.
+    """Projections of N points for one pose.
 
     Attributes:
         in_camera: (N, 3) metres in the frame of the camera.
         xy: (N, 2) pixels.
-        valid: (N,) whether these are in the picture's reach.
-        jacobian: (N, 2, 3) derivatives of the pixels by the points.
+        valid: (N,) whether the projection is valid.
+        jacobian: (N, 2, 3) derivatives of the pixels with respect to the points.
     """
 
     in_camera: Singles

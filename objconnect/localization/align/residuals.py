@@ -22,11 +22,11 @@ from objconnect.scene.geometry.projection import Intrinsics, Projection
 
 @dataclass(frozen=True)
 class Level:
-    """One scale of a batch of B queries, and of the N points they are aligned to.
+    """One level of a batch of B queries and of the N points they are aligned to.
 
     Attributes:
-        features: (B, C, h, w) query features; cells outside the picture (padding) cut off.
-            Channels-last in memory is fastest; bfloat16 is fine.
+        features: (B, C, h, w) query features without padding. Channels-last in memory is fastest;
+            bfloat16 is allowed.
         stride: pixels of the query's camera per cell.
         reference: (B, N, C) features of the points.
         confidence: confidence (B, 1, h, w) of the query's cells, or None.
@@ -40,7 +40,7 @@ class Level:
     reference_confidence: Tensor | None = None
 
     def first_points(self, count: int) -> Level:
-        """Return the level with the first so many points of every query."""
+        """Return the level with the first ``count`` points of every query."""
         trust = self.reference_confidence
         trust = trust if trust is None else trust[:, :count]
         return replace(self, reference=self.reference[:, :count], reference_confidence=trust)
@@ -49,7 +49,7 @@ class Level:
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
     """Return the cost of squared residuals: quadratic below ``scale``, logarithmic above.
 
-    Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
+    It is Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
     """
     return 2 * scale**2 * torch.log1p(squared / (2 * scale**2))
 
@@ -61,15 +61,15 @@ def robust_weight(squared: Tensor, scale: float) -> Tensor:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """A cost around M poses, as seen by N points each.
+    """A cost around M poses with N points each.
 
     Attributes:
-        seen: (M, N) points that count.
-        weight: (M, N) their confidence, zero where not seen.
-        cost: (M, N) robust, without confidence.
-        pull: (M, N, 6) gradient of each point's cost (half of it), weighted.
-        hessian: (M, 6, 6) Gauss-Newton, weighted.
-        cells: (M, N, 2) where the points lie on the level, the first cell's centre being zero.
+        seen: (M, N) whether a point counts.
+        weight: (M, N) confidence, zero where not seen.
+        cost: (M, N) robust cost without confidence.
+        pull: (M, N, 6) weighted gradient of half of each point's cost.
+        hessian: (M, 6, 6) weighted Gauss-Newton Hessian.
+        cells: (M, N, 2) projections of the points in cells; the first cell's centre is zero.
     """
 
     seen: Tensor
@@ -81,7 +81,7 @@ class Linearisation:
 
     @property
     def gradient(self) -> Tensor:
-        """Return the gradient of half the summed cost by the tangent of the pose, (M, 6)."""
+        """Return the gradient (M, 6) of half the summed cost in the tangent of the pose."""
         return self.pull.sum(-2)
 
     def mean_cost(self) -> Tensor:
@@ -93,12 +93,12 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class LevelCost:
-    """The cost of one level, laid out for M poses; poses of one query share its features.
+    """The cost of one level for M poses; poses of one query share its features.
 
     Attributes:
         table: features of the queries.
         trust: their confidence, or None.
-        first: (M,) where the maps of each one's query begin in these tables.
+        first: (M,) number of the first cell of each pose's map in these tables.
         stride: (2,) pixels per cell, x and y.
         points: (M, N, 3).
         mask: (M, N) points to use.
@@ -106,7 +106,6 @@ class LevelCost:
         target_trust: (M, N) confidence of the points, or None.
         intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
-        scale: scale of the robust cost.
     """
 
     table: CellTable
@@ -130,7 +129,7 @@ class LevelCost:
         border: float,
         scale: float,
     ) -> LevelCost:
-        """Lay out a level for one pose per query.
+        """Return the cost of a level for one pose per query.
 
         Args:
             level: features of B queries and their points.
@@ -171,8 +170,8 @@ class LevelCost:
         )
 
     def sample(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
-        """Return the query's features (M, N, C) where poses (M) project the points, and their
-        confidence (M, N), zero where the query does not show them."""
+        """Return the query's features (M, N, C) at the points projected by poses (M), and their
+        confidence (M, N), zero outside the image."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         cells, seen = self._cells(self.intrinsics.project(in_camera))
         index, weights = stencil(cells, self.table, self.first)
@@ -180,19 +179,19 @@ class LevelCost:
         return values, self._trust(seen, index, weights)
 
     def _project(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
-        """Return points in the frames of cameras (M, N, 3), and their pixels with derivatives."""
+        """Return points in camera frames (M, N, 3), and their pixels with derivatives."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         return in_camera, self.intrinsics.project(in_camera, jacobian=True)
 
     def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
-        """Return where points lie on the level, (M, N, 2), and which of them count, (M, N)."""
+        """Return projections in cells (M, N, 2), and whether points count (M, N)."""
         cells = projected.xy / self.stride - 0.5
         seen = projected.valid & self.mask
         seen = seen & inside(cells, self.table.width, self.table.height, self.border)
         return torch.where(seen[..., None], cells, 1), seen
 
     def _trust(self, seen: Tensor, index: Tensor, weights: Tensor) -> Tensor:
-        """Return the confidence (M, N) of the query at cells of ``stencil``, zero if not seen."""
+        """Return the query's confidence (M, N) at cells of ``stencil``, zero if not seen."""
         trust = seen.to(weights)
         if self.trust is None:
             return trust
@@ -200,13 +199,13 @@ class LevelCost:
         return trust * (near * weights[..., :VALUE]).sum(-1)
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
-        """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
+        """Return the cost around poses (M), ``cam_from_world``, with its derivatives."""
         in_camera, projected = self._project(cam_from_world)
         assert projected.jacobian is not None
         cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)
 
-        # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
+        # Residual and slopes of all channels, 3 x C per point, then their products, 3 x 3.
         field = self.table.mix(index, weights)
         field[..., 0, :] -= self.target
         gram = (field @ field.transpose(-1, -2)).to(cells)

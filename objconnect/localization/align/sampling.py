@@ -1,7 +1,7 @@
-"""Interpolation of feature maps: values between cells, and their slopes.
+"""Bilinear interpolation of feature maps and of their slopes.
 
 Cell (row i, column j) of a map of stride s is centred on pixel ((j + 0.5) s, (i + 0.5) s), in
-COLMAP's pixels. "Cells" below are coordinates in which that centre is (j, i).
+COLMAP's pixels. Coordinates in cells have that centre at (j, i).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 Stride = float | tuple[float, float]
-"""Pixels per cell, one number or x and y (a picture resized by two factors)."""
+"""Pixels per cell: one number, or x and y for a picture resized by two factors."""
 
 
 def per_axis(stride: Stride, like: Tensor) -> Tensor:
@@ -31,12 +31,10 @@ def inside(cells: Tensor, width: int, height: int, border: float) -> Tensor:
 
 @dataclass(frozen=True)
 class CellTable:
-    """Maps of a batch as one table of cells, so that any number of points can share them.
+    """Maps of a batch as one table of cells, which any number of points share.
 
     Attributes:
         cells: (B h w, C) in any floating type; a view where the map is channels-last in memory.
-        width: width of a map.
-        height: height of a map.
     """
 
     cells: Tensor
@@ -54,15 +52,15 @@ class CellTable:
         return owner * (self.width * self.height)
 
     def gather(self, index: Tensor) -> Tensor:
-        """Look up cells by number (..., k) -> (..., k, C), at least in single precision."""
+        """Return cells (..., k, C) by number (..., k), at least in single precision."""
         cells = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
         return cells if cells.dtype == torch.float64 else cells.float()
 
     def mix(self, index: Tensor, weights: Tensor) -> Tensor:
         """Return value and slopes (M, N, 3, C) by cells and weights (M, N, 20) of ``stencil``.
 
-        Looking cells up and summing them in one pass takes a tenth of the time of a product with
-        the cells of every point, which do not fit into the processor's cache.
+        One pass that gathers and sums takes a tenth of the time of a product with the gathered
+        cells, which exceed the processor's cache.
         """
         shape, index = index.shape[:-1], index.flatten()
         parts = torch.tensor(_PARTS, device=index.device)
@@ -74,7 +72,7 @@ class CellTable:
         return mixed.view(*shape, 3, self.cells.shape[-1])
 
     def value(self, index: Tensor, weights: Tensor) -> Tensor:
-        """Return the value (M, N, C) alone, by cells and weights (M, N, 20) of ``stencil``."""
+        """Return the value (M, N, C) by cells and weights (M, N, 20) of ``stencil``."""
         cells, share = index[..., :VALUE].flatten(0, -2), weights[..., :VALUE].flatten(0, -2)
         value = embedding_bag(
             cells, self.cells, mode="sum", per_sample_weights=share.to(self.cells)
@@ -104,8 +102,8 @@ def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
     )
 
 
-# Cells of which a bilinear value (4), its central difference along x (8) and that along y (8) are
-# made. Weights are bilinear in the place a, b between cells.
+# Cells of a bilinear value (4), its central difference along x (8) and along y (8). Weights are
+# bilinear in the position (a, b) between cells.
 _CELLS, _BASIS = _stencil_basis()
 STENCIL: Final = len(_CELLS)
 VALUE: Final = 4
@@ -113,10 +111,10 @@ _PARTS: Final = (0, VALUE, 12)
 
 
 def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
-    """Find the cells and weights of a bilinear value and its central differences.
+    """Return the cells and weights of a bilinear value and its central differences.
 
     Args:
-        cells: (M, N, 2), one cell or more from the border.
+        cells: (M, N, 2), at least one cell from the border.
         table: table of the maps.
         first: (M,) number of the first cell of each row's map.
 
@@ -146,10 +144,10 @@ def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple
         border: cells; points nearer to the edge do not count as inside.
 
     Returns:
-        Values (B, N, C), those of some cell where a point is not inside; (B, N) whether it is.
+        Values (B, N, C), arbitrary for points outside, and whether points are inside (B, N).
 
     Example:
-        Cells are centred on half pixels, so that pixel 1.0 lies between the first two cells:
+        Cells are centred on half pixels, so pixel 1.0 lies between the first two cells:
 
         >>> maps = torch.tensor([[[[0.0, 1.0, 2.0]]]])
         >>> values, inside = sample(maps, torch.tensor([[[1.0, 0.5], [5.0, 0.5]]]), stride=1.0)

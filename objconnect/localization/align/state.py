@@ -1,4 +1,4 @@
-"""Where a descent is."""
+"""The state of a minimisation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ class State:
 
     Attributes:
         pose: ``cam_from_world``.
-        around: the cost there.
         iterations: (M,) steps tried.
         damping: (M, 1) factor on the level's damping.
     """

@@ -1,4 +1,4 @@
-"""Functions over all tensors of a dataclass, so that poses, cameras and costs act as batches."""
+"""Operations on all tensors of a dataclass, for batches of poses, cameras and costs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
     """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
 
-    A field may be a tuple of dataclasses; any other field is taken from the first.
+    A field may be a tuple of dataclasses; any other field is copied from the first.
     """
     values: dict[str, Any] = {}
     for field in fields(first):  # type: ignore[arg-type]
@@ -36,7 +36,7 @@ def rows(tree: T, which: Tensor) -> T:
 
 
 def choose(which: Tensor, yes: T, no: T) -> T:
-    """Choose elements of ``yes`` (..., any) where ``which`` (...) holds, else of ``no``."""
+    """Return elements of ``yes`` (..., any) where ``which`` (...) holds, else of ``no``."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
         return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)

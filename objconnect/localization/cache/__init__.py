@@ -1,1 +1,1 @@
-"""What a method keeps per map: arrays in files under keys of what they were made of."""
+"""The cache of a method for a map: files of arrays under digests of their inputs."""

@@ -1,9 +1,8 @@
-"""What methods keep of a map: files of arrays, found by digests of all that they were made of.
+"""The cache of a map: files of arrays, named by digests of their inputs.
 
-A file is named by a digest of the map, of its photographs' bytes and of all else that decides what
-the file holds: the method's options, the weights' digest. So what was made of anything else is
-never taken. Each row has a digest of all that it was made of, too. Where photographs are added to a
-map, its files are written anew, and the rows that this does not change are copied.
+The inputs are the map, the bytes of its photographs, the method's options and its weights, so a
+file of other inputs is never used. Each row has a digest of its inputs, too. When photographs are
+added to a map, a new file is written and unchanged rows are copied.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ from objconnect.scene.storage.images import check_photographs
 from objconnect.scene.storage.scratch import cache_or_scratch
 
 _DIGITS: Final = 16
-# Earlier files that are open at a time: a cache may hold more than a process may open.
+# Maximum number of earlier files that are open: a cache may hold more than a process may open.
 _OPEN: Final = 8
 
 
 class Earlier:
-    """Rows of earlier files of a kind, whatever map these were made of.
+    """Rows of earlier files of a kind, whatever their map.
 
     Args:
-        paths: of the files; damaged ones are passed over.
+        paths: paths of the files; damaged ones are skipped.
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
@@ -46,7 +45,7 @@ class Earlier:
                 self._rows |= {key: (path, row) for key, row in rows.items()}
 
     def __call__(self, key: str, names: Iterable[str]) -> dict[str, NDArray[Any]] | None:
-        """Return arrays of the row that was made of ``key``; None where no file holds it."""
+        """Return arrays of the row with a key; None if no file has it."""
         if key in self._rows:
             path, row = self._rows[key]
             with suppress(InputError):
@@ -56,13 +55,10 @@ class Earlier:
 
 @dataclass(frozen=True)
 class MapCache:
-    """What methods keep of a map, and what of it they make that of.
+    """The cache of a map, with the map and its photographs.
 
     Attributes:
-        sparse_map: the map.
-        images: folder that the names of its photographs are relative to.
-        folder: of the files.
-        digests: of the photographs' bytes, by name, in the order of ``SparseMap.names``.
+        digests: digests of the photographs by name, in the order of ``SparseMap.names``.
         part: the photographs that are prepared; None for all.
     """
 
@@ -96,18 +92,18 @@ class MapCache:
         return replace(self, part=None)
 
     def holds(self, kind: str, *made_of: object) -> bool:
-        """Return whether there is a file of all photographs; the arguments are ``store``'s."""
+        """Return whether there is a file of all photographs; arguments are those of ``store``."""
         return self.whole._path(kind, made_of).is_file()
 
     def store(self, kind: str, *made_of: object, rows: Callable[[Earlier], Rows]) -> Store:
-        """Return a file of a kind, which is written where it is not there.
+        """Return a file of a kind, which is written if it does not exist.
 
-        Two processes may write it at a time; either file is whole, and they are the same.
+        Two processes may write it at the same time; both write the same complete file.
 
         Args:
-            kind: the beginning of its name.
-            made_of: all that decides its content beside the photographs and the map.
-            rows: makes its rows; it is told those of earlier files of the kind.
+            kind: prefix of its name.
+            made_of: further inputs of its content beside the photographs and the map.
+            rows: computes its rows; it receives the rows of earlier files of the kind.
 
         Raises:
             InputError: the file is damaged, or a photograph changed since it was read.
@@ -125,7 +121,7 @@ class MapCache:
         return Store(path)
 
     def earlier(self, kind: str) -> Earlier:
-        """Return the rows of a kind: in the folder, and in those where processes leave parts."""
+        """Return the rows of a kind in the folder and in its subfolders with parts."""
         name = f"{kind}-{'[0-9a-f]' * _DIGITS}.h5"
         return Earlier(sorted([*self.folder.glob(name), *self.folder.glob(f"*/{name}")]))
 
@@ -139,9 +135,9 @@ class MapCache:
 
 @contextmanager
 def open_cache(sparse_map: SparseMap, images: Path, folder: Path | None) -> Iterator[MapCache]:
-    """Yield the cache of a map in a folder, or in a temporary one that goes after the block.
+    """Yield the cache of a map in a folder, or in a temporary one that is removed afterwards.
 
-    Files that were opened in it stay open. The errors are those of ``MapCache.of``.
+    Files that were opened in it stay open. Errors are those of ``MapCache.of``.
     """
     with cache_or_scratch(folder, None) as kept:
         yield MapCache.of(sparse_map, images, kept)

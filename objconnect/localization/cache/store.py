@@ -1,4 +1,4 @@
-"""Files of arrays in rows, most often a row of each photograph of a map."""
+"""HDF5 files of rows of arrays, usually one row per photograph of a map."""
 
 from __future__ import annotations
 
@@ -17,23 +17,22 @@ from objconnect.scene.storage.hdf5 import array, dataset, group
 from objconnect.scene.storage.hdf5_writing import hdf5_file
 from objconnect.scene.storage.scratch import scratch
 
-# An array of a row has hundreds of lines. Chunks that HDF5 chooses by itself divide the columns,
-# too, and take eight times as long to read.
+# Lines per chunk. HDF5's own choice also divides columns and takes eight times as long to read.
 _CHUNK_LINES: Final = 512
 _CHUNK_BYTES: Final = 1 << 18
 
 T = TypeVar("T")
 Arrays = Mapping[str, NDArray[Any]]
-"""Arrays of a row, by name, the same names in each row of a file."""
+"""Arrays of a row by name; the names are the same in each row of a file."""
 Row = tuple[str, Arrays]
-"""A digest of all that a row was made of, and its arrays; an empty digest says nothing of it."""
+"""A digest of a row's inputs, empty if unknown, and its arrays."""
 Rows = Generator[Row, None, None]
 
 
 def write_store(path: Path, rows: Rows) -> None:
     """Write a file of rows, which appears when it is complete.
 
-    Until then it lies in a folder that the next writer removes where this one is killed.
+    Until then it lies in a scratch folder, which the next writer removes if this one is killed.
 
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
@@ -51,7 +50,7 @@ def write_store(path: Path, rows: Rows) -> None:
 
 
 def _append(file: h5py.File, name: str, values: NDArray[Any]) -> int:
-    """Add lines to a data set, and return how many it then has."""
+    """Append lines to a data set and return its new length."""
     # An empty array may have another number of columns.
     if name in file and not len(file[name]) and len(values):
         del file[name]
@@ -74,12 +73,12 @@ def _append(file: h5py.File, name: str, values: NDArray[Any]) -> int:
 
 
 class Store:
-    """A file that ``write_store`` wrote. It stays open, so it may be removed in the meantime.
+    """A file of ``write_store``. It stays open, so it may be removed in the meantime.
 
     Threads may share it.
 
     Attributes:
-        rows: numbers of rows by what they were made of, where that is known.
+        rows: numbers of rows by their keys, without those of an empty key.
 
     Raises:
         InputError: the file is damaged; also when its arrays are read.
@@ -102,7 +101,7 @@ class Store:
         return self._count
 
     def row(self, key: str) -> int:
-        """Return the number of the row that was made of a key."""
+        """Return the number of the row with a key."""
         if key not in self.rows:
             raise self._damage_error(KeyError("a photograph is missing"))
         return self.rows[key]
@@ -110,8 +109,7 @@ class Store:
     def read(self, row: int, name: str) -> NDArray[Any]:
         """Read an array of a row."""
         try:
-            # The size is compared with what is stored once, because this takes time for large
-            # files.
+            # ``dataset`` checks the size of the file, which takes time: it runs once per name.
             if name not in self._arrays:
                 ends = [0, *array(group(self._file, "ends"), name).tolist()]
                 self._arrays[name] = dataset(group(self._file, "arrays"), name), ends
@@ -125,7 +123,7 @@ class Store:
         return {name: self.read(row, name) for name in names}
 
     def make(self, row: int, names: Iterable[str], of: Callable[[Arrays], T]) -> T:
-        """Return what ``of`` makes of arrays of a row; where it fails, they are damaged."""
+        """Return an object that ``of`` builds from arrays of a row; a failure means damage."""
         try:
             return of(self.arrays(row, names))
         except HDF5_DAMAGE as error:

@@ -1,5 +1,5 @@
-"""Place search: where a query may be, when little or nothing is known of its pose.
+"""Coarse search: candidate poses of a query of which position or heading is unknown.
 
-``grid`` lays cells on the ground, ``mosaic`` keeps what they look like in the map's photographs,
+``grid`` divides the ground into cells, ``mosaic`` holds their features from the map's photographs,
 ``search`` correlates a query with the mosaic over headings and altitudes.
 """

@@ -1,4 +1,4 @@
-"""Where a query may be: what is known of its pose is kept, and what is not is searched."""
+"""The coarse search of a map: it keeps what a prior gives and searches the rest."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
-from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, PlaceSearch
+from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
-from objconnect.localization.resolution import metres_per_pixel, observed_xyz, of_map, scale_to
+from objconnect.localization.resolution import (
+    map_resolution,
+    metres_per_pixel,
+    observed_xyz,
+    scale_to,
+)
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage, level_rotation, map_angle, tilt
@@ -27,64 +32,54 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
 _FORMAT: Final = 3
-# Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
-_FLATTEST: Final = 0.3
-# An altitude of a smaller sigma, in parts of the height above ground, is known.
+# Lower bound of the cosine of the tilt that divides the height by the distance to the ground.
+_MIN_TILT_COSINE: Final = 0.3
+# An altitude whose sigma is a smaller share of the height above ground is not searched.
 _KNOWN_ALTITUDE: Final = 0.1
-
-
-# Headings at which the network looks at a query, spread over the full turn, and headings tried with
-# each look, between it and the next: features tolerate a few degrees.
+# Headings at which the network runs on a query, spread over the full turn, and headings tried with
+# the features of each: features tolerate a few degrees.
 _HEADINGS: Final = 12
 _TURNS: Final = 5
 # Side of a cell of the mosaic, pixels of a photograph: that of the coarsest cells of features.
 _CELL_PX: Final = 16
-# Principal components of the features that the mosaic keeps, which bound time and memory.
+# Number of principal components of the features, which bounds time and memory.
 _CHANNELS: Final = 32
 LONGEST: Final = 256
-"""Photographs are looked at with a longer side of about so many pixels: it shows what is large."""
-# A query that looks flatter than this is seen as by a camera that is turned down to it, as nearly
-# all photographs of a map look down.
+"""Photographs are resized to about this longer side (px), at which large things show."""
+# A query that is tilted more is warped to this tilt, as nearly all photographs of a map look down.
 _MOST_TILT: Final = math.radians(45)
 
 
-class PlaceOptions(Config):
-    """Options of the search for a place."""
+class CoarseSearchOptions(Config):
+    """Options of the coarse search."""
 
-    candidates: int = Field(16, ge=0, description="Places to return at most; 0 for no search.")
+    candidates: int = Field(
+        16, ge=0, description="Maximum number of candidates; 0 for no coarse search."
+    )
     reach_sigmas: float = Field(
         3.0,
         gt=0,
-        description="Places are looked for within so many standard deviations of a position that "
-        "is not sure, and two cells.",
+        description="Radius of the search around an uncertain position in standard deviations; two "
+        "cells are added.",
     )
 
 
-class PlaceFinder:
-    """Finds places in a map with the coarsest features of a network.
+class CoarseSearch:
+    """Finds candidate poses of a query in a map with the coarsest features of a network."""
 
-    Args:
-        extract: of feature maps.
-        options: of the search.
-    """
-
-    def __init__(self, extract: MapExtractor, options: PlaceOptions) -> None:
+    def __init__(self, extract: MapExtractor, options: CoarseSearchOptions) -> None:
         self._extract = extract
         self._options = options
 
     def prepare(self, kept: MapCache, key: str) -> None:
         """Make the mosaic of a map, or read it from the cache.
 
-        Args:
-            kept: the map, its photographs and the cache.
-            key: of the network.
-
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
         sparse_map = kept.sparse_map
         posed = [sparse_map.images[name] for name in sparse_map.names]
-        sharpest = of_map(sparse_map, self._extract.largest_scale)
+        sharpest = map_resolution(sparse_map, self._extract.largest_scale)
         sides = [
             max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
             for image in posed
@@ -98,7 +93,7 @@ class PlaceFinder:
 
         store = kept.store("mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGEST, rows=rows)
         self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
-        self._search = PlaceSearch(self._mosaic)
+        self._search = MosaicSearch(self._mosaic)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
@@ -117,8 +112,8 @@ class PlaceFinder:
             return make_mosaic(sparse_map, grid, _CHANNELS, look, advance)
 
     def find(self, query: Query) -> list[Candidate]:
-        """Return places where the query may be, best first; none where the map was not seen from
-        above, or where the query's picture is of one colour, which nothing can be told from."""
+        """Return candidates, best first; none if no photograph of the map looks down, or if the
+        query has a single colour."""
         if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
             return []
 
@@ -127,7 +122,7 @@ class PlaceFinder:
             if tilt(rotation) > _MOST_TILT:
                 turn = level_rotation(rotation, _MOST_TILT) @ rotation.T
             axis = rotation[2] if turn is None else turn[2] @ rotation
-            down = max(_FLATTEST, -float(axis[2]))
+            down = max(_MIN_TILT_COSINE, -float(axis[2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
             scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
             angle = map_angle(rotation)
@@ -139,18 +134,18 @@ class PlaceFinder:
 
 
 def hypotheses(
-    prior: Prior | None, options: PlaceOptions, grid: GroundGrid, height: float
+    prior: Prior | None, options: CoarseSearchOptions, grid: GroundGrid, height: float
 ) -> Hypotheses:
-    """Return where a camera may be, given what is known.
+    """Return the headings, altitudes and region to search for a prior.
 
-    That is its attitude, but not which way it is turned, unless its sigma says so, and its place as
-    far as that sigma says.
+    Tilt and roll of the prior are kept. Its heading, altitude and position are searched as far as
+    their sigmas reach.
 
     Args:
-        prior: of the query.
-        options: of the search.
-        grid: of the ground.
-        height: of the map's photographs above ground, metres.
+        prior: prior of the query.
+        options: options of the search.
+        grid: grid of the ground.
+        height: height of the map's photographs above ground, metres.
     """
     step = math.tau / _HEADINGS
     turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# Points farther out than all but this share of them, along an axis, are taken for outliers.
+# Share of the points at either end of an axis that count as outliers.
 _OUTLIERS: Final = 0.005
 
 
@@ -31,7 +31,7 @@ class GroundGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Cells to the north and to the east."""
+        """Return the numbers of cells to the north and to the east."""
         rows, columns = self.heights.shape
         return rows, columns
 
@@ -44,7 +44,7 @@ class GroundGrid:
         return np.stack([x, y, self.heights], -1)
 
     def height_at(self, x: float, y: float) -> float:
-        """Return the height of the cell at a place, or of the nearest cell (world metres)."""
+        """Return the height (world metres) of the cell at a position, or of the nearest cell."""
         rows, columns = self.shape
         column = min(max(math.floor((x - self.origin[0]) / self.cell), 0), columns - 1)
         row = min(max(math.floor((y - self.origin[1]) / self.cell), 0), rows - 1)
@@ -55,7 +55,7 @@ def ground_grid(xyz: NDArray[np.float64], cell: float) -> GroundGrid:
     """Lay a grid over the points of a map.
 
     Args:
-        xyz: (M, 3) world metres, one at least.
+        xyz: (M, 3) world metres, at least one.
         cell: side of a cell, metres.
     """
     low, high = np.quantile(xyz[:, :2], [_OUTLIERS, 1 - _OUTLIERS], axis=0)

@@ -1,4 +1,4 @@
-"""Which headings and altitudes an image may have, by what is known of its pose."""
+"""Headings and altitudes to search for a prior."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from objconnect.scene.localizer import Prior
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
 ALTITUDES: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-"""Heights above ground tried where none is known, in parts of that from which the map's photographs
-were taken: a fifth apart, as features tolerate a tenth."""
+"""Heights above ground to try where none is known, relative to that of the map's photographs; they
+are a fifth apart, because features tolerate a tenth."""
 
 
 def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:
-    """Return an attitude and the headings about it (rad) that lie within two standard deviations.
+    """Return an attitude and the headings around it (rad) within two standard deviations.
 
     Args:
-        prior: what is known; without an attitude the camera is taken to look straight down.
-        count: headings over the full turn.
+        prior: prior of the query; without an attitude the camera is assumed to look straight down.
+        count: number of headings over the full turn.
 
     Returns:
         The ``cam_from_world`` rotation (3, 3) at a heading of 0, and the headings.
@@ -38,6 +38,6 @@ def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[flo
     if degrees is None:
         return attitude, around
     most = math.ceil(min(2 * math.radians(degrees) / step, count))
-    if 2 * most >= count:  # the last one to the left would be the last one to the right
+    if 2 * most >= count:  # The last ones to the left and right would be the same.
         return attitude, around
     return attitude, [k * step for k in range(-most, most + 1)]

@@ -1,4 +1,4 @@
-"""The mosaic of a map: what every cell of the ground looks like to a network, from above."""
+"""The mosaic of a map: features of every cell of the ground, seen from above."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Coarse features on the ground, less what all of the ground has in common.
+    """Coarse features on the ground, less their mean.
 
     Attributes:
-        grid: of the cells.
-        features: (K, H, W) float32 of unit length, 0 where nothing is known.
+        features: (K, H, W) float32 of unit length, 0 in unknown cells.
         known: (H, W) float32, 1 where a photograph shows the cell, else 0.
         mean: (C,) the mean feature of all cells.
         components: (C, K) orthonormal principal components.
@@ -41,18 +40,18 @@ class Mosaic:
     components: Tensor
 
     def reduce_channels(self, features: Tensor) -> Tensor:
-        """Return features (1, C, h, w) as the mosaic holds its own, (1, K, h, w)."""
+        """Project features (1, C, h, w) to the mosaic's components, (1, K, h, w)."""
         cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
         reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
         return reduced.permute(2, 0, 1)[None]
 
     @property
     def is_empty(self) -> bool:
-        """Whether no photograph of the map looks down."""
+        """Return whether no photograph of the map looks down."""
         return not bool(self.known.any())
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all of the mosaic by the names of ``ARRAYS``; features take half precision."""
+        """Return the fields by the names of ``ARRAYS``, features in half precision."""
         grid, values = self.grid, (self.features.half(), self.known, self.mean, self.components)
         arrays = (
             grid.origin,
@@ -64,20 +63,20 @@ class Mosaic:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Mosaic:
-        """Return the mosaic that ``arrays`` was called of."""
+        """Return the mosaic of ``arrays``."""
         origin, cell, heights, *rest = (arrays[name] for name in Mosaic.ARRAYS)
         features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
         grid = GroundGrid(origin, float(cell[0]), heights)
         return Mosaic(grid, features, known, mean, components)
 
     def on(self, device: torch.device) -> Mosaic:
-        """Return the mosaic for searches on a device."""
+        """Return the mosaic on a device."""
         tensors = (self.features, self.known, self.mean, self.components)
         return Mosaic(self.grid, *(each.to(device) for each in tensors))
 
 
 def empty_mosaic(grid: GroundGrid) -> Mosaic:
-    """Return the mosaic of ground that no photograph shows from above."""
+    """Return a mosaic without a known cell."""
     nothing = torch.zeros(grid.shape)
     return Mosaic(grid, nothing[None], nothing, torch.zeros(1), torch.ones(1, 1))
 
@@ -92,14 +91,14 @@ def make_mosaic(
 ) -> Mosaic:
     """Average the coarse features of all photographs that look down, cell by cell.
 
-    They are summed on the processor, whatever device made them.
+    They are summed on the CPU, whatever device computed them.
 
     Args:
-        sparse_map: whose photographs.
-        grid: of the cells.
-        channels: K, principal components to keep.
-        look: gives a photograph's view, north up and at the map's resolution, with the features of
-            the coarsest level.
+        sparse_map: the map.
+        grid: grid of the cells.
+        channels: number K of principal components.
+        look: warps a photograph north up to the map's resolution and computes the features of the
+            coarsest level.
         advance: called with the number of photographs done.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Search of a query in the mosaic: every heading and altitude, every place by Fourier transform."""
+"""Correlation of a query with a mosaic over headings, altitudes and, by FFT, all positions."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-# Places kept of each look and altitude.
+# Peaks of the correlation that are kept for each pass of the network and altitude.
 _PEAKS: Final = 3
-# Cells by which the side of a query on the ground grows.
+# The sides of a query on the ground are rounded up to multiples of this many cells.
 _PATCH: Final = 16
-# Share of a query, by confidence, that must lie on known ground.
+# Least share of a query, by confidence, that lies on known ground.
 _LEAST_OVERLAP: Final = 0.3
-# Ground farther away than so many heights above it is left out: it is seen in few pixels.
+# Largest distance of the ground that is used, in heights above it: few pixels show what is farther.
 _FARTHEST: Final = 2.0
 # Memory for transforms of the mosaic, one for each size of a query on the ground.
 _SPECTRA_MB: Final = 128
-# Numerical guard: a query of less confidence, summed over cells, shows nothing.
+# Numerical guard: least sum of confidence over the cells of a query.
 _LEAST_WEIGHT: Final = 1e-3
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose at which a query may be.
+    """A pose hypothesis of the coarse search.
 
     Attributes:
         pose: ``cam_from_world``.
-        score: of the correlation with the mosaic, 1 at most.
-        by: what gave it.
+        score: correlation with the mosaic, 1 at most.
+        by: source of the candidate.
     """
 
     pose: Pose
@@ -55,10 +55,10 @@ class Hypotheses:
     """Headings and altitudes to try.
 
     Attributes:
-        passes: rotations ``cam_from_world`` (3, 3) at which the network looks at the query.
+        passes: rotations ``cam_from_world`` (3, 3), one for each pass of the network.
         turns: radians about the vertical, tried with each pass.
         altitudes: heights above ground, metres, tried with each pass.
-        within: east and north of a place and metres around it to look in; None for everywhere.
+        within: centre (east, north) and radius of the region to search, metres; None for all.
     """
 
     passes: Sequence[Tensor]
@@ -67,11 +67,11 @@ class Hypotheses:
     within: tuple[float, float, float] | None = None
 
 
-class _LaidOut(NamedTuple):
-    """A query on the ground, under several turns.
+class _GroundPatch(NamedTuple):
+    """A query projected to the ground under T headings.
 
     Attributes:
-        features: (T, K, h, w) of cells, of unit length or 0.
+        features: (T, K, h, w) of unit length or 0.
         confidence: (T, h, w).
         first: (2,) metres from the camera to the south-western cell, to the east and north.
     """
@@ -85,10 +85,9 @@ Look = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
 
 
 class _Peak(NamedTuple):
-    """A place under one hypothesis.
+    """A peak of the correlation under one hypothesis.
 
     Attributes:
-        score: of the correlation.
         x: world metres, east.
         y: world metres, north.
         altitude: height above ground, metres.
@@ -102,12 +101,12 @@ class _Peak(NamedTuple):
     rotation: Tensor
 
 
-class PlaceSearch:
-    """Finds the places of a mosaic that look most like a query.
+class MosaicSearch:
+    """Finds the poses at which a query correlates best with a mosaic.
 
     Args:
-        mosaic: of the map.
-        separation: metres between candidates.
+        mosaic: mosaic of the map.
+        separation: least distance between candidates, metres.
     """
 
     def __init__(self, mosaic: Mosaic, separation: float = 12.0) -> None:
@@ -120,20 +119,20 @@ class PlaceSearch:
         """Return the best candidates, best first, at most ``count``.
 
         Args:
-            look: the query as seen from a pose (the position but for its height is of no meaning):
-                its view turned north up, with the features of the coarsest level.
-            hypotheses: to try.
-            count: of the candidates.
+            look: warps the query north up for a pose, of which only height and rotation matter, and
+                computes the features of the coarsest level.
+            hypotheses: headings, altitudes and region to search.
+            count: maximum number of candidates.
         """
         peaks: list[_Peak] = []
-        with progress_within("place search", len(hypotheses.passes)) as advance:
+        with progress_within("coarse search", len(hypotheses.passes)) as advance:
             for done, rotation in enumerate(hypotheses.passes, 1):
                 peaks += self._peaks(look, rotation, hypotheses)
                 advance(done)
         return [self._candidate(peak) for peak in self._distinct(peaks, count)]
 
     def _peaks(self, look: Look, rotation: Tensor, hypotheses: Hypotheses) -> Iterator[_Peak]:
-        """Yield places at which the query may be, seen at one heading of the network."""
+        """Yield the peaks of one pass of the network."""
         middle = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
         centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
@@ -141,16 +140,16 @@ class PlaceSearch:
         reduced = FeatureMap(
             self._mosaic.reduce_channels(level.features), level.confidence, level.stride
         )
-        turned = rotation @ so3_exp(turns[:, None] * UP)
-        footprint = self._footprint(view, turned)
+        rotations = rotation @ so3_exp(turns[:, None] * UP)
+        footprint = self._footprint(view, rotations)
         for altitude in hypotheses.altitudes:
-            laid = self._lay_out(view, reduced, turned, footprint, altitude)
-            if laid is not None:
-                for score, x, y, turn in self._correlate(laid, hypotheses.within):
-                    yield _Peak(score, x, y, altitude, turned[turn])
+            patch = self._project_to_ground(view, reduced, rotations, footprint, altitude)
+            if patch is not None:
+                for score, x, y, turn in self._correlate(patch, hypotheses.within):
+                    yield _Peak(score, x, y, altitude, rotations[turn])
 
     def _distinct(self, peaks: Sequence[_Peak], count: int) -> list[_Peak]:
-        """Return the best of peaks that are apart, best first."""
+        """Return the best peaks with the least separation, best first."""
         kept: list[_Peak] = []
         for peak in sorted(peaks, key=lambda peak: -peak.score):
             if all(math.hypot(peak.x - a.x, peak.y - a.y) > self._separation for a in kept):
@@ -165,14 +164,14 @@ class PlaceSearch:
         return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
 
     def _correlate(
-        self, laid: _LaidOut, within: tuple[float, float, float] | None
+        self, patch: _GroundPatch, within: tuple[float, float, float] | None
     ) -> Iterator[tuple[float, float, float, int]]:
-        """Yield score, east, north and turn of the best positions at one altitude."""
-        grid, weight = self._mosaic.grid, laid.confidence
+        """Yield score, east, north and row of the heading of the best positions."""
+        grid, weight = self._mosaic.grid, patch.confidence
         rows, columns = grid.shape
         size = (_fast(rows + weight.shape[1]), _fast(columns + weight.shape[2]))
         spectra = self._spectra(size)
-        layers = torch.cat([laid.features * weight[:, None], weight[:, None]], 1)
+        layers = torch.cat([patch.features * weight[:, None], weight[:, None]], 1)
         spectrum = torch.fft.rfft2(layers, s=size).conj()
         products = [
             torch.einsum("khw,tkhw->thw", spectra[:-1], spectrum[:, :-1]),
@@ -187,8 +186,8 @@ class PlaceSearch:
         # Shifts beyond the grid are those to the south and west.
         north = torch.arange(size[0], device=score.device)
         east = torch.arange(size[1], device=score.device)
-        y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - laid.first[1]
-        x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - laid.first[0]
+        y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - patch.first[1]
+        x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - patch.first[0]
         if within is not None:
             away = torch.hypot(x[None] - within[0], y[:, None] - within[1])
             score[away > within[2]] = -1.0
@@ -203,29 +202,29 @@ class PlaceSearch:
             score[(row + around)[:, None] % size[0], (column + around)[None] % size[1]] = -1.0
 
     def _spectrum(self, size: tuple[int, int]) -> Tensor:
-        """Return the transforms of the mosaic's channels and, last, of what is known."""
+        """Return the transforms of the mosaic's channels and, last, of its known cells."""
         layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])
         spectrum: Tensor = torch.fft.rfft2(layers, s=size)
         return spectrum
 
-    def _lay_out(
+    def _project_to_ground(
         self,
         view: WarpedImage,
         level: FeatureMap,
         rotations: Tensor,
         footprint: NDArray[np.float64],
         altitude: float,
-    ) -> _LaidOut | None:
-        """Lay the query's features out on level ground; None where it shows none.
+    ) -> _GroundPatch | None:
+        """Project the query's features to level ground; return None if it shows none.
 
-        A cell counts as many cells of the feature map as it covers, one at most: what is far away
-        is seen in few pixels, however much ground it is.
+        The weight of a cell is the number of feature-map cells that it covers, at most one: far
+        ground covers few pixels.
 
         Args:
-            view: of the query.
-            level: its features, reduced.
+            view: the warped query.
+            level: its features, reduced to the mosaic's channels.
             rotations: (T, 3, 3) ``cam_from_world`` of the photograph.
-            footprint: (2, 2) of ``_footprint``.
+            footprint: (2, 2) corners from ``_footprint``.
             altitude: metres above the ground.
         """
         cell = self._mosaic.grid.cell
@@ -235,7 +234,7 @@ class PlaceSearch:
         first = np.floor(low / cell) * cell + cell / 2
         columns, rows = np.maximum(np.ceil((high - first) / cell), 1).astype(int).tolist()
         x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
-        # To the next multiple, so that few sizes of the transform occur.
+        # Rounded up, so that transforms have few sizes.
         rows, columns = (_PATCH * math.ceil(side / _PATCH) for side in (rows, columns))
         near = np.hypot(x, y) <= _FARTHEST * altitude
         ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
@@ -261,17 +260,17 @@ class PlaceSearch:
         weight = features.new_zeros(len(rotations), rows * columns)
         patch[of_turn, cells] = features
         weight[of_turn, cells] = confidence
-        return _LaidOut(
+        return _GroundPatch(
             patch.mT.reshape(len(rotations), -1, rows, columns),
             weight.reshape(-1, rows, columns),
             first,
         )
 
     def _footprint(self, view: WarpedImage, rotations: Tensor) -> NDArray[np.float64]:
-        """Return the south-western and north-eastern corner (2, 2) of the ground that a view shows
-        under any of some attitudes (T, 3, 3), from the camera, no farther away than is looked.
+        """Return the south-western and north-eastern corner (2, 2) of the ground in a view.
 
-        Lengths are in heights above the ground; NaN where no ray is of any use.
+        The footprint covers all rotations (T, 3, 3) up to ``_FARTHEST``. It is relative to the
+        camera, in heights above the ground; NaN if no ray is valid.
         """
         camera = view.camera
         steps = np.linspace(0.0, 1.0, 9)
@@ -291,12 +290,12 @@ class PlaceSearch:
 
 
 def _padding(cells: NDArray[np.bool_], rows: int, columns: int) -> list[tuple[int, int]]:
-    """Return what ``np.pad`` adds to the north and east of cells (h, w)."""
+    """Return the widths for ``np.pad`` that extend cells (h, w) to the north and east."""
     return [(0, rows - cells.shape[0]), (0, columns - cells.shape[1])]
 
 
 def _fast(size: int) -> int:
-    """Return the least size from ``size`` on whose only factors are 2, 3 and 5."""
+    """Return the least number from ``size`` on with no prime factors but 2, 3 and 5."""
     while True:
         left = size
         for factor in (2, 3, 5):

@@ -1,1 +1,1 @@
-"""Depth of corners of a photograph of the map, by sweeping planes and windows."""
+"""Depth of pixels of a map's photographs by plane sweep."""

@@ -1,4 +1,4 @@
-"""A photograph of a map in shades of grey, smaller than it was taken."""
+"""A downscaled greyscale photograph of a map."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from objconnect.scene.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class GreyPhotograph:
-    """A photograph of a map, made smaller.
+    """A downscaled greyscale photograph of a map.
 
     Attributes:
         grey: (H, W) float32.
-        camera: camera of the smaller photograph.
+        camera: camera of the downscaled photograph.
         pose: ``cam_from_world``.
         in_photograph: maps its pixels (N, 2) to those of the original.
     """
@@ -31,10 +31,10 @@ class GreyPhotograph:
     pose: Pose
     in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-    def shrunk(self, factor: int) -> GreyPhotograph:
-        """Return the photograph, made smaller by a factor; ``in_photograph`` stays as it is.
+    def downscale(self, factor: int) -> GreyPhotograph:
+        """Return the photograph downscaled by a factor, without updating ``in_photograph``.
 
-        What is left over at its right and lower edge is cut off.
+        It is cropped at the right and lower edge to a multiple of the factor.
         """
         height, width = (side // factor * factor for side in self.grey.shape)
         size = (width // factor, height // factor)
@@ -44,5 +44,5 @@ class GreyPhotograph:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its values."""
+        """Return the bytes of its values."""
         return self.grey.nbytes

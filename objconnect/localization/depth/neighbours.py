@@ -1,8 +1,8 @@
-"""Photographs of a map that show the same as another one, from where depth can be told, and depths.
+"""Choice of neighbouring photographs for triangulation, and of the depth range.
 
-The map's own points tell best which photographs see the same. Where they are few, as along a street
-whose photographs are metres apart, the poses tell it: what lies along a photograph's rays at the
-depths of that place is in view of another one, or is not.
+Neighbours are photographs that share map points. Where these are few, as along a street with metres
+between photographs, the poses decide: a neighbour has in view what lies along a photograph's rays
+at the depths of the map's points.
 """
 
 from __future__ import annotations
@@ -20,58 +20,51 @@ from torch import Tensor
 from objconnect.scene.config import Config
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# Pixels along each side of a photograph, and depths of each, that are looked for in another one.
+# Pixels along each side of a photograph, and depths of each, that are projected into another one.
 _PIXELS: Final = 8
 _DEPTHS: Final = 5
-# Neighbours share at least this many points of the map: few may be wrong ones.
+# Least number of map points that neighbours share: a few may be wrong.
 _MIN_SHARED_POINTS: Final = 20
-# Angle between rays at which neighbours are preferred (degrees): flatter ones say little of depth,
-# steeper ones look different.
+# Best angle between the rays of neighbours (degrees): smaller ones give inexact depths, larger ones
+# different views.
 _BEST_ANGLE_DEG: Final = 15.0
-# Photographs, of the best angles, of which it is found out how much they have in view; it bounds
-# time.
-_ASKED: Final = 24
-# Depths are tried beyond those of the map's own points by this share.
+# Photographs of the best angles whose overlap is computed, which bounds time.
+_MAX_TESTED: Final = 24
+# Share by which the depth range exceeds the depths of the map's points.
 _DEPTH_MARGIN: Final = 0.1
-# What a photograph on the same side as one that was chosen is worth, of one across.
-_ALONG: Final = 0.1
+# Weight of a photograph on the same side as a chosen one, relative to one at a right angle.
+_SAME_SIDE_WEIGHT: Final = 0.1
 
 
 class NeighbourOptions(Config):
-    """Which photographs each photograph is compared with, and in what range of depths."""
+    """Options of the neighbours of a photograph and of the depth range."""
 
     neighbours: int = Field(
-        4, ge=2, description="Most photographs that each photograph is compared with."
+        4, ge=2, description="Maximum number of neighbours that a photograph is compared with."
     )
     min_shared_view: float = Field(
         0.2,
         gt=0,
-        description="Where fewer photographs share so many points, those are neighbours too that "
-        "have at least this share of a photograph in view, at the depths of the place; above 1 for "
-        "none.",
+        description="Least share of a photograph that a neighbour has in view, if too few share "
+        "enough map points; above 1 for no such neighbours.",
     )
     least_depths: int = Field(
         100,
         ge=1,
-        description="A photograph that observes fewer map points also takes the depths of the "
-        "photographs nearest to it, until there are so many.",
+        description="Least number of depths of map points for the depth range; a photograph with "
+        "fewer uses those of the photographs nearest to it, too.",
     )
     nearest_depth: float = Field(
         0.3,
         gt=0,
         le=1,
-        description="Where they are taken from several photographs, depths are tried from this "
-        "share of the median on at least: points are rare on what is near.",
+        description="Near end of the depth range as a share of the median, if several photographs "
+        "give the depths: near things have few map points.",
     )
 
 
 class Neighbours:
-    """Tells of each photograph of a map which others show the same, and at what depths.
-
-    Args:
-        sparse_map: the map.
-        options: which are chosen.
-    """
+    """Chooses the neighbours and the depth range of each photograph of a map."""
 
     def __init__(self, sparse_map: SparseMap, options: NeighbourOptions) -> None:
         self._map = sparse_map
@@ -82,15 +75,15 @@ class Neighbours:
             for image in (sparse_map.images[name] for name in sparse_map.names)
         ]
         self._row_of = {name: row for row, name in enumerate(sparse_map.names)}
-        # Photographs that observe the points, in order of the points, and where each of these ends.
+        # Photographs that observe the points, sorted by point, and the end of each point's part.
         rows = np.concatenate([np.empty(0, np.int64), *self._rows])
         photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows])
         ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
         self._observers = photographs[np.argsort(rows, kind="stable")], ends
 
     def __call__(self, name: str) -> list[str]:
-        """Choose photographs of the same place whose rays cross this one's at a good angle, from
-        different sides: those that share points, then those that have it in view."""
+        """Return the neighbours of a photograph, which see its scene at good angles from different
+        sides: those with shared points first, then those with it in view."""
         row = self._row_of[name]
         here = self._rows[row]
         shared = self._count_shared(here)
@@ -105,10 +98,7 @@ class Neighbours:
         return [self._map.names[other] for other in chosen]
 
     def depths(self, name: str) -> tuple[float, float]:
-        """Return the nearest and the farthest depth to try in a photograph, metres.
-
-        Both are infinite where no photograph observes a point.
-        """
+        """Return the depth range of a photograph, metres; both are infinite without map points."""
         options, row = self._options, self._row_of[name]
         order = [row]
         if few := len(self._rows[row]) < options.least_depths:
@@ -128,13 +118,13 @@ class Neighbours:
         return min(near, options.nearest_depth * float(z.median())) if few else near, far
 
     def _observed_depths(self, row: int) -> Tensor:
-        """Return the depths of the points that a photograph observes in front of it."""
+        """Return the positive depths of the points that a photograph observes."""
         pose = self._map.images[self._map.names[row]].pose
         z = pose.transform(torch.from_numpy(self._map.xyz[self._rows[row]]))[:, 2]
         return z[z > 0]
 
     def _count_shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return how many of some points each photograph observes, in the order of their names."""
+        """Return the number of given points that each photograph observes."""
         photographs, ends = self._observers
         first = np.concatenate([[0], ends])[points]
         counts = ends[points] - first
@@ -143,8 +133,7 @@ class Neighbours:
         return np.bincount(photographs[picked], minlength=len(self._rows))
 
     def _rate_angles(self, row: int, distance: float) -> NDArray[np.float64]:
-        """Return 1 for photographs (N,) whose rays cross this one's at the best angle at a
-        distance, and less for others."""
+        """Return weights (N,) of photographs: 1 at the best angle between rays at a distance."""
         away = np.linalg.norm(self._centres - self._centres[row], axis=1)
         angle = np.arctan2(away, max(distance, 1e-9)).clip(min=1e-6)
         best = math.radians(_BEST_ANGLE_DEG)
@@ -153,10 +142,10 @@ class Neighbours:
     def _in_view(
         self, row: int, but: Sequence[int]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Find photographs other than some that have what this one shows in view.
+        """Return the photographs, except some, that have this one's scene in view.
 
         Returns:
-            Their rows (N,), and how much each is worth (N,).
+            Their rows (N,) and their scores (N,).
         """
         options, name = self._options, self._map.names[row]
         near, far = self.depths(name)
@@ -165,14 +154,14 @@ class Neighbours:
         inverse = np.linspace(1 / far, 1 / near, _DEPTHS)
         angled = self._rate_angles(row, float(1 / np.median(inverse)))
         angled[[row, *but]] = 0
-        asked = np.argsort(-angled, kind="stable")[:_ASKED]
-        world = self._places(name, inverse)
-        share = np.array([self._share(world, self._map.names[other]) for other in asked])
-        fine = (share >= options.min_shared_view) & (angled[asked] > 0)
-        return asked[fine], (share * angled[asked])[fine]
+        tested = np.argsort(-angled, kind="stable")[:_MAX_TESTED]
+        world = self._ray_points(name, inverse)
+        share = np.array([self._share(world, self._map.names[other]) for other in tested])
+        fine = (share >= options.min_shared_view) & (angled[tested] > 0)
+        return tested[fine], (share * angled[tested])[fine]
 
-    def _places(self, name: str, inverse_depths: NDArray[np.float64]) -> Tensor:
-        """Return places (N, 3) along rays all over a photograph, world metres."""
+    def _ray_points(self, name: str, inverse_depths: NDArray[np.float64]) -> Tensor:
+        """Return points (N, 3) along a grid of rays of a photograph, world metres."""
         image = self._map.images[name]
         across, down = (
             (torch.arange(_PIXELS, dtype=torch.float64) + 0.5) / _PIXELS * side
@@ -180,11 +169,11 @@ class Neighbours:
         )
         xy = torch.stack(torch.meshgrid(across, down, indexing="xy"), -1).flatten(0, 1)
         rays, usable = image.camera.unproject(xy)
-        places = rays[usable] / torch.from_numpy(inverse_depths)[:, None, None]
-        return image.pose.inverse().transform(places.flatten(0, 1))
+        points = rays[usable] / torch.from_numpy(inverse_depths)[:, None, None]
+        return image.pose.inverse().transform(points.flatten(0, 1))
 
     def _share(self, world: Tensor, name: str) -> float:
-        """Return how many of some places a photograph has in view, as a share."""
+        """Return the share of points that a photograph has in view."""
         image = self._map.images[name]
         projected = image.camera.project(image.pose.transform(world))
         seen = projected.valid & image.camera.contains(projected.xy)
@@ -197,14 +186,13 @@ class Neighbours:
         worth: NDArray[np.float64],
         chosen: Sequence[int],
     ) -> list[int]:
-        """Add the best of some photographs, one by one, to those chosen; those on sides from which
-        nothing was chosen count more."""
+        """Add the best photographs, one by one, to those chosen; new sides count more."""
         baselines = self._centres - self._centres[row]
         sides = baselines / np.linalg.norm(baselines, axis=1, keepdims=True).clip(min=1e-9)
         left, chosen = dict(zip(others.tolist(), worth.tolist(), strict=True)), list(chosen)
         while left and len(chosen) < self._options.neighbours:
             along = {each: np.abs(sides[chosen] @ sides[each]).max(initial=0.0) for each in left}
-            best = max(left, key=lambda each: left[each] * (_ALONG + 1 - along[each]))
+            best = max(left, key=lambda each: left[each] * (_SAME_SIDE_WEIGHT + 1 - along[each]))
             chosen.append(best)
             del left[best]
         return chosen

@@ -1,4 +1,4 @@
-"""Correlation of whole photographs on planes of equal depth, for many pixels at once."""
+"""Plane sweep of whole photographs, for many pixels at once."""
 
 from __future__ import annotations
 
@@ -12,26 +12,25 @@ from torch import Tensor
 
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
 
-# Cells, in pixels, at whose middles points are projected; between these the projection is linear.
+# Side of cells, pixels: points are projected at their centres and interpolated between them.
 _CELL: Final = 8
 # Planes compared at once: few enough for the processor's cache.
 _PLANES: Final = 4
-# Where a plane has no picture.
+# Pixel coordinate of points without a projection.
 _NOWHERE: Final = -1e4
-# Grey levels: windows of a smaller deviation are plain.
+# Standard deviation (grey levels) below which a window has no texture.
 _PLAIN: Final = 1.0
 
 
 class PlaneSweep:
-    """Compares the surroundings of pixels with what other photographs show of planes there.
+    """Correlates windows around pixels with other photographs warped over fronto-parallel planes.
 
-    The planes are parallel to the picture. A window on a plane is compared by normalised
-    correlation, whose sums are box filters over the whole picture.
+    The sums of the normalised correlation are box filters over the whole picture.
 
     Args:
-        photograph: the picture.
+        photograph: the reference photograph.
         window: side of the window, pixels.
-        border: pixels at the edge of other pictures that are not compared.
+        border: pixels at the edge of other photographs that are not used.
     """
 
     def __init__(self, photograph: GreyPhotograph, window: int, border: float) -> None:
@@ -52,7 +51,7 @@ class PlaneSweep:
     ) -> NDArray[np.float32]:
         """Return the correlation (N, D) of pixels (N, 2) at inverse depths (D,), 1/metres.
 
-        It is -1 where the other picture does not show the plane.
+        It is -1 where the other photograph does not show the plane.
         """
         height, width = self._grey.shape
         column, row = np.clip(xy.astype(int), 0, [width - 1, height - 1]).T
@@ -63,10 +62,10 @@ class PlaneSweep:
         found = np.empty((len(inverse_depths), len(xy)), np.float32)
         nodes = self._nodes(inverse_depths, other)
         for begin in range(0, len(nodes), _PLANES):
-            places = self._places(nodes[begin : begin + _PLANES])
-            x, y = np.moveaxis(places.reshape(len(places), -1, 2)[:, pixel], -1, 0)
+            warps = self._interpolate(nodes[begin : begin + _PLANES])
+            x, y = np.moveaxis(warps.reshape(len(warps), -1, 2)[:, pixel], -1, 0)
             inside = (x >= low) & (x < high[0]) & (y >= low) & (y < high[1])
-            theirs, squares, products = self._sums(places, other.grey.numpy(), pixel)
+            theirs, squares, products = self._sums(warps, other.grey.numpy(), pixel)
             spread = squares - theirs**2
             plain = (variance < _PLAIN**2) | (spread < _PLAIN**2)
             value = (products - mean * theirs) / np.sqrt(np.where(plain, 1.0, variance * spread))
@@ -75,21 +74,21 @@ class PlaneSweep:
         return found.T
 
     def _sums(
-        self, places: NDArray[np.float32], grey: NDArray[np.float32], pixel: NDArray[np.int64]
+        self, warps: NDArray[np.float32], grey: NDArray[np.float32], pixel: NDArray[np.int64]
     ) -> NDArray[np.float32]:
-        """Return means over windows of what planes (D, H, W, 2) show, of its squares and of its
-        products with the picture, (3, D, N)."""
-        sums = np.empty((3, *places.shape[:3]), np.float32)
-        for place, theirs, squares, products in zip(places, *sums, strict=True):
-            seen = cv2.remap(grey, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        """Return window means (3, D, N) of a photograph under warps (D, H, W, 2), of its squares
+        and of its products with the reference."""
+        sums = np.empty((3, *warps.shape[:3]), np.float32)
+        for warp, theirs, squares, products in zip(warps, *sums, strict=True):
+            seen = cv2.remap(grey, warp, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             cv2.boxFilter(seen, -1, self._window, dst=theirs)
             cv2.sqrBoxFilter(seen, cv2.CV_32F, self._window, dst=squares)
             cv2.boxFilter(np.multiply(seen, self._grey, out=seen), -1, self._window, dst=products)
-        return sums.reshape(3, len(places), -1)[:, :, pixel]
+        return sums.reshape(3, len(warps), -1)[:, :, pixel]
 
     def _nodes(self, inverse_depths: Tensor, other: GreyPhotograph) -> NDArray[np.float32]:
-        """Return where the middles of cells lie in another picture, (D, rows, columns, 2), as
-        OpenCV counts pixels, if they show a plane."""
+        """Return the centres of cells on planes, projected into another photograph,
+        (D, rows, columns, 2), in OpenCV's pixels."""
         relative = other.pose @ self._pose.inverse()
         points = self._rays / inverse_depths[:, None, None].double()
         projected = other.camera.project(relative.transform(points.flatten(0, 1)))
@@ -98,12 +97,12 @@ class PlaneSweep:
         nodes: NDArray[np.float32] = xy.view(-1, *self._cells, 2).float().numpy()
         return nodes
 
-    def _places(self, nodes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the same of every pixel, (D, H, W, 2)."""
+    def _interpolate(self, nodes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the projections of every pixel, (D, H, W, 2), from those of ``_nodes``."""
         height, width = self._grey.shape
         size = (self._cells[1] * _CELL, self._cells[0] * _CELL)
-        places = np.empty((len(nodes), height, width, 2), np.float32)
-        for place, node in zip(places, nodes, strict=True):
+        warps = np.empty((len(nodes), height, width, 2), np.float32)
+        for warp, node in zip(warps, nodes, strict=True):
             between = cv2.resize(node, size, interpolation=cv2.INTER_LINEAR)
-            place[:] = between[_CELL : _CELL + height, _CELL : _CELL + width]
-        return places
+            warp[:] = between[_CELL : _CELL + height, _CELL : _CELL + width]
+        return warps

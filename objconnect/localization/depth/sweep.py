@@ -1,8 +1,7 @@
-"""Depths of pixels of a map's photographs, found by a plane sweep over the photographs beside them.
+"""Depths of pixels of a map's photographs by a plane sweep over their neighbours.
 
-Each pixel is swept along its ray (Collins, "A space-sweep approach to true multi-image matching",
-CVPR 1996): at every depth a window around it is compared with what the neighbours, whose poses are
-known, show there.
+At every depth along a pixel's ray, a window around the pixel is compared with the neighbours at
+their known poses (Collins, "A space-sweep approach to true multi-image matching", CVPR 1996).
 """
 
 from __future__ import annotations
@@ -31,24 +30,24 @@ from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache
 
-# Photographs of the largest size for which there is room in the cache.
+# Number of photographs in the cache.
 _CACHED: Final = 12
-# Pixels placed at a time.
+# Pixels triangulated at a time.
 _CHUNK: Final = 1024
-# Values of the window to either side of its middle, and pixels between them: 9 pixels show enough
-# texture, and of few of them depth does not change much.
+# Samples of the window to either side of its centre, and pixels between them: 9 pixels have enough
+# texture and little change of depth.
 _WINDOW_REACH: Final = 3
 _WINDOW_STEP_PX: Final = 1.5
 BORDER_PX: Final = 8.0
-"""Pixels at the edge of a photograph in which nothing is compared: lenses are least known there."""
-# Correlation by which any other depth must fall behind the best, and how many steps away a depth is
-# another one.
+"""Pixels at the edge of a photograph that are not compared: lens models are least exact there."""
+# Least margin of the best correlation over that of any other depth, and least number of steps
+# between two different depths.
 _RIVAL_MARGIN: Final = 0.05
 _RIVAL_STEPS: Final = 2
-# Photographs are not made smaller than this on their shorter side.
+# Least shorter side of a downscaled photograph, pixels.
 _LEAST_SIDE_PX: Final = 64
-# Side of the window in smaller photographs, how far apart depths are that are swept in them, their
-# pixels, and how many depths are tried afterwards to either side of the one found.
+# In downscaled photographs: side of the window and spacing of depths, both in their pixels; then
+# the number of depths around the best that are tried in the photographs at full size.
 _SHRUNK_WINDOW: Final = 5
 _PLANE_STEP_PX: Final = 1.5
 _NEAR_STEPS: Final = 5
@@ -57,27 +56,27 @@ _NEAR_STEPS: Final = 5
 class SweepOptions(NeighbourOptions):
     """Options of the plane sweep."""
 
-    max_depths: int = Field(256, ge=8, description="Most depths tried for a pixel.")
+    max_depths: int = Field(256, ge=8, description="Maximum number of depths of a pixel.")
     min_correlation: float = Field(
-        0.75, description="Correlation that the second-best neighbour must exceed."
+        0.75, description="Least correlation with the second-best neighbour."
     )
     shrink: int = Field(
         4,
         ge=1,
-        description="Pixels are swept in photographs made smaller by this factor first, and then "
-        "near the depth found there; 1 sweeps all depths in the photographs as they are.",
+        description="Factor by which photographs are downscaled for a first sweep; full size is "
+        "swept only near its depths. 1 sweeps all depths at full size.",
     )
     shrunk_correlation: float = Field(
-        0.4, description="Correlation that the second-best neighbour must exceed there."
+        0.4, description="Least correlation with the second-best neighbour in the first sweep."
     )
 
 
 SWEEP: Final = SweepOptions()
-"""The sweep of a map's corners."""
+"""The default options of the plane sweep."""
 
 
-def window() -> Tensor:
-    """Return the offsets of the window's values from its middle, (P, 2) pixels."""
+def window_offsets() -> Tensor:
+    """Return the offsets of the window's samples from its centre, (P, 2) pixels."""
     unit = _WINDOW_STEP_PX * torch.arange(-_WINDOW_REACH, _WINDOW_REACH + 1, dtype=torch.float64)
     return torch.stack(torch.meshgrid(unit, unit, indexing="xy"), -1).flatten(0, 1)
 
@@ -88,8 +87,8 @@ class Swept:
 
     Attributes:
         xyz: points (N, 3), world metres.
-        sure: (N,) bool, whether two neighbours agree on the depth and on no other depth.
-        score: correlation (N,) of the neighbours, 0 where it was not compared.
+        sure: (N,) bool, whether two neighbours agree on a single depth.
+        score: correlation (N,) of the second-best neighbour, 0 where it was not compared.
     """
 
     xyz: NDArray[np.float64]
@@ -98,13 +97,13 @@ class Swept:
 
 
 class Sweeper:
-    """Places pixels of a map's photographs, one photograph after the other.
+    """Triangulates pixels of a map's photographs.
 
     Args:
-        sparse_map: the map; its points tell which photographs see the same.
+        sparse_map: the map; its points tell which photographs overlap.
         images: folder of the photographs.
-        longest: photographs with a longer side (px) are made smaller.
-        options: how depths are found.
+        longest: larger photographs are resized to this longer side (px).
+        options: options of the sweep.
     """
 
     def __init__(
@@ -118,7 +117,7 @@ class Sweeper:
         self._images = images
         self._longest = longest
         self._options = options
-        self._window = window()
+        self._window = window_offsets()
         cameras = {image.camera for image in sparse_map.images.values()}
         sizes = (c.width * c.height * self._scale(c) ** 2 for c in cameras)
         largest = max(sizes, default=0.0) * np.dtype(np.float32).itemsize
@@ -132,12 +131,12 @@ class Sweeper:
         xy: NDArray[np.float64],
         depths: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
     ) -> Swept:
-        """Place pixels of one photograph; none is sure where it has too few neighbours.
+        """Triangulate pixels of one photograph; none is sure if it has too few neighbours.
 
         Args:
             name: name of the photograph.
             xy: (N, 2) pixels of ``photograph(name)``.
-            depths: nearest and farthest depth (N,) of each pixel, metres; None for those of the
+            depths: nearest and farthest depth (N,) of each pixel, metres; None for the range of the
                 map's points.
 
         Raises:
@@ -165,14 +164,9 @@ class Sweeper:
         return Swept(xyz, sure, score)
 
     def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
-        """Return all that decides the places of a photograph's pixels but the options.
+        """Return a digest of the photograph, its neighbours and its depth range.
 
-        Args:
-            name: of the photograph.
-            digests: of the bytes of the map's photographs, by name.
-
-        Returns:
-            A digest of the photograph, of those that it is compared with, and of its depths.
+        These are all inputs of the sweep except the options.
         """
         parts: list[object] = [*self._neighbours.depths(name)]
         for each in (name, *self._neighbours(name)):
@@ -188,20 +182,20 @@ class Sweeper:
         tried: Tensor,
         shrink: int,
     ) -> tuple[Tensor, NDArray[np.bool_]]:
-        """Sweep smaller photographs.
+        """Sweep downscaled photographs.
 
         Args:
             here: the photograph.
             xy: (N, 2) its pixels.
-            others: photographs beside it.
+            others: its neighbours.
             tried: inverse depths (N, D), the same for all pixels.
-            shrink: factor by which the photographs are made smaller.
+            shrink: factor by which the photographs are downscaled.
 
         Returns:
-            Those of the inverse depths (N, K) that are near the best there, and whether two
-            neighbours agree on it and no depth farther away fits nearly as well (N,).
+            The inverse depths (N, K) near the best, and whether two neighbours agree on a single
+            best depth (N,).
         """
-        small, *beside = (each.shrunk(shrink) for each in (here, *others))
+        small, *beside = (each.downscale(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, _SHRUNK_WINDOW, BORDER_PX / shrink)
         hop = max(1, round(shrink * _PLANE_STEP_PX))
         planes = tried[0, ::hop]
@@ -219,11 +213,11 @@ class Sweeper:
         return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
-        """Return the scale at which photographs of a camera are read."""
+        """Return the scale of photographs of a camera."""
         return min(1.0, self._longest / max(camera.width, camera.height))
 
     def _read(self, name: str) -> GreyPhotograph:
-        """Read a photograph and make it smaller."""
+        """Read a photograph and downscale it."""
         image = self._map.images[name]
         rgb = read_rgb(self._images / name, image.camera)
         small = warp_image(rgb, image.camera, 0.0, self._scale(image.camera))
@@ -239,7 +233,7 @@ class Sweeper:
         count: int,
         bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
     ) -> Tensor:
-        """Return inverse depths to try, (N, D), a pixel apart in the neighbour farthest away."""
+        """Return inverse depths to try, (N, D), a pixel apart in the farthest neighbour."""
         if bounds is None:
             near, far = self._neighbours.depths(name)
             nearest, farthest = torch.tensor([[near], [far]], dtype=torch.float64).expand(2, count)
@@ -262,14 +256,14 @@ class Sweeper:
         others: Sequence[GreyPhotograph],
         depths: Tensor,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
-        """Place pixels (N, 2) at the best of their inverse depths (N, D).
+        """Return pixels (N, 2) at the best of their inverse depths (N, D).
 
         Returns:
-            World points (N, 3), which of them are sure (N,), and their correlation (N,).
+            World points (N, 3), whether they are sure (N,), and their correlation (N,).
         """
         sweep = WindowSweep(here, xy, self._window, BORDER_PX)
         first, second = _best_two([sweep(depths, other) for other in others])
-        # The better half: the others may not see it.
+        # Only the two best neighbours: the others may be occluded.
         score = 0.5 * (first + second)
         index = score.argmax(1)
         row = np.arange(len(index))
@@ -297,7 +291,7 @@ def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32]
 
 
 def _peak(score: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return where the parabola through a score (N, D) around an index (N,) has its top, (N,)."""
+    """Return the peaks (N,) of parabolas through scores (N, D) around indices (N,)."""
     row, inner = np.arange(len(index)), index.clip(1, score.shape[1] - 2)
     before, at, after = (score[row, inner + k] for k in (-1, 0, 1))
     curve = np.minimum(before - 2 * at + after, -1e-6)

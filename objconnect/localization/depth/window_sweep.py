@@ -1,4 +1,4 @@
-"""Correlation of small windows around pixels with what other photographs show along their rays."""
+"""Correlation of windows around pixels with other photographs at depths along their rays."""
 
 from __future__ import annotations
 
@@ -12,36 +12,35 @@ from torch import Tensor
 
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
 
-# Depths among which a window keeps its shape in the other photograph, and moves along a parabola.
+# Number of successive depths for which a window keeps its shape and moves along a parabola.
 _BLOCK: Final = 16
-# Windows of a photograph are looked up at so many pixels at a time: they stay in the cache.
+# Number of pixels whose windows are sampled at a time: they fit into the processor's cache.
 _CHUNK: Final = 64
-# OpenCV looks up no more rows at once.
+# Maximum number of rows of OpenCV's ``remap``.
 _ROWS: Final = 32000
 
 
 class WindowSweep:
-    """Compares windows around pixels of a photograph with another one, at depths along their rays.
+    """Correlates windows around pixels with another photograph, at depths along their rays.
 
-    Windows lie parallel to the picture and are compared by normalised correlation. What moves
-    little between depths is computed once for several of them: the shape of a window in the other
-    photograph, and the way of its middle.
+    Windows are fronto-parallel and are compared by normalised correlation. The shape of a window in
+    the other photograph and the path of its centre are computed once for a block of depths.
 
     Args:
-        photograph: the picture.
+        photograph: the reference photograph.
         xy: (N, 2) its pixels.
-        window: (P, 2) offsets of a window's values from its middle, pixels.
-        border: pixels at the edge of other pictures that are not compared.
+        window: (P, 2) offsets of a window's samples from its centre, pixels.
+        border: pixels at the edge of other photographs that are not used.
 
     Attributes:
-        rays: (N, 3) through the pixels, at a depth of one.
-        usable: (N,) bool, where the lens has such rays.
+        rays: (N, 3) rays of the pixels at a depth of one.
+        usable: (N,) bool, whether the rays are valid.
     """
 
     def __init__(
         self, photograph: GreyPhotograph, xy: Tensor, window: Tensor, border: float
     ) -> None:
-        # Rays through the pixel and one pixel beside and below it: windows move with these.
+        # Rays of the pixel and of those to its right and below, which give the window's shape.
         three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
         rays, usable = photograph.camera.unproject(three.flatten(0, 1))
         self._three = rays.view(*three.shape[:2], 3).float()
@@ -52,7 +51,7 @@ class WindowSweep:
         own = _interpolate(photograph.grey.numpy(), x.numpy(), y.numpy())
         own -= own.mean(-1, keepdims=True)
         length = np.linalg.norm(own, axis=-1, keepdims=True)
-        # Windows that vary by less than a grey level are plain.
+        # Windows whose standard deviation is below one grey level have no texture.
         self._plain = float(len(window)) ** 0.5
         own = np.where(length > self._plain, own / np.maximum(length, 1e-6), 0)
         # One product gives the correlation and the mean.
@@ -84,7 +83,7 @@ class WindowSweep:
         xy = projected.xy.view(*nodes.shape, 2)
         valid = projected.valid.view(nodes.shape).all(1)
         first, at, last, right, below = xy.unbind(1)
-        # The parabola through three places on the way.
+        # The parabola through three points of the path.
         t = torch.linspace(-1, 1, count)[:, None] if count > 1 else torch.zeros(1, 1)
         bend = 0.5 * (first + last) - at
         way = at[:, None] + 0.5 * (last - first)[:, None] * t + bend[:, None] * t * t
@@ -99,12 +98,12 @@ class WindowSweep:
     def _correlate(
         self, way: NDArray[np.float32], offsets: NDArray[np.float32], grey: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return the correlation of windows with middles (N, D, 2), as OpenCV counts pixels, and
-        offsets (N, 2, P)."""
+        """Return the correlation of windows with centres (N, D, 2) in OpenCV's pixels, and offsets
+        (N, 2, P)."""
         found = np.empty(way.shape[:2], np.float32)
         for begin in range(0, len(way), _CHUNK):
             part = slice(begin, begin + _CHUNK)
-            # Pairs of coordinates would take ten times as long to add.
+            # Separate coordinates: adding pairs would take ten times as long.
             x, y = (way[part, :, axis, None] + offsets[part, None, axis] for axis in (0, 1))
             theirs = _interpolate(grey, x, y)
             products, mean = np.moveaxis(theirs @ self._own[part], -1, 0)
@@ -117,7 +116,7 @@ class WindowSweep:
 def _interpolate(
     grey: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Interpolate a picture (H, W) at x and y, (..., P) each, as OpenCV counts pixels."""
+    """Interpolate a picture (H, W) at x and y, (..., P) each, in OpenCV's pixels."""
     columns, rows = (each.reshape(-1, each.shape[-1]) for each in (x, y))
     parts = [
         cv2.remap(grey, columns[some], rows[some], cv2.INTER_LINEAR)

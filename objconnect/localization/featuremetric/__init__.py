@@ -1,1 +1,1 @@
-"""Poses by direct alignment: what any network needs to become a localizer of that kind."""
+"""Localization by direct alignment of the features of any network."""

@@ -1,10 +1,9 @@
-"""The probability that a pose is right.
+"""The probability that a pose is right, which is within 5 m and 10 degrees of the truth.
 
-A pose is right within 5 m and 10 degrees; its covariance says how exact it is. Logistic regression
-gives the odds of an aligned pose from three figures of the query alone (``evidence``), and those of
-a pose by matches from the number of inliers. At most one place of a map is right, so the
-probabilities of poses at several places sum to at most 1. ``python -m experiments.acceptance``
-finds the numbers.
+Logistic regression gives the odds of an aligned pose from three figures of the query alone
+(``evidence``), and those of a pose by matches from the number of inliers. At most one position in a
+map is right, so the probabilities of poses at several positions sum to at most 1.
+``python -m experiments.acceptance`` fits the models.
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from typing import Final
 
 from pydantic import Field
 
-from objconnect.localization.featuremetric.calibration_files import BesideWeights
+from objconnect.localization.featuremetric.calibration_files import CalibrationFile
 from objconnect.localization.featuremetric.evidence import Evidence
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Status
 
 RIGHT_M: Final = 5.0
-"""A pose is right that is wrong by less, metres."""
+"""Largest position error of a right pose, metres."""
 RIGHT_DEG: Final = 10.0
-"""A pose is right that is wrong by less, degrees."""
-# Beyond these odds no calibration has seen a case: they stand for certainty (e**20 to one).
+"""Largest rotation error of a right pose, degrees."""
+# Odds of e**20 to one stand for certainty: no calibration data reach beyond.
 _MOST_LOG_ODDS: Final = 20.0
 
 
 class AlignedModel(Config):
-    """Logistic regression of aligned poses: weights of the fields of ``Evidence.terms``."""
+    """Logistic regression of aligned poses: the weights of ``Evidence.terms``."""
 
     bias: float = Field(description="Log odds where all terms are zero.")
     peak: float = Field(description="Weight of the logarithm of the peak's height.")
@@ -42,14 +41,14 @@ class AlignedModel(Config):
 
 
 class MatchedModel(Config):
-    """Logistic regression of poses by matches."""
+    """Logistic regression of poses by matches, on the number of inliers."""
 
     bias: float = Field(description="Log odds of a pose of one inlier.")
     inliers: float = Field(description="Weight of the logarithm of the number of inliers.")
 
 
-class AcceptanceModel(BesideWeights):
-    """The probability of poses of one network. ``python -m experiments.acceptance`` finds it."""
+class AcceptanceModel(CalibrationFile):
+    """The models of one network. ``python -m experiments.acceptance`` fits them."""
 
     kind = "acceptance"
 
@@ -77,7 +76,7 @@ class AcceptanceModel(BesideWeights):
 
 
 def log_odds_of(probability: float | None) -> float:
-    """Return the log odds of a probability; minus infinity of none, or of 0."""
+    """Return the log odds of a probability; minus infinity for None or 0."""
     if not probability:
         return -math.inf
     return _clip_log_odds(math.log(probability) - math.log1p(-min(probability, 1 - 1e-12)))
@@ -94,14 +93,14 @@ def _clip_log_odds(log_odds: float) -> float:
 def best_probability(
     poses: Sequence[tuple[Pose, float]], rivals: Sequence[tuple[Pose, float]] = ()
 ) -> tuple[int, float]:
-    """Return which of some poses is likeliest, and the probability that it is right.
+    """Return the index of the likeliest pose, and the probability that it is right.
 
-    At most one place is right. So where a second place is as likely, each has a half at most.
-    Poses as near to each other as right poses are to the truth are one place, and count once.
+    At most one position is right, so two equally likely ones have a probability of at most a half
+    each. Poses that are as near to each other as a right pose is to the truth count once.
 
     Args:
-        poses: poses with their log odds; one at least.
-        rivals: further poses with their log odds, which are not chosen from.
+        poses: poses with their log odds; at least one.
+        rivals: further poses with their log odds, which lower the probability but cannot be chosen.
     """
     best = max(range(len(poses)), key=lambda k: poses[k][1])
     pose, own = poses[best]

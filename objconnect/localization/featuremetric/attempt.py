@@ -1,4 +1,4 @@
-"""Poses that the alignment led to from one start each, and the answer that several give."""
+"""The outcome of an alignment from one start, and the estimate that several outcomes give."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment
-from objconnect.localization.align.covariance import Spread, spread
+from objconnect.localization.align.covariance import Spread, measure_spread
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.acceptance import best_probability
 from objconnect.localization.featuremetric.calibration import calibrate_covariance
-from objconnect.localization.featuremetric.evidence import Evidence, evidence
+from objconnect.localization.featuremetric.evidence import Evidence, measure_evidence
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.problem import fit
 from objconnect.scene.geometry.pose import Pose
@@ -23,18 +23,12 @@ from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import By, Estimate, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
-"""Poses with their log odds, which attempts share one probability with."""
+"""Poses from elsewhere with their log odds, which lower the probability of the attempts."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """The pose that one start led to.
-
-    Attributes:
-        view: the warped image.
-        problem: what was aligned last.
-        alignment: of the view.
-    """
+class AlignedView:
+    """A warped image with the alignment of it, and the problem that was solved last."""
 
     view: WarpedImage
     problem: Problem
@@ -46,12 +40,10 @@ class Attempt:
     """The outcome of one start.
 
     Attributes:
-        view: the warped image.
-        alignment: of the view.
-        spread: how far its pose may be off; None where alignment failed.
+        spread: uncalibrated covariance of its pose; None where alignment failed.
         fit: cost as a share of the cost by chance; infinite where alignment failed.
-        evidence: what tells whether the pose is right; None where alignment failed.
-        log_odds: logarithm of the odds that it is; minus infinity where alignment failed.
+        evidence: figures that tell a right pose from a wrong one; None where alignment failed.
+        log_odds: log odds that the pose is right; minus infinity where alignment failed.
     """
 
     view: WarpedImage
@@ -72,43 +64,33 @@ class Attempt:
         return photograph_pose(self.view, self.alignment)
 
 
-def evaluate_alignment(found: Found, options: SearchOptions) -> Attempt:
-    """Measure how far the pose of an alignment may be off, and what tells whether it is right.
-
-    Args:
-        found: what was aligned.
-        options: with the model that gives the odds.
-    """
+def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
+    """Measure the covariance, the fit and the log odds of an aligned pose."""
     assert options.acceptance is not None
-    view, problem, alignment = found.view, found.problem, found.alignment
+    view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
-    around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
-    told = evidence(problem, alignment.pose, float(around.curvature[0]))
-    return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
+    around, share = measure_spread(problem, alignment.pose), fit(problem, alignment.pose)
+    figures = measure_evidence(problem, alignment.pose, float(around.curvature[0]))
+    log_odds = options.acceptance.of_alignment(figures)
+    return Attempt(view, alignment, around, share, figures, log_odds)
 
 
 def best_of(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
-    """Return the likeliest of some attempts, and the probability that it is right."""
+    """Return the likeliest attempt, and the probability that it is right."""
     poses = [(each.pose, each.log_odds) for each in attempts]
     best, probability = best_probability(poses, rivals)
     return attempts[best], probability
 
 
 def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
-    """Return whether the likeliest of some attempts is right with a probability of 1 - risk.
-
-    Args:
-        attempts: what was tried.
-        options: the risk.
-        rivals: poses that were found otherwise.
-    """
+    """Return whether the likeliest attempt is right with a probability of at least 1 - risk."""
     best, probability = best_of(attempts, rivals)
     return not best.has_failed and probability >= 1 - options.risk
 
 
 def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
-    """Return whether the likeliest of some attempts is believed, and exact enough."""
+    """Return whether the likeliest attempt is believed and exact enough for an answer."""
     best, probability = best_of(attempts, rivals)
     return not _why_not(best, probability, len(attempts), options)
 
@@ -121,15 +103,15 @@ def select_estimate(
     clock: Stopwatch,
     rivals: Rivals = (),
 ) -> Estimate:
-    """Return the likeliest of some attempts; where it is not believed, the first start.
+    """Return the likeliest attempt; if it is no answer, the first start as ``FALLBACK``.
 
     Args:
-        attempts: what was tried.
+        attempts: outcomes of all starts.
         begin: starts, ``cam_from_world``.
-        begun: what gave the first of them.
-        options: the risk, and how covariances are calibrated.
-        clock: the time that was taken.
-        rivals: poses that were found otherwise.
+        begun: source of the first start.
+        options: acceptance bounds and the calibration of covariances.
+        clock: time of the query so far.
+        rivals: poses from elsewhere, such as matches.
     """
     best, probability = best_of(attempts, rivals)
     answer = Estimate(
@@ -156,7 +138,7 @@ def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
 
 
 def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
-    """Return why the likeliest of some attempts is no answer; empty where it is one."""
+    """Return why the likeliest attempt is no answer; empty if it is one."""
     if best.has_failed:
         return best.alignment.reason(0)
     which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
@@ -172,12 +154,7 @@ def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptio
 
 
 def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
-    """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
-
-    Args:
-        attempt: with its pose.
-        options: how the covariance is calibrated.
-    """
+    """Return the calibrated covariance (6, 6) of an attempt's pose; None if it is not finite."""
     if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
     assert options.covariance is not None
@@ -186,6 +163,6 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
-    """Return ``cam_from_world`` of the photograph of an aligned view, on the processor."""
+    """Return ``cam_from_world`` of the photograph of an aligned view, on the CPU."""
     pose = alignment.pose.to(device=torch.device("cpu"))
     return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))

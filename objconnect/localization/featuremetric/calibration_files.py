@@ -1,4 +1,4 @@
-"""Numbers that calibrate what a network answers: small YAML files beside its weights."""
+"""Calibration files: small YAML files beside the weights of a network."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from objconnect.scene.config import Config, load_config
 from objconnect.scene.storage.atomic import write_text
 
 
-class BesideWeights(Config):
-    """Numbers of one network: ``own.KIND.yaml`` beside ``own.safetensors``.
+class CalibrationFile(Config):
+    """Calibration numbers of one network: ``own.KIND.yaml`` beside ``own.safetensors``.
 
-    The networks that come with the project share one file, ``KIND.yaml`` beside this module.
+    The shipped networks share one file, ``KIND.yaml`` beside this module.
     """
 
     kind: ClassVar[str]
@@ -27,23 +27,23 @@ class BesideWeights(Config):
 
     @classmethod
     def shipped_path(cls) -> Path:
-        """Return the file of the networks that come with the project."""
+        """Return the file of the shipped networks."""
         return Path(__file__).with_name(f"{cls.kind}.yaml")
 
     @classmethod
     def file(cls, weights: Path) -> Path:
-        """Return the file that stands beside weights."""
+        """Return the path of the file beside weights."""
         return weights.with_suffix(f".{cls.kind}.yaml")
 
     @classmethod
     def beside(cls, weights: Path | None) -> Self:
-        """Read the numbers beside weights; those of the project's networks where there are none.
+        """Read the numbers beside weights, or those of the shipped networks if there are none.
 
         Args:
-            weights: of a user; None for those that come with a method.
+            weights: file of the user's weights; None for the shipped ones.
 
         Raises:
-            InputError: the file holds something else.
+            InputError: the file is damaged or has other fields.
         """
         own = None if weights is None else cls.file(weights)
         return load_config(cls, own if own is not None and own.exists() else cls.shipped_path(), {})
@@ -52,8 +52,8 @@ class BesideWeights(Config):
         """Write the file that ``beside`` reads.
 
         Args:
-            path: of the file.
-            command: by which the numbers were found, for its first line.
+            path: path of the file.
+            command: command that found the numbers, for the first line.
 
         Raises:
             WriteError: the folder cannot be written, or the disk is full.

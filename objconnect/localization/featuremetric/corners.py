@@ -1,4 +1,4 @@
-"""Corners of a map's photographs as additional 3D points, placed by a plane sweep.
+"""Corners of a map's photographs as additional 3D points, triangulated by a plane sweep.
 
 A sparse map has its points where SIFT found texture, in one season: most lie on plain ground, and
 snow hides them. Corners of roofs, roads, walls and crowns remain visible.
@@ -29,17 +29,17 @@ _FORMAT: Final = 5
 
 
 class CornerOptions(SweepOptions):
-    """How many corners of a map's photographs are looked for, and how they are placed."""
+    """Options of corners and of the plane sweep that triangulates them."""
 
-    count: int = Field(2500, ge=1, description="Most corners of a photograph.")
+    count: int = Field(2500, ge=1, description="Maximum number of corners of a photograph.")
 
 
 _CORNERS: Final = CornerOptions()
 # Least distance between corners (px), that of neighbouring cells of the features.
 _APART_PX: Final = 4.0
-# Least strength of a corner, as a share of the strongest: their number decides, not this.
+# Least strength of a corner, as a share of the strongest; it is so low that ``count`` decides.
 _QUALITY: Final = 1e-3
-# Sigma of the blur before corners are found, which takes the noise of the sensor.
+# Sigma of the blur that removes sensor noise before detection.
 _BLUR_PX: Final = 1.0
 
 
@@ -57,13 +57,13 @@ class Corners:
 
 
 class CornerFinder:
-    """Finds the corners of a map's photographs, one photograph after the other.
+    """Finds and triangulates the corners of a map's photographs.
 
     Args:
-        sparse_map: the map; its points tell which photographs see the same.
+        sparse_map: the map; its points tell which photographs overlap.
         images: folder of the photographs.
-        longest: photographs with a longer side (px) are made smaller.
-        options: how many there are, and how they are placed.
+        longest: larger photographs are resized to this longer side (px).
+        options: options of corners and plane sweep.
     """
 
     def __init__(
@@ -88,22 +88,17 @@ class CornerFinder:
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
     def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
-        """Return all that decides the corners of a photograph but the options, as a digest.
-
-        Args:
-            name: of the photograph.
-            digests: of the bytes of the map's photographs, by name.
-        """
+        """Return a digest of all inputs of a photograph's corners except the options."""
         return self._sweep.digest_inputs(name, digests)
 
 
 def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
-    """Return the places (N, 3) of the corners of photographs, kept in a file for all methods.
+    """Return the corners (N, 3) of each photograph, from a cache file that all methods share.
 
     Args:
         find: finds the corners of one photograph.
         kept: the cache, which names the photographs and their digests.
-        parts: all that decides how corners are found.
+        parts: options that affect the corners, for the key of the cache.
 
     Raises:
         InputError: a photograph is missing, damaged or changed meanwhile, or the file is damaged.
@@ -125,7 +120,7 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
 
 
 def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:
-    """Find Shi and Tomasi's corners, (N, 2) pixels, the strongest first."""
+    """Return Shi-Tomasi corners (N, 2), pixels, the strongest first."""
     smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), _BLUR_PX)
     corners = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _APART_PX)
     if corners is None:

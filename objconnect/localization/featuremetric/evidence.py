@@ -1,9 +1,9 @@
-"""What tells a right pose from a wrong one: three figures that compare a query with itself.
+"""Three figures of a query that tell a right pose from a wrong one.
 
-A cost says how alike a query and a map are, which light, season and renderer decide. These figures
-depend little on them: how far the gain at a pose stands out from that of the same picture shifted
-aside (the ratio of peak and sidelobes, Bolme et al., CVPR 2010), how far apart the poses are that
-two halves of the picture lead to, and how steeply the cost rises around the pose.
+The cost of a pose depends on light, season and renderer. These figures depend little on them: the
+peak-to-sidelobe ratio of the gain at the pose against that of the shifted picture (Bolme et al.,
+CVPR 2010), the distance between the poses of two halves of the picture, and the curvature of the
+cost around the pose.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from objconnect.localization.align.residuals import Level
 from objconnect.localization.align.sampling import per_axis
 from objconnect.scene.geometry.pose import Pose
 
-# Bounds of the terms: beyond them a pose is no surer, and no worse.
+# Bounds of the figures, beyond which the odds do not change.
 _LEAST_HEIGHT: Final = 0.1
 _LEAST_CURVATURE: Final = 0.03
 _LEAST_CELLS: Final = 0.02
 _MOST_CELLS: Final = 20.0
-# Fewer points, or fewer shifts to compare with, tell nothing.
+# Least number of points, and of shifts, for a peak-to-sidelobe ratio.
 _FEWEST: Final = 10
 # Points that are compared, spread over the image, which bounds time.
 _POINTS: Final = 256
@@ -37,22 +37,22 @@ _STEP_CELLS: Final = 3.0
 _SHIFTS: Final = 8
 # Shifts shorter than this (cells) belong to the peak of the pose itself.
 _CORE_CELLS: Final = 4.0
-# Share of the points that a shift must leave in the picture.
+# Least share of the points that a shift leaves in the picture.
 _LEAST_SHARE: Final = 0.3
-# Fields along either axis of the chessboard that halves the picture.
+# Fields along either axis of the checkerboard that halves the picture.
 _FIELDS: Final = 6
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a query says of an aligned pose.
+    """Figures of an aligned pose.
 
     Attributes:
-        height: gain over chance at the pose less the mean of shifted pictures, in their standard
-            deviations.
-        halves: median distance between where the poses of two halves of the picture project the
-            points, cells of the finest level; infinite where a half does not give one.
-        curvature: of the cost around the pose, as a share of Gauss and Newton's (``Spread``).
+        height: peak-to-sidelobe ratio: gain over chance at the pose less the mean of shifted
+            pictures, in their standard deviations.
+        halves: median distance between the points projected by the poses of two halves of the
+            picture, cells of the finest level; infinite if a half has no pose.
+        curvature: curvature of the cost around the pose, as a share of Gauss-Newton's (``Spread``).
     """
 
     height: float
@@ -62,10 +62,10 @@ class Evidence:
     def terms(self) -> tuple[float, float, float]:
         """Return the terms of the logistic regression: logarithms of the fields within bounds.
 
-        A field that is no number is as bad as it can be.
+        NaN counts as the worst value.
         """
         halves = _MOST_CELLS if math.isnan(self.halves) else self.halves
-        # In this order, ``max`` leaves out what is no number.
+        # In this order, ``max`` drops NaN.
         return (
             math.log(max(_LEAST_HEIGHT, self.height)),
             math.log(min(max(halves, _LEAST_CELLS), _MOST_CELLS)),
@@ -73,13 +73,13 @@ class Evidence:
         )
 
 
-def evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
-    """Measure what a query says of an aligned pose.
+def measure_evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
+    """Measure the figures of an aligned pose.
 
     Args:
-        problem: what was aligned, of one image.
+        problem: the alignment problem of one image.
         pose: ``cam_from_world``, batched (1).
-        curvature: of the cost around it.
+        curvature: curvature of the cost around the pose.
     """
     return Evidence(_height(problem, pose), _between_halves(problem, pose), curvature)
 
@@ -105,21 +105,20 @@ def _height(problem: Problem, pose: Pose) -> float:
 def _gains_at_shifts(
     level: Level, cells: Tensor, valid: Tensor, shifts: Tensor, problem: Problem
 ) -> tuple[Tensor, Tensor]:
-    """Return mean gains over chance (K,) of points that are all shifted, and how many are in view.
+    """Return mean gains over chance (K,) of all points under shifts, and how many are in view.
 
-    A point's mean cost over all cells is what it costs by chance, as in
-    ``hypotheses.gain_over_chance``.
+    A point's cost by chance is its mean cost over all cells, as in ``hypotheses.gain_over_chance``.
 
     Args:
         level: features of the image and of N points.
-        cells: (N, 2) where the points lie, the corner of the first cell being zero.
-        valid: (N,) points in front of the camera.
+        cells: (N, 2) projections of the points in cells; the corner of the first cell is zero.
+        valid: (N,) whether a point is in front of the camera.
         shifts: (K, 2) cells.
-        problem: gives the scale of the robust cost.
+        problem: has the scale of the robust cost.
     """
     height, width = level.features.shape[-2:]
     image, points = level.features[0].flatten(1).float(), level.reference[0].float()
-    # In place, as the costs of all points at all cells do not fit into the processor's cache.
+    # In place, because the costs of all points at all cells exceed the processor's cache.
     cost = torch.addmm((image**2).sum(0), points, image, alpha=-2)
     cost = cost.add_((points**2).sum(-1)[:, None]).clamp_min_(0)
     scale = 2 * problem.options.robust_scale**2
@@ -146,8 +145,8 @@ def _gains_at_shifts(
 def _between_halves(problem: Problem, pose: Pose) -> float:
     """Return the distance between the halves' poses, as in ``Evidence``.
 
-    The halves are the black and the white fields of a chessboard: both see all of the picture, and
-    no patch of it is in both.
+    The halves are the black and the white fields of a checkerboard: both cover the whole picture,
+    and no patch of it is in both.
     """
     finest = problem.levels[-1]
     stride = per_axis(finest.stride, problem.points)

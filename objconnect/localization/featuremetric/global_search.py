@@ -1,6 +1,7 @@
-"""Localization of an image of which no prior says all: by matches, by objects, by its place.
+"""Localization of an image with an incomplete or missing prior.
 
-Each way gives starts that are refined. The first pose that is believed ends the search.
+Matches, objects and the coarse search give starts that are refined. The first pose that is believed
+ends the search.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from objconnect.localization.align.options import SearchRadius
-from objconnect.localization.coarse.finder import PlaceFinder
+from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.acceptance import best_probability, is_same, log_odds_of
 from objconnect.localization.featuremetric.attempt import (
@@ -22,39 +23,39 @@ from objconnect.localization.featuremetric.attempt import (
     select_estimate,
 )
 from objconnect.localization.featuremetric.options import SearchOptions
-from objconnect.localization.featuremetric.priors import may_be_at, says_where
-from objconnect.localization.featuremetric.references import ReferenceSource, Watch
+from objconnect.localization.featuremetric.priors import has_position, is_near_prior
+from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.starts import start_of, starts
 from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
-# Places of objects, and of the place search, that are tried before further places of either.
-_FIRST_PLACES: Final = 4
-# How far to look around a pose from matches.
+# Candidates of each finder that are tried before the remaining ones of all finders.
+_FIRST_CANDIDATES: Final = 4
+# Search radius around a pose from matches.
 _NEAR_MATCHES: Final = SearchRadius(1.0, 1.0)
 _Find = Callable[[Query, Stopwatch], list[Candidate]]
 
 
 def is_answer(matched: Estimate, options: SearchOptions) -> bool:
-    """Return whether the pose of matches is the answer, without an alignment."""
+    """Return whether the pose by matches is the answer without an alignment."""
     enough = matched.inliers >= options.matched_answer_inliers
     return enough and (matched.probability or 0.0) >= 1 - options.risk
 
 
-class OtherFinder(Protocol):
-    """Finds places of a map where a query may be, in another way than the place search.
+class CandidateFinder(Protocol):
+    """Finds candidates of a query in a map in addition to the coarse search.
 
     Attributes:
-        is_first: once prepared, whether it is asked before the search, or where that fails.
+        is_first: once prepared, whether it comes before the coarse search or after it.
     """
 
     is_first: bool
 
-    def watcher(self, source: ReferenceSource) -> Watch | None:
-        """Return what is to see the photographs of a map, or of a part of it, before ``prepare``;
-        None where nothing."""
+    def observer(self, source: ReferenceSource) -> FeatureObserver | None:
+        """Return an observer of the feature maps of a map's photographs, or of a part of them,
+        while these are computed; None if none is needed."""
         ...
 
     def prepare(self, source: ReferenceSource) -> None:
@@ -62,7 +63,7 @@ class OtherFinder(Protocol):
         ...
 
     def find(self, query: Query) -> list[Candidate]:
-        """Return places, best first."""
+        """Return candidates, best first."""
         ...
 
 
@@ -71,23 +72,21 @@ class GlobalSearch:
     """Searches a map for the pose of an image.
 
     Attributes:
-        refine: refines starts.
-        sparse_map: the map.
-        places: the place search; None for photographs that look alike instead.
-        other: finds places too, before the place search or after it.
+        coarse: the coarse search; None uses the most similar photographs instead.
+        other: a further finder of candidates; None for none.
     """
 
     refine: Refiner
     sparse_map: SparseMap
-    places: PlaceFinder | None
-    other: OtherFinder | None
+    coarse: CoarseSearch | None
+    other: CandidateFinder | None
 
     def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
-        """Return the best pose that was found; None where nothing says where to look.
+        """Return the best estimate; None if there is no candidate, or no coarse search.
 
         Args:
             query: the image.
-            matched: what matches say of it, which is no ``is_answer``; None without matches.
+            matched: estimate by matches for which ``is_answer`` is false; None without matches.
             clock: takes the time.
         """
         attempts: list[Attempt] = []
@@ -99,32 +98,32 @@ class GlobalSearch:
                 return answer
         options = self.refine.config.search
         begin: list[Candidate] = []
-        for some in self._places(query, clock):
-            with progress_within("places aligned", len(some)) as advance:
-                for done, place in enumerate(some, 1):
-                    attempts.append(self.refine.near(query, place.pose, clock))
-                    begin.append(place)
+        for candidates in self._candidates(query, clock):
+            with progress_within("candidates aligned", len(candidates)) as advance:
+                for done, candidate in enumerate(candidates, 1):
+                    attempts.append(self.refine.near(query, candidate.pose, clock))
+                    begin.append(candidate)
                     if is_believed(attempts, options, rivals):
-                        # Seen from there, the image is turned and scaled better.
+                        # Warped from the new pose, the image is rotated and scaled better.
                         best, _ = best_of(attempts)
                         attempts.append(self.refine.near(query, best.pose, clock))
-                        return self._best(attempts, place, clock, rivals)
+                        return self._best(attempts, candidate, clock, rivals)
                     advance(done)
-        if self.places is None or not begin:
+        if self.coarse is None or not begin:
             return None
         return self._best(attempts, begin[0], clock, rivals)
 
-    def _places(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
-        """Yield places where the query may be: the best ones of each finder before all others."""
+    def _candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+        """Yield the best candidates of each finder, then all others."""
         further: list[Candidate] = []
-        for find in self._finders(query):
-            places = find(query, clock)
-            yield places[:_FIRST_PLACES]
-            further += places[_FIRST_PLACES:]
+        for find in self._finders():
+            candidates = find(query, clock)
+            yield candidates[:_FIRST_CANDIDATES]
+            further += candidates[_FIRST_CANDIDATES:]
         yield further
 
-    def _finders(self, query: Query) -> Sequence[_Find]:
-        """Return what finds places, the one that is asked first in front."""
+    def _finders(self) -> Sequence[_Find]:
+        """Return the finders of candidates in the order in which they are used."""
         if self.other is None:
             return [self._find_candidates]
         finders = [self._of_other, self._find_candidates]
@@ -139,16 +138,13 @@ class GlobalSearch:
     def _near_matches(
         self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
-        """Refine the pose of matches: return the answer if one is believed, and what was tried.
+        """Refine the pose by matches.
 
-        At one place the aligned pose is the more exact one, and is answered if it is believed by
-        itself. Of two places the likelier one is answered, if at all.
+        If both poses agree, the aligned one is more exact and is the answer if it is believed. If
+        they differ, the likelier one is the answer if it is believed.
 
-        Args:
-            query: the image.
-            matched: what matches say of it.
-            rivals: the pose of that alone.
-            clock: takes the time.
+        Returns:
+            The answer, or None with the attempt.
         """
         options = self.refine.config.search
         start, _ = rivals[0]
@@ -162,21 +158,21 @@ class GlobalSearch:
         return replace(matched, seconds=clock.seconds, probability=probability), []
 
     def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the places of the other finder that the prior allows."""
+        """Return the candidates of the other finder that the prior allows."""
         assert self.other is not None
         with clock.stage("objects"):
-            places = self.other.find(query)
-        return [place for place in places if may_be_at(query.prior, place.pose)]
+            candidates = self.other.find(query)
+        return [each for each in candidates if is_near_prior(query.prior, each.pose)]
 
     def _find_candidates(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the starts of the place search, or of the photographs that look most like it."""
-        if self.places is None:
+        """Return the candidates of the coarse search, else the poses of similar photographs."""
+        if self.coarse is None:
             return []
         config = self.refine.config
         with clock.stage("place"):
-            places = self.places.find(query)
-        if places or says_where(query.prior):
-            return places
+            candidates = self.coarse.find(query)
+        if candidates or has_position(query.prior):
+            return candidates
         with clock.stage("retrieval"):
             chosen = self.refine.photographs(query)
             begin = starts(query.prior, self.sparse_map, chosen, config.same_place_m)

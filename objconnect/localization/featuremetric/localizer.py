@@ -1,9 +1,9 @@
-"""Localization by alignment: where the image looks like the map's points do in near photographs.
+"""Localization by featuremetric alignment, after PixLoc (Sarlin et al., CVPR 2021).
 
-One pipeline for every network with features at several strides; a method is a network and a
-configuration. After PixLoc (Sarlin et al., CVPR 2021). Differently from their code, features of the
-photographs are kept from ``prepare`` on, photographs are seen north up and at one resolution,
-steps that make the cost larger are not taken, and the pose has a covariance.
+It is one pipeline for every network with features at several strides; a method is a network and a
+configuration. Unlike in the authors' code, features of the map's photographs are computed once in
+``prepare``, photographs are warped north up and to one resolution, steps that raise the cost are
+rejected, and the pose has a covariance.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from torch import nn
 from objconnect.learning.quantization import require_quantizable
 from objconnect.localization.align.options import Options
 from objconnect.localization.cache.map_cache import MapCache, open_cache
-from objconnect.localization.coarse.finder import PlaceFinder
+from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
@@ -32,15 +32,23 @@ from objconnect.localization.featuremetric.attempt import (
     is_believed,
     select_estimate,
 )
-from objconnect.localization.featuremetric.global_search import GlobalSearch, OtherFinder, is_answer
+from objconnect.localization.featuremetric.global_search import (
+    CandidateFinder,
+    GlobalSearch,
+    is_answer,
+)
 from objconnect.localization.featuremetric.maps import MapExtractor, Network
-from objconnect.localization.featuremetric.matcher import create_matcher, matcher
+from objconnect.localization.featuremetric.matcher import create_matcher, prepare_matcher
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
-from objconnect.localization.featuremetric.prepared import Preparation, Prepared
-from objconnect.localization.featuremetric.priors import says_all, says_where, search_radius
+from objconnect.localization.featuremetric.prepared import MapState, Preparation
+from objconnect.localization.featuremetric.priors import has_pose, has_position, search_radius
 from objconnect.localization.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from objconnect.localization.featuremetric.quantized import quantize_extractor
-from objconnect.localization.featuremetric.references import ReferenceSource, references, write_part
+from objconnect.localization.featuremetric.references import (
+    ReferenceSource,
+    load_references,
+    write_part,
+)
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.tracking import Tracking
 from objconnect.localization.matching.retrieval import OnDemand, References
@@ -53,10 +61,10 @@ from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.runtime.tuning import return_freed_above, spare_collector, trim_heap
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
-# Steps per level that are tried: of queries that end well, nearly all take fewer.
+# Maximum number of steps per level; nearly all successful queries take fewer.
 _SOLVER: Final = Options(iterations=100)
-# A query that begins with so much more memory (MB) than the map took gives back what the queries
-# before it freed; a pass that takes it again is a tenth slower.
+# Trim the heap before a query if resident memory exceeds that of the prepared map by so much (MB).
+# Trimming makes the next pass of the network a tenth slower.
 _RETURN_FREED_MB: Final = 290
 
 
@@ -64,14 +72,14 @@ class FeaturemetricLocalizer:
     """Localizes images by alignment. Implements ``objconnect.scene.localizer.Localizer``.
 
     Args:
-        name: of the method.
+        name: name of the method.
         network: the trained network.
         weights_sha256: digest of its weights.
         config: options of the method.
-        other: finds places too, before the search or after it.
+        other: a finder of candidates beside the coarse search; None for none.
 
     Raises:
-        InputError: the network is to be quantized, and cannot be here; or a file of numbers beside
+        InputError: this processor cannot run the network quantized, or a calibration file beside
             the weights is damaged.
     """
 
@@ -81,7 +89,7 @@ class FeaturemetricLocalizer:
         network: Network,
         weights_sha256: str,
         config: FeaturemetricConfig,
-        other: OtherFinder | None = None,
+        other: CandidateFinder | None = None,
     ) -> None:
         if config.quantized:
             assert isinstance(network, nn.Module)
@@ -103,14 +111,14 @@ class FeaturemetricLocalizer:
             self._preparation()
 
     @property
-    def map_state(self) -> Prepared:
-        """Return what alignment needs of the map, which is made now where it was left."""
+    def map_state(self) -> MapState:
+        """Return the parts of the map that alignment needs; prepare them if that was deferred."""
         return self._preparation()
 
     def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
-        """Prepare matches, and leave alignment; see ``objconnect.scene.localizer.PreparesLater``.
+        """Prepare matches and defer alignment; see ``objconnect.scene.localizer.PreparesLater``.
 
-        Without matches nothing is left: then every query is aligned.
+        Without matches nothing is deferred, because every query needs the alignment.
         """
         self._prepare_matches(MapCache.of(sparse_map, images, cache))
 
@@ -121,20 +129,20 @@ class FeaturemetricLocalizer:
         if config.multistart and config.matches is not None:
             least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            self._matches = matcher(of_matches, kept)
+            self._matches = prepare_matcher(of_matches, kept)
         self._preparation = Preparation(partial(self._prepare_rest, kept, kept_mb))
         if self._matches is None:
             self._preparation()
             return
         self._settle()
 
-    def _prepare_rest(self, kept: MapCache, kept_mb: int) -> Prepared:
-        """Prepare what alignment needs; ``kept_mb`` is the memory beside a pass of the network."""
+    def _prepare_rest(self, kept: MapCache, kept_mb: int) -> MapState:
+        """Prepare alignment; ``kept_mb`` is the memory left beside a pass of the network."""
         config, sparse_map = self.config, kept.sparse_map
         source = self._source(kept)
         other = self._other if config.multistart else None
-        watch = None if other is None else other.watcher(source)
-        observations = references(source, kept_mb, watch)
+        watch = None if other is None else other.observer(source)
+        observations = load_references(source, kept_mb, watch)
         extract = self._extract
         if config.quantized:
             extract = quantize_extractor(source)
@@ -148,8 +156,7 @@ class FeaturemetricLocalizer:
         )
         options = config.tracking
         tracking = None if options is None else Tracking(problems, config.search, options)
-        # The coarsest features tell places apart: nothing else need be extracted to find similar
-        # photographs.
+        # The coarsest features serve for retrieval, too: no other network runs.
         described = OnDemand(observations.coarse, len(observations))
         retrieval = References.build(sparse_map, described)
         refine = Refiner(
@@ -161,32 +168,32 @@ class FeaturemetricLocalizer:
             self._memory_left_mb(1.0) * MEGABYTE,
             kept_mb * MEGABYTE,
         )
-        places = None
+        coarse = None
         if config.multistart and config.place.candidates:
-            places = PlaceFinder(self._extract, config.place)
-            places.prepare(kept, source.extractor_key)
+            coarse = CoarseSearch(self._extract, config.place)
+            coarse.prepare(kept, source.extractor_key)
         if other is not None:
             other.prepare(source)
         self._settle()
-        return Prepared(refine, GlobalSearch(refine, sparse_map, places, other), tracking)
+        return MapState(refine, GlobalSearch(refine, sparse_map, coarse, other), tracking)
 
     def _settle(self) -> None:
-        """Give back what preparing took, and note what memory queries begin with."""
+        """Release memory that preparing freed, and record the memory that queries start with."""
         spare_collector()
         trim_heap()
         self._most_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
-        """Compute what the cache is to hold of a part; see ``PreparesParts``."""
+        """Fill the cache for a part of the photographs; see ``PreparesParts``."""
         config = self.config
         if config.multistart and config.matches is not None:
             create_matcher(config.matches).prepare_part(sparse_map, images, cache, part)
         source = self._source(MapCache.of(sparse_map, images, cache, part))
         other = self._other if config.multistart else None
-        write_part(source, None if other is None else other.watcher(source))
+        write_part(source, None if other is None else other.observer(source))
 
     def _source(self, kept: MapCache) -> ReferenceSource:
-        """Return what references of a map are computed from."""
+        """Return the inputs of the reference features of a map."""
         config = self.config
         return ReferenceSource(
             kept,
@@ -198,11 +205,11 @@ class FeaturemetricLocalizer:
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
-        """Choose references and starts, align the image from each, and return the best pose."""
+        """Choose reference images and starts, align the image from each, and return the best."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if (side := self._least_side(query)) < LEAST_SIDE:
-            reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
+            reason = f"the image has a side of {side} pixels; at least {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         if (followed := self._follow(query, clock)) is not None:
@@ -220,12 +227,12 @@ class FeaturemetricLocalizer:
         return select_estimate(attempts, begin, start_of(query.prior), self.config.search, clock)
 
     def _is_searched(self, query: Query) -> bool:
-        """Return whether the pose of an image is searched for, of which no prior says all."""
-        return self.config.multistart and query.references is None and not says_all(query.prior)
+        """Return whether the prior is incomplete, so that the map is searched."""
+        return self.config.multistart and query.references is None and not has_pose(query.prior)
 
     def _search(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose by matches where they are sure, else by a search; None where nothing says
-        where to look."""
+        """Return the pose by matches if they are sure, else by a global search; None without a
+        candidate."""
         matched = None
         if self._matches is not None:
             with clock.stage("matches"):
@@ -235,8 +242,8 @@ class FeaturemetricLocalizer:
         return self._preparation.in_query(clock).search(query, matched, clock)
 
     def _follow(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose near the one that the images before predict; None if unconfirmed."""
-        if self.config.tracking is None or not query.tracked or not says_all(query.prior):
+        """Return the pose near the predicted one of a sequence; None if it is not believed."""
+        if self.config.tracking is None or not query.tracked or not has_pose(query.prior):
             return None
         prepared = self._preparation.in_query(clock)
         assert prepared.tracking is not None
@@ -247,7 +254,7 @@ class FeaturemetricLocalizer:
         found = select_estimate([attempt], begin, By.TRACKING, options, clock)
         return replace(found, by=By.TRACKING)
 
-    # More than six parameters: they are what every way to refine a start takes.
+    # More than six parameters: every refinement of a start needs them.
     def _attempts(
         self,
         refine: Refiner,
@@ -256,10 +263,10 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts; where no answer is believed, search once more and thoroughly.
+        """Try starts; if none gives an answer, try once more with more starts and points.
 
-        Around a known pose, that search begins at the same starts; else at the likeliest pose, if
-        its probability is above the risk.
+        With a complete prior, the second search begins at the same starts; else at the likeliest
+        pose, if its probability exceeds the risk.
         """
         options = self.config.search
         attempts = self._try_starts(refine, query, chosen, begin, clock)
@@ -267,7 +274,7 @@ class FeaturemetricLocalizer:
         if enough or is_answered(attempts, options):
             return attempts
         thorough = refine.wider(options.again)
-        if says_all(query.prior):
+        if has_pose(query.prior):
             return attempts + self._try_starts(thorough, query, chosen, begin, clock)
         best, probability = best_of(attempts)
         if probability > options.risk:
@@ -275,11 +282,11 @@ class FeaturemetricLocalizer:
         return attempts
 
     def _has_no_position(self, query: Query) -> bool:
-        """Return whether a pose is searched for of which no position is known."""
-        return self.config.multistart and not says_where(query.prior)
+        """Return whether the method searches for a query without a position."""
+        return self.config.multistart and not has_position(query.prior)
 
     def _near_query(self, query: Query) -> Query:
-        """Return a query near a pose that was found: photographs it names gave but the start."""
+        """Return the query without the reference images it names if these only gave the start."""
         return replace(query, references=None) if self._has_no_position(query) else query
 
     def _try_starts(
@@ -290,17 +297,17 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts place by place, until one is believed.
+        """Try starts position by position, until one is believed.
 
-        Where there were several starts, or no position is known, the image is then aligned once
-        more from the best pose: seen from there it is turned and scaled better.
+        If there were several starts or no known position, the image is aligned once more from the
+        best pose: warped from there, it is rotated and scaled better.
         """
         options, radius = self.config.search, search_radius(query.prior)
         attempts: list[Attempt] = []
-        by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
+        by_position = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         with progress_within("starts aligned", len(begin)) as advance:
-            for _, at_place in by_place:
-                for start in at_place:
+            for _, at_position in by_position:
+                for start in at_position:
                     attempts.append(refine(query, chosen, start, clock, radius))
                     advance(len(attempts))
                 if is_believed(attempts, options):
@@ -311,11 +318,11 @@ class FeaturemetricLocalizer:
         return attempts
 
     def _memory_left_mb(self, magnification: float) -> int:
-        """Return what is left of ``memory_mb`` beside a pass of images magnified so much."""
+        """Return the rest of ``memory_mb`` beside a pass of the network with a magnification."""
         cameras = (image.camera for image in self._map.images.values())
         return max(1, self.config.memory_mb - self._extract.pass_megabytes(cameras, magnification))
 
     def _least_side(self, query: Query) -> int:
-        """Return the shorter side (px) of the image at the largest scale the network sees."""
+        """Return the shorter side (px) of the image at the largest scale the network uses."""
         camera = query.camera
         return round(min(camera.width, camera.height) * self._extract.largest_scale(camera))

@@ -1,4 +1,4 @@
-"""Feature maps of an image: turned north up, resized, through the network, level by level."""
+"""Feature maps of a photograph that is rotated, resized and passed through a network."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from objconnect.scene.geometry.views import WarpedImage, level_image, warp_image
 from objconnect.scene.runtime.tuning import retain_heap
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
-# Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
+# Peak memory of a pass of the networks, bytes per pixel, beside the output.
 _PASS_BYTES: Final = 320
-# The networks cut off what is left of an image beyond a multiple of this many pixels.
+# The networks crop an image to a multiple of this many pixels.
 _COARSEST: Final = 16
 
 
 class Levels(Protocol):
-    """The levels of a network, coarse to fine, which are known before it sees a picture."""
+    """The levels of a network, coarse to fine."""
 
     @property
     def strides(self) -> tuple[int, ...]:
@@ -40,7 +40,7 @@ class Levels(Protocol):
 
 
 class Network(Protocol):
-    """A network whose features are aligned."""
+    """A network with features for alignment."""
 
     @property
     def config(self) -> Levels:
@@ -55,10 +55,12 @@ class Network(Protocol):
     def __call__(
         self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
     ) -> Iterable[tuple[Tensor, Tensor]]:
-        """Images (B, 3, H, W) of RGB bytes -> features (B, C, h, w), not normalised, and
-        confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all.
+        """Return features (B, C, h, w), not normalised, and confidences (B, 1, h, w) in 0..1.
 
-        Of the finest level only the cells ``shown`` (h, w) are wanted; None stands for all.
+        Args:
+            image: (B, 3, H, W) RGB bytes.
+            levels: number of levels from the coarsest; None for all.
+            shown: (h, w) cells of the finest level that are needed; None for all.
         """
         ...
 
@@ -80,8 +82,7 @@ class FeatureMap:
     def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
 
-        They are on the device of the map. Pixels less than half a cell from its edge take the value
-        there.
+        The result is on the device of the map. Pixels are clamped to half a cell from the edge.
         """
         height, width = self.features.shape[-2:]
         half, xy = self.stride / 2, xy.to(self.features.device)
@@ -93,12 +94,12 @@ class FeatureMap:
 
 
 class MapExtractor:
-    """Runs a network on photographs of any size, on the device where the network is.
+    """Runs a network on photographs of any size, on the device of the network.
 
     Args:
-        network: trained, ready for use.
-        longest: photographs with a longer side (px) are made smaller.
-        precision: of the convolutions, as in ``objconnect.learning.inference.Precision``.
+        network: trained network in evaluation mode.
+        longest: larger photographs are resized to this longer side (px).
+        precision: precision of the convolutions, ``objconnect.learning.inference.Precision``.
     """
 
     def __init__(self, network: Network, longest: int, precision: str) -> None:
@@ -110,11 +111,11 @@ class MapExtractor:
 
     @property
     def device(self) -> torch.device:
-        """Return where the network is, and so all maps that it makes."""
+        """Return the device of the network and of its maps."""
         return next(self.network.damping.parameters()).device
 
     def of(self, network: Network) -> MapExtractor:
-        """Return an extractor that runs another network in the same way."""
+        """Return an extractor with the same options for another network."""
         return MapExtractor(network, self.longest, self._precision)
 
     def __call__(
@@ -130,11 +131,11 @@ class MapExtractor:
 
         Args:
             rgb: (H, W, 3), resized to a shorter side of 16 pixels at least.
-            camera: of the photograph.
-            angle: radians to turn it by, counter-clockwise.
-            scale: to resize it by.
-            levels: how many levels to compute, from the coarsest; None for all.
-            view_from_camera: (3, 3) how to turn the camera at its place; None turns by ``angle``.
+            camera: camera of the photograph.
+            angle: rotation in the image plane, radians counter-clockwise.
+            scale: scale factor.
+            levels: number of levels to compute, from the coarsest; None for all.
+            view_from_camera: (3, 3) rotation of the camera; None rotates by ``angle``.
 
         Returns:
             The warped photograph and its levels, coarse to fine.
@@ -162,7 +163,7 @@ class MapExtractor:
 
         Args:
             seen: the warped photograph.
-            levels: how many levels to compute, from the coarsest; None for all.
+            levels: number of levels to compute, from the coarsest; None for all.
         """
         strides = self.network.config.strides
         sides = seen.picture.shape[:2]
@@ -170,7 +171,7 @@ class MapExtractor:
         finest = None if seen.is_filled else _covered_cells(seen, size, strides[-1])
         made, maps = self._pass(seen, levels, finest), []
         for stride in strides[:levels]:
-            features, confidence = made.pop(0)  # what the network made can go once it is converted
+            features, confidence = made.pop(0)  # frees the network's output once it is converted
             confidence = confidence.float()
             if finest is not None:
                 last = stride == strides[-1]
@@ -183,21 +184,19 @@ class MapExtractor:
         self, seen: WarpedImage, levels: int | None, shown: NDArray[np.bool_] | None
     ) -> list[tuple[Tensor, Tensor]]:
         """Run the network; see ``Network.__call__``."""
-        # Rows of pixels of RGB are channels-last as they are.
+        # Pixels of RGB are channels-last already.
         picture = np.require(seen.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
         image = torch.from_numpy(picture).to(self.device).permute(2, 0, 1)[None]
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self._bfloat16):
             return list(self.network(image, levels=levels, shown=shown))
 
     def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
-        """Return the largest scale at which photographs of a camera are seen.
-
-        It is at most ``magnification``, and less where the photograph would become too large.
-        """
+        """Return the largest scale of photographs of a camera: ``magnification``, or less if
+        ``longest`` requires it."""
         return min(magnification, self.longest / max(camera.width, camera.height))
 
     def pass_megabytes(self, cameras: Iterable[Camera], magnification: float) -> int:
-        """Return about what a pass takes for photographs of these cameras, turned and magnified."""
+        """Return the approximate memory (MB) of a pass for rotated photographs of any camera."""
         sides = (
             self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
             for camera in cameras

@@ -1,4 +1,4 @@
-"""Poses from matches of SIFT features, as starts of the alignment."""
+"""Localization by SIFT matches, which gives starts of the alignment."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ log = logging.getLogger(__name__)
 
 
 def create_matcher(config: StructureConfig) -> StructureLocalizer:
-    """Return the localizer by matches of SIFT features, not yet prepared."""
+    """Return the localizer by SIFT matches, not yet prepared."""
     return StructureLocalizer(config, Sift(config.max_features), interpolate=False)
 
 
-def matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
-    """Return the localizer by matches; None for a map that was not built from its features.
+def prepare_matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
+    """Return the prepared localizer by SIFT matches; None if the map was not built from SIFT.
 
     Raises:
         InputError: a photograph is missing, damaged or changed meanwhile.

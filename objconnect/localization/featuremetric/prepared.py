@@ -1,4 +1,4 @@
-"""What alignment needs of a map, which may be made when the first query asks for it."""
+"""The prepared parts of a map for alignment, which may be deferred to the first query."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from objconnect.scene.localizer import Stopwatch
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """What alignment needs of a map.
+class MapState:
+    """The parts of a localizer that are prepared for a map.
 
     Attributes:
-        refine: refines starts.
-        search: looks for the pose of an image of which no prior says all.
-        tracking: follows images of a sequence; None where none is followed.
+        search: localizes images with an incomplete prior.
+        tracking: aligns images of a sequence from their predicted pose; None if switched off.
     """
 
     refine: Refiner
@@ -31,32 +30,28 @@ class Prepared:
 
 
 class Preparation:
-    """Prepares a map for alignment, once. Threads may share it.
+    """Prepares a map for alignment, once. Threads may share it."""
 
-    Args:
-        prepare: does it.
-    """
-
-    def __init__(self, prepare: Callable[[], Prepared]) -> None:
+    def __init__(self, prepare: Callable[[], MapState]) -> None:
         self._prepare = prepare
-        self._done: Prepared | None = None
+        self._done: MapState | None = None
         self._lock = Lock()
 
-    def __call__(self) -> Prepared:
-        """Return what is prepared, as the thread that is first finds it."""
+    def __call__(self) -> MapState:
+        """Return the prepared map; the first call prepares it."""
         with self._lock:
             if self._done is None:
-                # A query runs in the mode of inference, whose tensors serve nothing else.
+                # A query runs in inference mode, whose tensors serve nothing else.
                 with torch.inference_mode(False):
                     self._done = self._prepare()
             return self._done
 
-    def in_query(self, clock: Stopwatch) -> Prepared:
-        """Return what is prepared; the time that a query waits for it is a stage of its own.
+    def in_query(self, clock: Stopwatch) -> MapState:
+        """Return the prepared map; the time that a query waits for it is the stage ``preparation``.
 
         Raises:
             InputError: a photograph of the map is missing, damaged or changed meanwhile.
-            PreparationError: anything else went wrong, which would for any other query.
+            PreparationError: anything else failed, which would fail for every query.
         """
         if self._done is not None:
             return self._done

@@ -1,4 +1,4 @@
-"""Alignment problems of images: what an image and points of the map look like from a start."""
+"""Alignment problems: features of an image, and of map points in view from a start."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from objconnect.scene.geometry.views import WarpedImage, level_rotation, north_a
 from objconnect.scene.localizer import Query
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# Numerical guard: a cost by chance this small is that of features which are all the same.
+# Numerical guard: a cost by chance below this means that all features are equal.
 _NOTHING: Final = 1e-12
 LEAST_SIDE: Final = 16
 """Least side of an image, pixels: that of one cell of the coarsest level."""
@@ -35,11 +35,11 @@ LEAST_SIDE: Final = 16
 
 @dataclass(frozen=True)
 class Levelling:
-    """How images that look at the ground more flatly than the map's photographs are levelled.
+    """Levels images that are tilted much more than the map's photographs.
 
     Attributes:
-        tilts: (N,) of the photographs, radians.
-        most_tilt: radians by which an image may look flatter; infinite where none is levelled.
+        tilts: (N,) tilts of the photographs, radians.
+        most_tilt: radians by which an image may be tilted more; infinite to level none.
     """
 
     tilts: NDArray[np.float64]
@@ -47,17 +47,17 @@ class Levelling:
 
     @staticmethod
     def of(sparse_map: SparseMap, most_tilt_deg: float | None) -> Levelling:
-        """Return that of a map; None levels no image."""
+        """Return the levelling for a map; None levels no image."""
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
         most = math.inf if most_tilt_deg is None else math.radians(most_tilt_deg)
         return Levelling(np.array([tilt(pose[:3, :3]) for pose in poses]), most)
 
     def __call__(self, start: Pose, chosen: NDArray[np.int64]) -> NDArray[np.float64] | None:
-        """Return ``view_from_camera`` (3, 3) of a levelled image; None where it stays as it is.
+        """Return ``view_from_camera`` (3, 3) of a levelled image; None if it needs no levelling.
 
         Args:
             start: ``cam_from_world`` of the image.
-            chosen: rows of the photographs that it is compared with.
+            chosen: rows of its reference images.
         """
         rotation = start.rotation.numpy()
         least = float(np.median(self.tilts[chosen])) + self.most_tilt
@@ -66,15 +66,13 @@ class Levelling:
 
 @dataclass(frozen=True)
 class ProblemBuilder:
-    """Builds alignment problems of images, photographs of the map and starts (``cam_from_world``).
+    """Builds alignment problems of images, reference images and starts (``cam_from_world``).
 
     Attributes:
-        extract: computes feature maps.
-        observations: of the map's photographs, which are chosen by their rows.
-        centres: (M, 3) of the photographs, world metres.
-        damping: of every level.
-        options: of the alignment.
-        levelling: of images that are tilted more than the photographs; None for no image.
+        observations: observations of the map's photographs, by row.
+        centres: (M, 3) camera centres of the photographs, world metres.
+        damping: damping of every level.
+        levelling: levels tilted images; None for no image.
     """
 
     extract: MapExtractor
@@ -96,12 +94,12 @@ class ProblemBuilder:
         """Return the scale at which an image has the ground resolution of the map's photographs.
 
         Args:
-            camera: of the image.
-            chosen: rows of the photographs.
+            camera: camera of the image.
+            chosen: rows of its reference images.
             start: ``cam_from_world``.
-            view_from_camera: (3, 3) how the camera is then turned; None for not at all.
-            coarser: metres per pixel over those of the photographs; None leaves an image as it is
-                where they are nearly the same.
+            view_from_camera: (3, 3) rotation of the camera for the view; None for none.
+            coarser: wanted metres per pixel relative to the photographs; None does not resize if
+                both are nearly equal.
             magnification: the largest scale.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
@@ -118,15 +116,15 @@ class ProblemBuilder:
     def view(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
     ) -> tuple[WarpedImage, list[FeatureMap]]:
-        """Warp an image as the map's photographs were, if a start is right, and extract features.
+        """Warp an image north up to the map's resolution, if a start is right; extract features.
 
-        An image that looks at the ground much more flatly than they do is levelled.
+        An image that is tilted much more than its reference images is levelled.
 
         Args:
             query: the image.
-            chosen: rows of the photographs.
+            chosen: rows of its reference images.
             start: ``cam_from_world``.
-            levels: how many levels to extract, from the coarsest; None for all.
+            levels: number of levels to extract, from the coarsest; None for all.
 
         Returns:
             The warped image and its feature maps, of unit length.
@@ -154,17 +152,17 @@ class ProblemBuilder:
         view: WarpedImage,
         magnification: float,
     ) -> WarpedImage | None:
-        """Warp an image that is coarser than the map's photographs so that it has their resolution.
+        """Warp an image that is coarser than the map's photographs to their resolution.
 
         Args:
             query: the image.
-            chosen: rows of the photographs.
+            chosen: rows of its reference images.
             start: ``cam_from_world``.
-            view: the image as it is seen without.
-            magnification: most pixels per pixel of the image.
+            view: the image warped without magnification.
+            magnification: the largest scale.
 
         Returns:
-            None where the view has nearly that resolution.
+            The warped image; None if ``view`` nearly has that resolution.
         """
         turn = self._turn(chosen, start)
         scale = self.scale(query.camera, chosen, start, turn, magnification=magnification)
@@ -182,9 +180,9 @@ class ProblemBuilder:
         return self.extract.warp(query.image, query.camera, angle, scale, turn)
 
     def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
-        """Return feature maps of a view, of unit length, as ``view`` does."""
+        """Return feature maps of a view, of unit length."""
         maps = self.extract.features(view, levels)
-        for each in maps:  # once for all problems that are made of them
+        for each in maps:  # once for all problems with these maps
             torch.nn.functional.normalize(each.features, dim=1, out=each.features)
         return maps
 
@@ -198,18 +196,17 @@ class ProblemBuilder:
     ) -> Problem:
         """Build the problem of a view with at most ``count`` points, those in view first.
 
-        The points are chosen on the processor; the problem is on the device of the maps.
-
-        The points cover the image evenly, though the references overlap most in its middle: tilting
-        the camera and moving it are told apart only far from there. A point seen by several
-        references counts once for each of them, as in the authors' code.
+        The points are chosen on the CPU; the problem is on the device of the maps. The points cover
+        the image evenly, though reference images overlap most in its middle: only points far from
+        there separate a tilt of the camera from a shift. A point in several reference images counts
+        once for each of them, as in PixLoc's code.
 
         Args:
-            view: of the image.
+            view: the warped image.
             maps: its feature maps.
-            chosen: rows of the photographs that give the points.
+            chosen: rows of the reference images that give the points.
             start: ``cam_from_world`` of the image.
-            count: most points.
+            count: maximum number of points.
         """
         from_world = view.pose(start)
         observed = [self.observations[int(row)] for row in chosen]
@@ -252,10 +249,10 @@ class ProblemBuilder:
 def fit(problem: Problem, pose: Pose) -> float:
     """Return the cost at a pose as a share of the cost with features of other points.
 
-    It is 1 where the features are all the same, and infinite where no point is in view.
+    It is 1 if all features are equal, and infinite if no point is in view.
 
     Args:
-        problem: of one image.
+        problem: problem of one image.
         pose: ``cam_from_world``, batched (1).
     """
     points, options = problem.points, problem.options
@@ -266,8 +263,8 @@ def fit(problem: Problem, pose: Pose) -> float:
     seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
     if not bool(seen.any()):
         return math.inf
-    # Points in view swap features among themselves and keep their confidences: where the whole
-    # picture looks the same, they fit as well. Neighbours in the list lie in different parts of it.
+    # The chance cost: points in view swap features and keep their confidences. In a picture that
+    # looks the same everywhere they still fit. Neighbours in the list lie far apart in the picture.
     order = torch.nonzero(seen)[:, 0]
     other = torch.roll(order, len(order) // 2)
     local = Local.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
@@ -287,5 +284,5 @@ def fit(problem: Problem, pose: Pose) -> float:
     chance = mean_cost(other)
     if not math.isfinite(chance):
         return math.inf
-    # Features that are all the same cost nothing at any pose: they tell no place from another.
+    # Equal features cost nothing at any pose and do not localize.
     return mean_cost(order) / chance if chance > _NOTHING else 1.0

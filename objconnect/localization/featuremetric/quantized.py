@@ -1,4 +1,4 @@
-"""Networks that see queries in integers of eight bits, with the ranges of a map's photographs."""
+"""Quantization of a network to 8-bit integers, with value ranges from the map's photographs."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from objconnect.learning.quantization import Channelwise, largest_values, quanti
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 
-# Numerical guard: of a layer that returns nothing but zeros.
+# Numerical guard for a layer that returns only zeros.
 _SMALLEST: Final = 1e-6
-# Photographs of the map in which the largest values are looked for: more hardly raise them.
+# Photographs that calibrate the largest values: more hardly raise them.
 _PHOTOGRAPHS: Final = 8
-# A channel whose largest value is less than this share of that of all channels counts as if it had
-# this one: a query may show what the photographs do not.
+# Lower bound of a channel's largest value, as a share of that of all channels: a query may show
+# what the photographs do not.
 _LEAST_SHARE: Final = 0.02
 
 
 def channel_scales(largest: Channelwise) -> Channelwise:
-    """Return what a step of each channel is worth, given the largest values."""
+    """Return the quantization step of each channel for the largest values."""
     return {
         name: values.clamp(min=max(_LEAST_SHARE * float(values.max()), _SMALLEST)) * (1 / 255)
         for name, values in largest.items()
@@ -28,7 +28,7 @@ def channel_scales(largest: Channelwise) -> Channelwise:
 
 
 def quantize_extractor(source: ReferenceSource) -> MapExtractor:
-    """Return an extractor whose network is quantized for pictures like those of a map.
+    """Return an extractor with a network that is quantized for a map's photographs.
 
     Args:
         source: the map, its photographs, and the extractor in floating point.

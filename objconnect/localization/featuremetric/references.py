@@ -1,7 +1,4 @@
-"""Features of a map's points in its photographs, computed once and kept on disk.
-
-Only features at points are needed of the photographs, and these are few.
-"""
+"""Features of a map's points in its photographs, computed once and kept on disk."""
 
 from __future__ import annotations
 
@@ -19,9 +16,9 @@ from objconnect.localization.cache.store import Rows, Store
 from objconnect.localization.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
+    map_resolution,
     metres_per_pixel,
     observed_xyz,
-    of_map,
     scale_to,
 )
 from objconnect.scene.geometry.pose import Pose
@@ -39,40 +36,39 @@ _MIN_TRACK: Final = 3
 # Photographs with fewer reliable points keep all their points.
 _MIN_POINTS: Final = 64
 POINTS: Final = 2048
-"""Points of a photograph, and of all references of a query together, which bounds time."""
+"""Maximum number of points of a photograph, and of all reference images of a query together."""
 GRID: Final = 16
-"""Points are taken in turns from the cells of a grid of this many by this many over a picture."""
+"""Cells along each side of the grid that spreads points over a picture."""
 
 
-class Watch(Protocol):
-    """Sees feature maps of a map's photographs while these are computed."""
+class FeatureObserver(Protocol):
+    """Observes feature maps of a map's photographs while these are computed."""
 
     def lacks(self, image: MapImage, key: str) -> bool:
-        """Return whether it needs to see a photograph; ``key`` is that of ``MapViews``."""
+        """Return whether it needs a photograph; ``key`` is that of ``MapViews``."""
         ...
 
     def __call__(
         self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
     ) -> None:
-        """See a photograph."""
+        """Receive the feature maps of a photograph."""
         ...
 
     def write(self) -> None:
-        """Keep what was found in a file of the cache."""
+        """Write the results to a file of the cache."""
         ...
 
 
 @dataclass(frozen=True)
 class ReferenceSource:
-    """What the observations of a map's photographs are computed from.
+    """The inputs of the observations of a map's photographs.
 
     Attributes:
         kept: the map, its photographs and the cache.
-        extract: computes feature maps.
         extractor_key: identifies the network's weights and its options, for the cache.
-        name: of the method, used for files and progress.
-        points: most points to keep of a photograph.
-        corners: corners of a photograph that become points; None for none.
+        name: name of the method, for files and progress.
+        points: maximum number of points of a photograph.
+        corners: options of corners that become points; None for no corners.
     """
 
     kept: MapCache
@@ -84,7 +80,7 @@ class ReferenceSource:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """Return all that decides the observations beside the map and its photographs."""
+        """Return the inputs of the cache key beside the map and its photographs."""
         corners = self.corners and self.corners.model_dump_json()
         return _FORMAT, self.points, corners, self.extractor_key
 
@@ -96,13 +92,14 @@ class ReferenceSource:
 
     @cached_property
     def metres_per_pixel(self) -> float:
-        """Return the resolution of the map, at which photographs are seen; NaN if not known."""
-        return of_map(self.kept.sparse_map, self.extract.largest_scale)
+        """Return the ground resolution of the map, to which photographs are resized; NaN if
+        unknown."""
+        return map_resolution(self.kept.sparse_map, self.extract.largest_scale)
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Points of the map as one photograph shows them, N in all.
+    """N points of the map with their features in one photograph.
 
     Any first few of them are spread over the photograph.
 
@@ -118,20 +115,20 @@ class Observations:
 
     @property
     def nbytes(self) -> int:
-        """Memory taken."""
+        """Return the bytes of all arrays."""
         return self.xyz.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
 
 
 class ReferenceFeatures:
-    """Observations of all photographs of a map, in a file; the last used also in memory.
+    """Observations of all photographs of a map, in a file with a least-recently-used cache.
 
     Threads may share it.
 
     Args:
         store: the file.
-        names: of the arrays of a photograph.
-        metres_per_pixel: at which the photographs were seen, NaN if not known.
-        memory: bytes that observations in memory may take.
+        names: names of the arrays of a photograph.
+        metres_per_pixel: ground resolution of the resized photographs; NaN if unknown.
+        memory: bound of the cache, bytes.
     """
 
     def __init__(
@@ -148,7 +145,7 @@ class ReferenceFeatures:
         return self._cache(photograph)
 
     def coarse(self, photograph: int) -> NDArray[np.float32]:
-        """Read the features of a photograph's coarsest level alone, (N, C), past the cache."""
+        """Read the features (N, C) of a photograph's coarsest level, without the cache."""
         return self._store.read(photograph, "features 0").astype(np.float32)
 
 
@@ -157,15 +154,15 @@ def _read(store: Store, names: Sequence[str], photograph: int) -> Observations:
     return Observations(xyz, tuple(features), confidence)
 
 
-def references(
-    source: ReferenceSource, memory_mb: int, watch: Watch | None = None
+def load_references(
+    source: ReferenceSource, memory_mb: int, watch: FeatureObserver | None = None
 ) -> ReferenceFeatures:
-    """Return the observations of a map's photographs, from the cache where it holds them.
+    """Return the observations of a map's photographs, computed unless the cache holds them.
 
     Args:
-        source: what they are computed from.
-        memory_mb: for the whole process; observations stay in memory as far as there is room.
-        watch: sees the feature maps, where these are computed.
+        source: their inputs.
+        memory_mb: memory of the whole process; observations stay in memory as far as there is room.
+        watch: observes the feature maps that are computed.
 
     Raises:
         InputError: a photograph is broken or changed meanwhile.
@@ -176,25 +173,19 @@ def references(
     return ReferenceFeatures(store, source.arrays, source.metres_per_pixel, room(memory_mb))
 
 
-def write_part(source: ReferenceSource, watch: Watch | None) -> None:
+def write_part(source: ReferenceSource, watch: FeatureObserver | None) -> None:
     """Compute the observations of a part of a map's photographs, unless the cache holds all.
 
-    The arguments and errors are those of ``references``, which copies what this has written.
+    The arguments and errors are those of ``load_references``, which copies what this has written.
     """
     if not source.kept.holds(source.name, *source.identity):
-        references(source, 0, watch)
+        load_references(source, 0, watch)
         if watch is not None:
             watch.write()
 
 
-def _compute_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier) -> Rows:
-    """Run the network on photographs of a map and yield the features at their points.
-
-    Args:
-        source: what the observations are computed from.
-        watch: sees the feature maps.
-        earlier: what did not change.
-    """
+def _compute_rows(source: ReferenceSource, watch: FeatureObserver | None, earlier: Earlier) -> Rows:
+    """Run the network on photographs of a map and yield the features at their points."""
     kept = source.kept
     posed = [kept.sparse_map.images[name] for name in kept.names]
     corner_points = [np.empty((0, 3))] * len(posed)
@@ -223,17 +214,13 @@ def _compute_rows(source: ReferenceSource, watch: Watch | None, earlier: Earlier
 
 
 class MapViews:
-    """Photographs of a map as the network sees them: north up, at the resolution of the map.
-
-    Args:
-        source: the map, its photographs and the network.
-    """
+    """Warps photographs of a map north up to the map's resolution, and extracts feature maps."""
 
     def __init__(self, source: ReferenceSource) -> None:
         self._source = source
 
     def __call__(self, image: MapImage) -> tuple[WarpedImage, list[FeatureMap]]:
-        """Return a photograph as it is seen, and its feature maps.
+        """Return the warped photograph and its feature maps.
 
         Raises:
             InputError: the photograph is missing, broken or not of its camera's size.
@@ -242,12 +229,12 @@ class MapViews:
         return self._source.extract(rgb, image.camera, *self._rotation_and_scale(image))
 
     def key(self, image: MapImage) -> str:
-        """Return a digest of all that the feature maps of a photograph are made of."""
+        """Return a digest of all inputs of a photograph's feature maps."""
         source, how = self._source, self._rotation_and_scale(image)
         return digest_of(source.kept.digests[image.name], image.camera, *how, source.extractor_key)
 
     def _rotation_and_scale(self, image: MapImage) -> tuple[float, float]:
-        """Return by how much a photograph is turned (rad) and resized."""
+        """Return the rotation (rad) and the scale of a photograph's warp."""
         source = self._source
         own = metres_per_pixel(
             image.pose, image.camera, observed_xyz(image, source.kept.sparse_map)
@@ -264,17 +251,17 @@ def observe(
     xyz: NDArray[np.float64],
     points: int,
 ) -> Observations:
-    """Return the features of points in a photograph, at most ``points`` of those it shows.
+    """Return the features of points in a photograph, at most ``points`` of those in view.
 
-    Features are taken where the points project, as PixLoc's authors do, not where they were
-    observed. Among neighbours, the point with the highest confidence comes first.
+    Features are sampled where the points project, as in PixLoc, not where they were observed. Among
+    neighbours, the point with the highest confidence comes first.
 
     Args:
-        view: the photograph, warped.
+        view: the warped photograph.
         maps: feature maps of the view.
         pose: ``cam_from_world`` of the photograph.
-        xyz: (M, 3) the points.
-        points: most to keep.
+        xyz: (M, 3) points, world metres.
+        points: maximum number of points.
     """
     projected = view.camera.project(view.pose(pose).transform(torch.from_numpy(xyz)))
     inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
@@ -292,7 +279,7 @@ def observe(
 
 
 def _reliable_points(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """Return the reliable points that a photograph observes, (N, 3), or all where they are few."""
+    """Return the points (N, 3) with long tracks in a photograph, or all if these are few."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
     reliable = rows[sparse_map.track_length[rows] >= _MIN_TRACK]
     return np.asarray(sparse_map.xyz[reliable if len(reliable) >= _MIN_POINTS else rows])
@@ -303,17 +290,17 @@ def order_by_coverage(
 ) -> NDArray[np.int64]:
     """Order points so that any first few of them cover the picture.
 
-    The worthiest point of every cell of a grid comes first, then the second of every cell, and so
+    The best point of every cell of a grid comes first, then the second best of every cell, and so
     on.
 
     Args:
         xy: (N, 2) in 0..1.
-        worth: (N,) the larger the earlier.
+        worth: (N,) scores; larger ones come first in a cell.
         grid: cells along each side of the picture.
 
     Example:
         >>> xy = np.array([[0.1, 0.1], [0.2, 0.2], [0.9, 0.9]])
-        >>> spaced_order(xy, np.array([1, 3, 2]), grid=2).tolist()
+        >>> order_by_coverage(xy, np.array([1, 3, 2]), grid=2).tolist()
         [1, 2, 0]
     """
     by_worth = np.argsort(-worth, kind="stable")

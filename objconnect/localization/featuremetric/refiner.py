@@ -1,4 +1,4 @@
-"""Refinement of one start: warp the image as if it were right, align, and judge the pose."""
+"""Refinement of one start: warp the image for it, align, and rate the pose."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.align.options import WIDTH, SearchRadius, Width
 from objconnect.localization.featuremetric.attempt import (
+    AlignedView,
     Attempt,
-    Found,
     evaluate_alignment,
     photograph_pose,
 )
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
-from objconnect.localization.featuremetric.priors import AROUND, exact_prior, says_where
+from objconnect.localization.featuremetric.priors import AROUND, exact_prior, has_position
 from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.localization.featuremetric.references import POINTS
 from objconnect.localization.matching.retrieval import References
@@ -29,7 +29,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
 from objconnect.scene.runtime.tuning import return_freed_above
 
-# Levels, from the coarsest, on which starts are compared: the finest would take most of the time.
+# Number of levels, from the coarsest, on which starts are compared: the finest takes most time.
 _COMPARED_LEVELS: Final = 2
 
 
@@ -38,16 +38,11 @@ class Refiner:
     """Refines starts of queries in one map.
 
     Attributes:
-        config: options of the method.
-        extract: computes feature maps.
-        problems: builds alignment problems.
-        retrieval: chooses photographs of the map.
-        matches: tells by SIFT which photographs look like an image; None where the map was not
-            built from its features.
-        kept_bytes: memory above which what was freed is given back before the network sees an
-            image. To take it again costs time.
-        kept_magnified_bytes: the same before it sees a magnified one.
-        width: how many starts and points a search compares.
+        matches: retrieval by SIFT; None if the map was not built from SIFT.
+        kept_bytes: resident memory above which the heap is trimmed before a pass of the network.
+            Trimming costs time.
+        kept_magnified_bytes: the same before a pass of a magnified image.
+        width: numbers of starts and points that a search compares.
     """
 
     config: FeaturemetricConfig
@@ -71,10 +66,10 @@ class Refiner:
 
         Args:
             query: the image.
-            chosen: rows of the photographs of the map to align it to.
+            chosen: rows of the reference images.
             start: ``cam_from_world``.
             clock: takes the time.
-            radius: how far to look around the start.
+            radius: search radius around the start.
         """
         return_freed_above(self.kept_bytes)
         with clock.stage("features"):
@@ -86,51 +81,51 @@ class Refiner:
         with clock.stage("alignment"):
             if many:
                 few = problem.at_levels(slice(_COMPARED_LEVELS))
-                found = Found(view, problem, align_from_many(few, radius, self.width))
+                aligned = AlignedView(view, problem, align_from_many(few, radius, self.width))
             else:
-                found = Found(view, problem, align(problem, with_covariance=False))
-        if many and not found.alignment.has_failed[0]:
-            found = self._realign(query, maps, found, clock)
+                aligned = AlignedView(view, problem, align(problem, with_covariance=False))
+        if many and not aligned.alignment.has_failed[0]:
+            aligned = self._realign(query, maps, aligned, clock)
         with clock.stage("alignment"):
-            return evaluate_alignment(found, self.config.search)
+            return evaluate_alignment(aligned, self.config.search)
 
     def wider(self, factor: int) -> Refiner:
-        """Return a refiner whose searches compare so many times the starts and points."""
+        """Return a refiner whose searches compare ``factor`` times the starts and points."""
         return replace(self, width=self.width.times(factor))
 
     def near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
     ) -> Attempt:
-        """Refine a start that says more than the query's own prior."""
+        """Refine a start that replaces the query's prior."""
         near = replace(query, prior=exact_prior(start))
         return self(near, self.photographs(near), start, clock, radius or AROUND)
 
     def photographs(self, query: Query) -> NDArray[np.int64]:
-        """Return the rows of the photographs to align a query to.
+        """Return the rows of a query's reference images.
 
-        SIFT features tell which look most like it: those of the network were learned from above.
+        Without a position, SIFT retrieves them: the network was trained on views from above.
         """
         most = self.config.references
-        if self.matches is not None and query.references is None and not says_where(query.prior):
+        if self.matches is not None and query.references is None and not has_position(query.prior):
             return self.matches.similar(query, most)
         return self.retrieval.choose(query, most, lambda: self.describe(query), tilted=False)
 
     def describe(self, query: Query) -> NDArray[np.float32]:
-        """Return unit features (n, C) of all coarse cells of the image as it was taken."""
+        """Return unit features (n, C) of all coarse cells of the image without rotation."""
         _, maps = self.extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).cpu().numpy()
 
     def _realign(
-        self, query: Query, maps: list[FeatureMap], found: Found, clock: Stopwatch
-    ) -> Found:
+        self, query: Query, maps: list[FeatureMap], aligned: AlignedView, clock: Stopwatch
+    ) -> AlignedView:
         """Align once more, to all points in view from the aligned pose.
 
-        A start far off saw other points and photographs. Images coarser than these are magnified
-        only now: a search reaches less far in a larger picture, and takes longer.
+        A start far off has other points and reference images. Images coarser than the map are
+        magnified only now: in a larger picture a search reaches less far and takes longer.
         """
-        view, most = found.view, self.config.max_magnification
-        pose = photograph_pose(view, found.alignment)
+        view, most = aligned.view, self.config.max_magnification
+        pose = photograph_pose(view, aligned.alignment)
         chosen = self.photographs(replace(query, prior=exact_prior(pose)))
         larger = self.problems.magnify(query, chosen, pose, view, most)
         if larger is not None:
@@ -139,10 +134,10 @@ class Refiner:
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):
             after = self.problems.build(view, maps, chosen, pose, POINTS)
-            # The coarsest level has no more to say of a pose that a finer one of it found.
+            # The coarsest level cannot improve a pose that the next one gave.
             skipped = larger is None and len(after.levels) > 1
             final = align(after.finer() if skipped else after, with_covariance=False)
         if final.has_failed[0]:
-            return found
-        iterations = found.alignment.iterations + final.iterations
-        return Found(view, after, replace(final, iterations=iterations))
+            return aligned
+        iterations = aligned.alignment.iterations + final.iterations
+        return AlignedView(view, after, replace(final, iterations=iterations))

@@ -1,7 +1,7 @@
-"""An image of a sequence, followed from the pose that the images before predict.
+"""Alignment of an image of a sequence from its predicted pose.
 
-One start, a few photographs of the map, the middle of the picture, and no level coarser than the
-prediction needs. The pose counts only where it is believed.
+It uses one start, a few reference images, the middle of the picture, and no level coarser than the
+prediction needs. The pose counts only if it is believed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.attempt import (
+    AlignedView,
     Attempt,
-    Found,
     evaluate_alignment,
     is_answered,
 )
@@ -27,35 +27,29 @@ from objconnect.localization.featuremetric.priors import pose_of
 from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.scene.localizer import Prior, Query, Stopwatch
 
-# Alignment begins on the finest level of which so many cells are more than the prediction is unsure
-# by (one standard deviation); where none has such cells, the image is not followed.
+# Alignment begins on the finest level on which the prediction's sigma is less than so many cells;
+# if there is none, the image is not tracked.
 _REACH_CELLS: Final = 3.0
-# Points on levels before the finest, spread over the image, and the factor on the step lengths that
-# end these levels: the finest makes up for both.
+# Points on levels before the finest, spread over the image, and the factor on the step lengths at
+# which these levels stop: the finest makes up for both.
 _ROUGH_POINTS: Final = 512
 _ROUGH_CONVERGENCE: Final = 4.0
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Follows images of a sequence.
-
-    Attributes:
-        problems: builds alignment problems.
-        search: when a pose is believed.
-        options: how an image is followed.
-    """
+    """Aligns images of a sequence from their predicted poses."""
 
     problems: ProblemBuilder
     search: SearchOptions
     options: TrackingOptions
 
     def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
-        """Align an image from its prior alone; None where that pose is not believed.
+        """Align an image from its prior alone; return None if the pose is not believed.
 
         Args:
             query: the image; its prior has a position and an attitude.
-            chosen: rows of the photographs of the map that are most like it, best first.
+            chosen: rows of its reference images, best first.
             clock: takes the time.
         """
         prior, options = query.prior, self.options
@@ -72,13 +66,13 @@ class Tracking:
             first = _first_level(problem, _unsure_px(problem, prior))
             if first is None:
                 return None
-            found = Found(view, problem, _align(problem, first))
-            attempt = evaluate_alignment(found, self.search)
+            aligned = AlignedView(view, problem, _align(problem, first))
+            attempt = evaluate_alignment(aligned, self.search)
         return attempt if is_answered([attempt], self.search) else None
 
 
 def _unsure_px(problem: Problem, prior: Prior) -> float:
-    """Return by how many pixels the points may be off that a prior predicts, one sigma."""
+    """Return the standard deviation (px) of points that are projected by a prior's pose."""
     depth = float(problem.start.transform(problem.points)[0, :, 2].median())
     metres = 0.0 if prior.position_sigma is None else float(np.max(prior.position_sigma))
     radians = math.radians(prior.attitude_sigma_deg or 0.0)
@@ -87,7 +81,7 @@ def _unsure_px(problem: Problem, prior: Prior) -> float:
 
 
 def _first_level(problem: Problem, unsure_px: float) -> int | None:
-    """Return the finest level whose features reach as far as a prediction is unsure."""
+    """Return the number of the finest level that converges from the prediction; None if none."""
     for number in reversed(range(len(problem.levels))):
         stride = problem.levels[number].stride
         if unsure_px < _REACH_CELLS * float(np.max(stride)):
@@ -96,7 +90,7 @@ def _first_level(problem: Problem, unsure_px: float) -> int | None:
 
 
 def _align(problem: Problem, first: int) -> Alignment:
-    """Align from a level on; before the finest only few points, until steps are rather small."""
+    """Align from a level on; levels before the finest use few points and stop early."""
     options = problem.options
     iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
     rough = options.rougher(_ROUGH_CONVERGENCE)

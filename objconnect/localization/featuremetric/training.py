@@ -1,4 +1,4 @@
-"""What trainings of networks share whose features are aligned: contrast, levels, unrolled poses."""
+"""Training of networks with features for alignment: contrastive loss and unrolled poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from objconnect.scene.geometry.pose import Pose
 
 # Numerical guard of the logarithm.
 _LEAST_TRUST: Final = 1e-3
-# Iterations of the alignment whose poses the pose loss measures.
+# Unrolled iterations of the alignment per level, for the pose loss.
 _ITERATIONS: Final = 8
 # Learning rate of the damping relative to the filters'. It is large because a factor is shared by
 # all pixels.
@@ -29,12 +29,12 @@ _DAMPING_RATE: Final = 30.0
 
 
 def half_precision(batch: PairBatch) -> torch.autocast:
-    """Return the context of half precision that networks run in, but not losses and alignment."""
+    """Return the bfloat16 context for the network; losses and alignment run outside of it."""
     return torch.autocast(batch.image_a.device.type, torch.bfloat16)
 
 
-def both(batch: PairBatch) -> Tensor:
-    """Return the images a, then the images b, (2B, 3, S, S), in the fastest memory layout."""
+def stack_images(batch: PairBatch) -> Tensor:
+    """Return the images a, then the images b, (2B, 3, S, S), channels-last in memory."""
     images = torch.cat([batch.image_a, batch.image_b])
     return images.to(memory_format=torch.channels_last)
 
@@ -50,11 +50,11 @@ def contrast_of(
     batch: PairBatch,
     options: LossOptions = LOSSES,
 ) -> tuple[Tensor, dict[str, float]]:
-    """Return the contrastive loss plus that of the confidence, means over levels, and figures.
+    """Return the contrastive loss plus that of the confidence, means over levels, and log values.
 
-    The confidence is trained to predict the probability that a place is matched, from one image of
-    it. Places that snow or another hour changes then have small weights. If the confidence is
-    trained by the pose loss alone, as the authors do, it stays uniform for a long time.
+    The confidence is trained to predict, from one image, the probability that a point is matched.
+    Points that snow or another hour changes then have small weights. If the confidence is trained
+    by the pose loss alone, as in PixLoc, it stays uniform for a long time.
 
     Args:
         maps: features and confidences of both halves of the batch, level by level.
@@ -85,7 +85,7 @@ def contrast_of(
 def levels_of(
     maps: Sequence[tuple[Tensor, Tensor]], strides: Sequence[int], batch: PairBatch
 ) -> list[Level]:
-    """Return the levels of an alignment of images b to the points of images a."""
+    """Return the levels that align images b to the points of images a."""
     levels = []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
@@ -108,7 +108,7 @@ def unroll(
     batch: PairBatch,
     damping: Iterable[nn.Module],
 ) -> tuple[Pose, ...]:
-    """Return the poses after each level, with gradients for features and damping."""
+    """Return the poses after each level, differentiable in features and damping."""
     factors = [each() for each in damping]
     place = batch.points, batch.intrinsics_b, batch.start
     options = Options(iterations=_ITERATIONS, careful=False)
@@ -127,7 +127,7 @@ def pixels_of(
 def filters_and_damping(
     network: nn.Module, damping: nn.Module, rate: float
 ) -> list[dict[str, Any]]:
-    """Return the groups of parameters of a network and its damping, which has a larger rate."""
+    """Return the parameter groups of a network and its damping, which has a larger rate."""
     fast = list(damping.parameters())
     known = set(fast)
     filters = [p for p in network.parameters() if p not in known]

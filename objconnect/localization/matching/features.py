@@ -27,7 +27,7 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 
-# Photographs whose features are in memory at once while they are extracted.
+# Number of photographs whose features are in memory during extraction.
 _TOGETHER = 64
 _ARRAYS = ("xy", "scale", "descriptors")
 
@@ -42,19 +42,19 @@ class Extractor(ABC):
         name: name of the kind of feature, and of its cache.
         options: all other settings that change the features, as text.
         weights_sha256: digest of learned weights, or None.
-        turned: whether features are invariant to rotation and scale. If not, features of pictures
-            turned north up are compared, at the map's resolution.
+        rotation_invariant: whether features are invariant to rotation and scale. If not, they are
+            extracted from pictures that are rotated north up and resized to the map's resolution.
     """
 
     name: str
     options: str
     weights_sha256: str | None = None
-    turned: bool = True
+    rotation_invariant: bool = True
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """Return all of this object that decides the features of a photograph."""
-        return self.options, self.weights_sha256, self.turned
+        """Return the settings that affect the features, for the key of the cache."""
+        return self.options, self.weights_sha256, self.rotation_invariant
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -63,12 +63,10 @@ class Extractor(ABC):
     def extract_warped(
         self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
     ) -> Features:
-        """Extract features of a photograph turned and resized, in its own pixels.
+        """Extract features of a rotated and resized photograph, in pixels of the original.
 
-        It is turned counter-clockwise by ``angle`` (rad) and resized by ``scale``.
-
-        The corners of the turned picture are black. Keypoints at or beyond the photograph's edge
-        are dropped.
+        It is rotated counter-clockwise by ``angle`` (rad) and resized by ``scale``. The corners of
+        the rotated picture are black. Keypoints at or beyond the photograph's edge are dropped.
         """
         view = warp_image(rgb, camera, angle, scale)
         features = self(view.picture)
@@ -90,7 +88,7 @@ class Extractor(ABC):
             root: folder of the photographs.
             names: names of the photographs.
             on_progress: receives the number of finished photographs.
-            beside: folder for temporary files, as ``scratch.scratch`` takes it.
+            beside: folder for temporary files, as in ``scratch.scratch``.
 
         Raises:
             InputError: a photograph is missing or damaged.
@@ -102,22 +100,18 @@ class Extractor(ABC):
         return features
 
     def unit(self, descriptors: NDArray[Any]) -> Tensor:
-        """Convert to (N, D) float32 of unit length, which ``match`` and retrieval take."""
+        """Convert to (N, D) float32 of unit length for ``match`` and retrieval."""
         return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Return rows (K, 2) of mutual nearest neighbours by the ratio test; see ``unit``."""
+        """Return rows (K, 2) of mutual nearest neighbours of ``unit`` that pass the ratio test."""
         return match(a, b, ratio)
 
 
 class KeptFeatures(Mapping[str, Features]):
-    """Features of photographs in a file of the cache, each read when it is asked for.
+    """Features of photographs in a file of the cache, each read on access.
 
     Threads may share it.
-
-    Args:
-        store: the file.
-        keys: of the rows, by the names of photographs.
     """
 
     def __init__(self, store: Store, keys: Mapping[str, str]) -> None:
@@ -136,7 +130,7 @@ class KeptFeatures(Mapping[str, Features]):
 def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]:
     """Return features of the map's photographs, extracted unless map or cache holds them.
 
-    Of a part, they are those of its photographs at least.
+    For a cache of a part, they are at least those of its photographs.
 
     Raises:
         InputError: a photograph is damaged or changed meanwhile, or a file of the cache is damaged.
@@ -148,33 +142,33 @@ def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]
     keys = {name: _key(kept, extractor, name) for name in kept.names}
 
     def rows(earlier: Earlier) -> Rows:
-        names, together = kept.names, _TOGETHER if extractor.turned else 1
+        names, together = kept.names, _TOGETHER if extractor.rotation_invariant else 1
         with progress_bar(f"{extractor.name} map features", len(names)) as advance:
             for first in range(0, len(names), together):
                 some = names[first : first + together]
-                found: dict[str, Arrays] = {
+                features: dict[str, Arrays] = {
                     name: known
                     for name in some
                     if (known := earlier(keys[name], _ARRAYS)) is not None
                 }
-                left = [name for name in some if name not in found]
+                left = [name for name in some if name not in features]
                 if left:
 
-                    def advance_by(done: int, before: int = first + len(found)) -> None:
+                    def advance_by(done: int, before: int = first + len(features)) -> None:
                         advance(before + done)
 
-                    found |= _extract_all(extractor, kept, left, advance_by)
-                yield from ((keys[name], found[name]) for name in some)
+                    features |= _extract_all(extractor, kept, left, advance_by)
+                yield from ((keys[name], features[name]) for name in some)
                 advance(first + len(some))
 
     return KeptFeatures(kept.store(extractor.name, *extractor.identity, rows=rows), keys)
 
 
 def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
-    """Return a digest of all that the features of a photograph depend on."""
+    """Return a digest of all inputs of a photograph's features."""
     image = kept.sparse_map.images[name]
     seen: tuple[object, ...] = ()
-    if not extractor.turned:
+    if not extractor.rotation_invariant:
         seen = north_angle(image.cam_from_world[:3, :3]), image.camera
     return digest_of(*extractor.identity, kept.digests[name], *seen)
 
@@ -182,17 +176,10 @@ def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
 def _extract_all(
     extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
 ) -> dict[str, Arrays]:
-    """Extract features of photographs, all of which are in memory at once.
-
-    Args:
-        extractor: extractor of the features.
-        kept: the cache, whose folder takes temporary files.
-        names: of the photographs.
-        on_progress: receives the number of finished photographs.
-    """
-    if extractor.turned:
-        found = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
-        return {name: vars(features) for name, features in found.items()}
+    """Extract features of photographs, all of which are in memory at once."""
+    if extractor.rotation_invariant:
+        by_name = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
+        return {name: vars(features) for name, features in by_name.items()}
     extracted: dict[str, Arrays] = {}
     for name in names:
         image = kept.sparse_map.images[name]
@@ -203,12 +190,12 @@ def _extract_all(
 
 
 def _reuse_map_features(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
-    """Return the features that a map was built from, where an extractor would find the same."""
+    """Return the features that a map was built from if the extractor would give the same."""
     path = kept.sparse_map.features
-    if path is None or extractor.weights_sha256 is not None or not extractor.turned:
+    if path is None or extractor.weights_sha256 is not None or not extractor.rotation_invariant:
         return None
     try:
-        found = FeatureFile(path)
-    except InputError:  # without them, they are extracted
+        file = FeatureFile(path)
+    except InputError:  # They are extracted instead.
         return None
-    return found if found.inputs_digest == features_key(kept.digests, extractor.options) else None
+    return file if file.inputs_digest == features_key(kept.digests, extractor.options) else None

@@ -1,4 +1,4 @@
-"""Lifting: 3D points of keypoints in photographs of the map, from the map points seen in them."""
+"""3D points of keypoints in photographs of the map, from the map points observed there."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 
 from objconnect.scene.maps.sparse_map import MapImage
 
-# A keypoint this close to an observation of the map (px) is that observation.
+# Largest distance (px) between a keypoint and the map's observation of it.
 _SAME_PX: Final = 1.0
-# Observations around a keypoint that a plane is fitted to; three fit anything.
+# Number of observations around a keypoint for the fit of a plane; three fit any plane.
 _NEIGHBOURS: Final = 6
 # Largest distance of these observations, as a share of the picture's width: planes end.
 _MAX_DISTANCE: Final = 0.1
 # Largest relative difference (rms) of their depths from the plane's.
 _MAX_ROUGHNESS: Final = 0.01
-# The keypoint's depth may exceed the range of theirs by this share.
+# Share by which the keypoint's depth may exceed the range of theirs.
 _DEPTH_MARGIN: Final = 0.02
 
 
 def find_observations(xy: NDArray[np.float32], image: MapImage) -> NDArray[np.int64]:
-    """Return the map point observed at each keypoint, (N,), -1 where the map has none there.
+    """Return the row of the map point observed at each keypoint, (N,), -1 for none.
 
-    This is for keypoints that the map was built from.
+    It needs the keypoints that the map was built from.
 
     Args:
         xy: (N, 2) COLMAP pixels.
-        image: the photograph they lie in.
+        image: the photograph of the keypoints.
     """
     seen = image.point_rows >= 0
     rows = np.full(len(xy), -1, np.int64)
@@ -49,13 +49,13 @@ def interpolate_points(
 ) -> NDArray[np.float64]:
     """Return world points (N, 3) on the rays of keypoints, NaN where their depth is unknown.
 
-    A plane in space has an inverse depth that is affine over the rays, so that a plane through the
-    observations around a keypoint is a linear fit. It is refused where they do not lie in a plane
-    or are too far away, or the keypoint's depth is outside the range of theirs.
+    The inverse depth of a plane is affine over the rays, so a plane through the observations around
+    a keypoint is a linear fit. It is rejected if the observations do not lie in a plane or are too
+    far away, or if the keypoint's depth is outside the range of theirs.
 
     Args:
         xy: (N, 2) COLMAP pixels.
-        image: the photograph they lie in.
+        image: the photograph of the keypoints.
         xyz: (M, 3) points of the map, world metres.
     """
     points = np.full((len(xy), 3), np.nan)
@@ -74,7 +74,7 @@ def interpolate_points(
     offset = (at_observed[near] - rays[:, None])[..., :2]
     design = torch.cat([offset, torch.ones_like(offset[..., :1])], -1)
     depths = inverse[near]
-    # Nearer observations say more; the least distance keeps one of them from saying all.
+    # Nearer observations weigh more; the least distance keeps one of them from outweighing all.
     weight = 1 / (distance + _SAME_PX)[..., None]
     plane = torch.linalg.lstsq(weight * design, weight * depths[..., None]).solution
     residual = ((design @ plane)[..., 0] / depths - 1).square().mean(-1).sqrt()

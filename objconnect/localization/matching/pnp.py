@@ -1,4 +1,4 @@
-"""A pose from matches to 3D points, or why there is none."""
+"""Pose estimation from matches to 3D points by PnP and RANSAC."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from objconnect.scene.config import Config
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
 
 MIN_MATCHES: Final = 4
-"""Matches that PnP needs."""
-# Of RANSAC.
+"""Number of matches that PnP needs."""
+# Seed of RANSAC.
 _SEED: Final = 0
 
 
 class PnpConfig(Config):
     """Options of localizers that solve for the pose by PnP."""
 
-    max_error_px: float = Field(4.0, gt=0, description="Inlier threshold of PnP.")
-    min_inliers: int = Field(12, ge=4, description="Fewer inliers count as a failure.")
+    max_error_px: float = Field(4.0, gt=0, description="Inlier threshold of RANSAC, px.")
+    min_inliers: int = Field(
+        12, ge=4, description="Minimum number of inliers; with fewer the pose fails."
+    )
     use_gnss: bool = Field(
-        True, description="Let a position prior of known sigma take part in the refinement."
+        True, description="Use a position prior of known sigma in the refinement of the pose."
     )
     error_reach: float = Field(
         0.09,
         ge=0,
         le=1,
-        description="Distance, as a share of the picture's longest side, within which errors of "
-        "matches are alike, as far as their residuals are; covariances grow by it. 0 takes matches "
-        "for independent.",
+        description="Distance, as a share of the picture's longer side, within which errors of "
+        "matches are correlated as far as their residuals are, which enlarges covariances. 0 "
+        "treats matches as independent.",
     )
 
 
@@ -42,20 +44,20 @@ def solve_pose(
     config: PnpConfig,
     clock: Stopwatch,
 ) -> Estimate:
-    """Solve for the pose of a query; ``FAILED`` with a reason where too few matches agree.
+    """Estimate the pose of a query; ``FAILED`` with a reason if too few matches agree.
 
     Args:
         query: the query; its camera and prior are used.
         xy: (N, 2) COLMAP pixels of the query.
-        xyz: (N, 3) the points that they show, world metres.
-        config: when matches agree, and how many must.
-        clock: receives the time as stage ``pose``; its stages are those of the answer.
+        xyz: (N, 3) matched points, world metres.
+        config: options of PnP.
+        clock: takes the time as stage ``pose``.
     """
     if len(xyz) < MIN_MATCHES:
         reason = f"{len(xyz)} matches to the map, {MIN_MATCHES} are needed"
         return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
     with clock.stage("pose"):
-        # pycolmap takes 60 MB, which methods without PnP are spared.
+        # Imported here because pycolmap takes 60 MB.
         from objconnect.scene.colmap.absolute_pose import estimate_absolute_pose
 
         prior = query.prior if config.use_gnss else None

@@ -1,9 +1,9 @@
-"""Retrieval of photographs of the map for a query: by its pose prior, or by appearance.
+"""Retrieval of reference images for a query by its prior or by appearance.
 
-Appearance is a VLAD of the map's own descriptors (Jegou et al., "Aggregating local descriptors
-into a compact image representation", CVPR 2010) with the power and intra-normalisation of
-Arandjelovic and Zisserman ("All about VLAD", CVPR 2013): nothing to download and nothing trained
-elsewhere.
+The global descriptor is a VLAD of the map's own descriptors (Jegou et al., "Aggregating local
+descriptors into a compact image representation", CVPR 2010) with the power and intra-normalisation
+of Arandjelovic and Zisserman ("All about VLAD", CVPR 2013). It needs no download and no training on
+other data.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ Matrix = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-# Visual words of the global descriptor (VLAD), and most descriptors that they are learned from.
+# Number of visual words of the VLAD, and maximum number of descriptors to cluster.
 _WORDS: Final = 64
 _TRAINING_DESCRIPTORS: Final = 40_000
 # Photographs whose VLADs span the space in which larger maps are described, which bounds memory.
 _SPANNING: Final = 512
-# Standard deviations around a query's position within which photographs may show what it does.
+# Distance from a prior's position, in standard deviations, within which photographs are candidates.
 _REACH_SIGMAS: Final = 2.0
 # Least height above the ground that a camera is assumed to have, metres.
 _MIN_HEIGHT_M: Final = 2.0
-# Cosine from the plumb line of the flattest view that is followed to the ground.
-_MIN_DROP: Final = 0.3
+# Lower bound of the cosine of the tilt when an optical axis is intersected with the ground.
+_MIN_TILT_COSINE: Final = 0.3
 
 
 class Described(Protocol):
-    """Descriptors (n, D) of unit length of each photograph, in memory or read one by one."""
+    """A sequence of unit descriptors (n, D), one entry per photograph."""
 
     def __len__(self) -> int: ...
 
@@ -51,7 +51,7 @@ class Described(Protocol):
 
 @dataclass(frozen=True)
 class OnDemand:
-    """Descriptors of ``count`` photographs, read when they are asked for."""
+    """Descriptors of ``count`` photographs, each read on access."""
 
     read: Callable[[int], NDArray[np.float32]]
     count: int
@@ -69,9 +69,9 @@ class VladIndex:
 
     Attributes:
         words: (K, D) visual words.
-        basis: (K*D, L) orthonormal, of the space that the VLADs of L photographs span.
-        vectors: (N, L) VLADs in that space, one per photograph. No photograph's loses anything by
-            it where L is N; beyond it is Nystrom's approximation (Williams and Seeger, NIPS 2000).
+        basis: (K*D, L) orthonormal basis of the space that the VLADs of L photographs span.
+        vectors: (N, L) VLADs in that space, one per photograph. They are exact if L is N, else
+            Nystrom's approximation (Williams and Seeger, NIPS 2000).
     """
 
     words: NDArray[np.float32]
@@ -83,9 +83,9 @@ class VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
-            descriptors: descriptors of each photograph; those of one are in memory at a time.
-            words: most visual words.
-            spanning: most photographs that span the space of the descriptors.
+            descriptors: descriptors of each photograph, read one photograph at a time.
+            words: maximum number of visual words.
+            spanning: maximum number of photographs that span the space of the VLADs.
 
         Example:
             Two photographs with two descriptors each; a query like the second finds it:
@@ -97,7 +97,7 @@ class VladIndex:
             [1]
         """
         some = _training_sample(descriptors, _TRAINING_DESCRIPTORS)
-        # Photographs without a single keypoint have no words, and look alike.
+        # Without any keypoint there are no words, and all VLADs are equal.
         learned = _cluster(some, min(words, len(some))) if len(some) else some
         count = len(descriptors)
         rows = np.linspace(0, count - 1, min(count, spanning)).astype(int)
@@ -110,7 +110,7 @@ class VladIndex:
         """Return the rows of the ``k`` most similar photographs, best first.
 
         Args:
-            descriptors: (n, D) of the query, of unit length.
+            descriptors: (n, D) unit descriptors of the query.
             k: number of photographs.
             among: rows of the photographs to choose from; None for all.
         """
@@ -120,7 +120,7 @@ class VladIndex:
 
 
 def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
-    """Return the descriptors that words are learned from: all of them, or a sample of ``most``."""
+    """Return all descriptors, or a random sample of ``most``."""
     every = range(len(descriptors))
     ends = np.cumsum([len(descriptors[row]) for row in every])
     if ends[-1] <= most:
@@ -137,7 +137,7 @@ def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
     if k == len(descriptors):
-        return descriptors  # of which OpenCV would take a single one for many numbers
+        return descriptors  # OpenCV would read a single descriptor as many numbers.
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
     _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
@@ -147,7 +147,7 @@ def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
 def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
     if not len(descriptors) or not len(words):
         return np.zeros(words.size, np.float32)
-    # Nearest word by squared distance; the descriptor's own length does not change the order.
+    # Nearest word by squared distance, without the descriptor's own constant length.
     nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
     vlad = np.zeros_like(words)
     np.add.at(vlad, nearest, descriptors - words[nearest])
@@ -158,7 +158,7 @@ def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArr
 
 
 class Viewpoints:
-    """The positions of a map's photographs, and the ground that they show.
+    """The positions of a map's photographs, and where they look at the ground.
 
     Args:
         sparse_map: the map; rows are those of its ``names``.
@@ -171,24 +171,24 @@ class Viewpoints:
         self._upright = np.array([upright(pose[:3, :3]) for pose in poses]).reshape(-1, 3, 3)
 
     def near(self, position: Vector, k: int) -> Rows:
-        """Return the rows of the ``k`` cameras nearest to a position (3,), horizontally.
+        """Return the rows of the ``k`` cameras horizontally nearest to a position (3,).
 
-        The nearest comes first. Altitude is left out: it says little about what a camera over the
-        same ground sees, and GNSS altitude is the least reliable axis.
+        The nearest comes first. Altitude is ignored: it has little influence on the ground in view,
+        and GNSS altitude is the least reliable axis.
         """
         return self._nearest(position[:2], k)
 
     def within(self, position: Vector, metres: float) -> Rows:
-        """Return the rows of the cameras at most so far from a position (3,), horizontally."""
+        """Return the rows of the cameras within a horizontal distance of a position (3,)."""
         return self._nearest.within(position[:2], metres)
 
     def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
-        """Return rows of the ``k`` cameras whose picture, north up, is most like that of a pose.
+        """Return rows of the ``k`` cameras whose view, north up, is most like that of a pose.
 
-        The distance between the centres of two pictures counts in heights above the ground, and
-        the remaining angle between the cameras in radians: a picture is about as wide as its
-        camera is high, and looks about as different when it is tilted by 60 degrees. The best
-        comes first.
+        The distance of two views is that between their centres on the ground in heights above it,
+        plus the remaining angle between the cameras in radians: a picture is about as wide as its
+        camera is high, and differs about as much when it is tilted by 60 degrees. The best comes
+        first.
 
         Args:
             position: (3,) camera centre, world metres.
@@ -207,7 +207,7 @@ class Viewpoints:
 
 
 def _least(values: NDArray[Any], k: int) -> Rows:
-    """Return the rows of the ``k`` least values, least first, and the first of equal ones first."""
+    """Return the rows of the ``k`` least values in ascending order; ties keep their order."""
     if k >= len(values):
         return np.argsort(values, kind="stable")
     rows = np.flatnonzero(values <= np.partition(values, k - 1)[k - 1])
@@ -215,21 +215,15 @@ def _least(values: NDArray[Any], k: int) -> Rows:
 
 
 def _middle(centres: Vector, rotations: Matrix, ground: float) -> Vector:
-    """Return where cameras look at level ground, (N, 2), and some way ahead of flat views."""
+    """Return where optical axes meet level ground, (N, 2); for flat views, a point ahead."""
     axis = rotations[:, 2]
-    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _MIN_DROP)
+    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _MIN_TILT_COSINE)
     return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
 
 
 @dataclass(frozen=True)
 class References:
-    """Chooses photographs of a map for a query.
-
-    Attributes:
-        names: names of the photographs.
-        viewpoints: where they were taken from.
-        index: their global descriptors.
-    """
+    """Chooses the reference images of a query among the photographs of a map."""
 
     names: tuple[str, ...]
     viewpoints: Viewpoints
@@ -250,17 +244,17 @@ class References:
     ) -> NDArray[np.int64]:
         """Return rows of ``names``, best first.
 
-        They are those the query names; else the ``k`` nearest to its prior; else the ``k`` that
-        look most like it. Of more photographs than ``k`` within two standard deviations of an
-        unsure prior, they are those that look most like it, too: the nearest are no better than the
+        They are those the query names; else the ``k`` nearest to its prior; else the ``k`` most
+        similar ones. If more than ``k`` photographs lie within two standard deviations of the
+        prior, they are the most similar of these, because the nearest are no better than the
         others.
 
         Args:
-            query: the query to choose for.
-            k: number of photographs to choose.
-            describe: descriptors of the query, (n, D) of unit length; called only when needed.
-            tilted: whether features are found again from any side. If not, photographs near the
-                prior that are tilted like it come first.
+            query: the query.
+            k: number of photographs.
+            describe: returns unit descriptors (n, D) of the query; called only when needed.
+            tilted: whether features are invariant to tilt. If not, photographs near the prior with
+                a similar tilt come first.
 
         Raises:
             InputError: the query names a photograph that the map does not have.
@@ -281,7 +275,8 @@ class References:
         return self.index.rank(describe(), k)
 
     def _within_reach(self, prior: Prior) -> Rows:
-        """Return the rows of the photographs taken where a prior may be, as far as it says."""
+        """Return the rows of the photographs within reach of a prior; none if its sigma is
+        unknown."""
         sigma = prior.horizontal_sigma
         if sigma is None:
             return np.zeros(0, np.int64)

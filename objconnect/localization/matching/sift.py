@@ -1,7 +1,7 @@
 """COLMAP's DoG SIFT with RootSIFT descriptors (Arandjelovic and Zisserman, CVPR 2012).
 
-The map was built from the same keypoints, so that they carry its points as they are. pycolmap is
-imported at the first extraction: it takes 60 MB, and maps hold their features.
+The map is built from the same keypoints, so its points belong to them without interpolation.
+pycolmap is imported at the first extraction: it takes 60 MB, and most maps hold their features.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Sift(Extractor):
-    """SIFT as the maps are built from it, at most ``max_features`` an image."""
+    """The SIFT that maps are built from, at most ``max_features`` per image."""
 
     name = "sift"
 

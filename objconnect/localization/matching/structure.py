@@ -1,6 +1,6 @@
-"""Localization by structure: matches to photographs of the map, lifted to 3D points, give a pose.
+"""Structure-based localization: PnP from matches to 3D points of the reference images.
 
-All local features use this pipeline. A method consists of an extractor and a configuration.
+All local features use this pipeline. A method is an extractor and a configuration.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import OnDemand, References
-from objconnect.localization.resolution import metres_per_pixel, of_map, scale_to
+from objconnect.localization.resolution import map_resolution, metres_per_pixel, scale_to
 from objconnect.localization.starts import starts
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
@@ -33,36 +33,36 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import LruCache, room
 
-# Version of what the cache holds of a map. Another number rebuilds the cache.
+# Version of the cache files. Another number rebuilds them.
 _FORMAT = 2
 _ARRAYS = ("points", "xyz", "descriptors")
 
 
 class NoKeypointOnPointError(InputError):
-    """The keypoints of a map's photographs are nowhere at its points: it is not built from them."""
+    """No keypoint of a map's photographs lies at a map point: the map is not built from them."""
 
 
 class StructureConfig(PnpConfig):
     """Options of a structure-based localizer."""
 
     references: int = Field(
-        5, ge=1, description="Photographs of the map that are matched against the query."
+        5, ge=1, description="Number of reference images that are matched with the query."
     )
     ratio: float = Field(
         0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
     )
-    max_features: int = Field(8192, ge=100, description="Most features of an image.")
+    max_features: int = Field(8192, ge=100, description="Maximum number of features of an image.")
     memory_mb: int = Field(
         2048,
         ge=1,
-        description="Memory of the whole process; features of the map stay in memory as far as "
-        "there is room below it.",
+        description="Memory of the whole process, MB; features of the map stay in memory as far as "
+        "there is room.",
     )
     max_magnification: float = Field(
         2.0,
         ge=1,
-        description="Images are magnified at most this much to reach the map's resolution, for "
-        "features that depend on it.",
+        description="Largest factor by which images are magnified to the map's resolution, for "
+        "features that are not scale-invariant.",
     )
 
 
@@ -76,7 +76,7 @@ class StructureLocalizer:
             config: configuration of the method.
             extractor: extractor of its features.
             interpolate: whether 3D points of keypoints are interpolated between the map's
-                observations. Features from which the map was not built need this.
+                observations, for features that the map was not built from.
         """
         self.config = config
         self._extractor = extractor
@@ -98,7 +98,7 @@ class StructureLocalizer:
             self.prepare_from(kept)
 
     def prepare_from(self, kept: MapCache) -> None:
-        """Do what ``prepare`` does, with the cache of a map."""
+        """Prepare the map of a cache."""
         sparse_map, unit = kept.sparse_map, self._extractor.unit
         features = map_features(kept, self._extractor)
         store = kept.store(
@@ -117,18 +117,15 @@ class StructureLocalizer:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
         self._lifted = LruCache(lift_features, room(self.config.memory_mb))
-        self._resolution = of_map(sparse_map, lambda camera: 1.0)
+        self._resolution = map_resolution(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, OnDemand(describe, len(store)))
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
-        """Compute what the cache is to hold of a part; see ``PreparesParts``."""
+        """Fill the cache for a part of the photographs; see ``PreparesParts``."""
         map_features(MapCache.of(sparse_map, images, cache, part), self._extractor)
 
     def _lift(self, kept: MapCache, features: Mapping[str, Features]) -> Rows:
-        """Yield the keypoints that have a 3D point: only these can vote for a pose.
-
-        Points are those of the map, or one for each keypoint.
-        """
+        """Yield the keypoints with a 3D point, which is one of the map or interpolated."""
         sparse_map = kept.sparse_map
         end, carried = len(sparse_map.xyz), 0
         for name in sparse_map.names:
@@ -146,15 +143,15 @@ class StructureLocalizer:
             yield "", vars(_Lifted(points, xyz, keypoints.descriptors[lifted]))
         if not carried and _is_observed(sparse_map):
             raise NoKeypointOnPointError(
-                f"no keypoint of the photographs in {kept.images} lies where the map has a point: "
-                "they are not the photographs the map was built from, or were resized since"
+                f"no keypoint of the photographs in {kept.images} lies at a point of the map: give "
+                "the photographs that the map was built from, in their original size"
             )
 
     def localize(self, query: Query) -> Estimate:
-        """Extract features, choose references, match, lift and solve for the pose.
+        """Extract features, choose reference images, match, and estimate the pose by PnP.
 
-        Features that are not invariant to rotation are extracted from the image turned by each
-        likely start. The estimate with the most inliers is returned.
+        Features that are not rotation-invariant are extracted from the image rotated for each
+        start. The estimate with the most inliers is returned.
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
@@ -165,8 +162,7 @@ class StructureLocalizer:
             with clock.stage("features"):
                 return self._extractor(query.image)
 
-        turned = self._extractor.turned
-        if turned:
+        if self._extractor.rotation_invariant:
             extract_upright()
         with clock.stage("retrieval"):
             chosen = self._references.choose(
@@ -176,7 +172,7 @@ class StructureLocalizer:
             )
         if not len(chosen):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-        if turned:
+        if self._extractor.rotation_invariant:
             return self._solve(query, extract_upright(), chosen, clock)
         estimates: list[Estimate] = []
         begin = starts(query.prior, self._map, chosen)
@@ -189,12 +185,12 @@ class StructureLocalizer:
         return max(estimates, key=lambda estimate: estimate.inliers)
 
     def similar(self, query: Query, count: int) -> NDArray[np.int64]:
-        """Return rows of the ``count`` photographs that look most like a query, best first."""
+        """Return rows of the ``count`` photographs most similar to a query, best first."""
         described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
         return self._references.index.rank(described, count)
 
     def _extract(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
-        """Extract features of the query, turned and scaled as a start suggests."""
+        """Extract features of the query, rotated and resized for a start."""
         around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
         own = metres_per_pixel(start, query.camera, around)
         scale = scale_to(self._resolution, own, self.config.max_magnification)
@@ -204,7 +200,7 @@ class StructureLocalizer:
     def _solve(
         self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
     ) -> Estimate:
-        """Match features to the chosen photographs and solve for the pose."""
+        """Match features to the chosen photographs and estimate the pose."""
         with clock.stage("matching"):
             unit = self._extractor.unit(features.descriptors)
             keypoints, xyz = self._correspondences(unit, chosen)
@@ -213,31 +209,31 @@ class StructureLocalizer:
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Match descriptors to all references.
+        """Match descriptors to all reference images.
 
         Returns:
             Unique pairs: rows of the query's keypoints (K,) and their points (K, 3).
         """
-        matches, places = [], []
+        matches, points = [], []
         for reference in references:
             lifted = self._lifted(int(reference))
             unit = self._extractor.unit(lifted.descriptors)
             pairs = self._extractor.match(descriptors, unit, self.config.ratio)
             matches.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
-            places.append(lifted.xyz[pairs[:, 1]])
+            points.append(lifted.xyz[pairs[:, 1]])
         unique, first = np.unique(np.concatenate(matches), axis=0, return_index=True)
-        return unique[:, 0], np.concatenate(places)[first]
+        return unique[:, 0], np.concatenate(points)[first]
 
 
 @dataclass(frozen=True)
 class _Lifted:
-    """Keypoints of a photograph of the map that have a 3D point, N of them.
+    """The N keypoints of a photograph of the map that have a 3D point.
 
     Attributes:
-        points: (N,) numbers of their points; one may be seen in several photographs.
-        xyz: (N, 3) the points, world metres.
-        descriptors: (N, D) as they were extracted: of unit length, in float32, they take two to
-            thirty-two times the memory.
+        points: (N,) numbers of their points; several photographs may share one.
+        xyz: (N, 3) points, world metres.
+        descriptors: (N, D) descriptors as extracted; as unit vectors in float32 they would take two
+            to thirty-two times the memory.
     """
 
     points: NDArray[np.int64]
@@ -250,7 +246,7 @@ class _Lifted:
 
 
 def _is_observed(sparse_map: SparseMap) -> bool:
-    """Return whether the photographs of a map see enough of its points for a pose."""
+    """Return whether the photographs of a map observe enough points for a pose."""
     seen = [image.point_rows for image in sparse_map.images.values()]
     rows = np.unique(np.concatenate(seen))
     return int((rows >= 0).sum()) >= MIN_MATCHES

@@ -1,1 +1,1 @@
-"""The everyday job: photographs, sequences and videos in, poses and their files out."""
+"""Localize photographs, sequences and videos in a map, and write their poses."""

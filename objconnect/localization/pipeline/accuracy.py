@@ -1,4 +1,4 @@
-"""How exact an answer is on earth: its covariance in the map, and the map's place on earth."""
+"""Accuracy of a position on earth: that of the pose in the map plus that of the map itself."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from objconnect.scene.bundle.georeference import Georeference
 
 @dataclass(frozen=True)
 class EarthAccuracy:
-    """The uncertainty of a position on earth.
+    """The uncertainty of a position on earth; each part is None if unknown.
 
     Attributes:
         eph_m: horizontal standard deviation, metres: the root of the sum of the variances to the
-            east and north; None if unknown.
-        epv_m: vertical standard deviation, metres; None if unknown.
-        covariance: (3, 3) of the position to the east, north and up, m^2; None where one of the
-            above is unknown.
+            east and north.
+        epv_m: vertical standard deviation, metres.
+        covariance: (3, 3) of the position to the east, north and up, m^2.
     """
 
     eph_m: float | None = None
@@ -31,14 +30,14 @@ class EarthAccuracy:
 def combine_accuracies(
     within_map: NDArray[np.float64] | None, georeference: Georeference | None
 ) -> EarthAccuracy:
-    """Return how exact a position is on earth.
+    """Return the accuracy of a position on earth.
 
-    The error of an answer within the map and that of the map on earth are independent, so that
-    their variances add up.
+    The error of a pose within the map and the error of the map on earth are independent, so their
+    variances add up.
 
     Args:
-        within_map: covariance (6, 6) of an answer, ``Estimate.world_covariance``; None if unknown.
-        georeference: how exactly the map is placed; None if unknown.
+        within_map: covariance (6, 6) of a pose, ``Estimate.world_covariance``; None if unknown.
+        georeference: accuracy of the map's position on earth; None if unknown.
     """
     if within_map is None or georeference is None:
         return EarthAccuracy()

@@ -1,4 +1,4 @@
-"""What ``localize`` writes of the photographs: poses, a table, and files of other tools."""
+"""Output files of ``localize``: poses, a table, GeoJSON, KML, MAVLink logs and ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from objconnect.ingestion.attitude import gimbal_angles
 from objconnect.localization.pipeline.accuracy import EarthAccuracy, combine_accuracies
 from objconnect.localization.pipeline.cameras import CameraSource
-from objconnect.localization.pipeline.mavlink import dialect, telemetry_log
-from objconnect.localization.pipeline.ros import bag, library
+from objconnect.localization.pipeline.mavlink import encode_telemetry_log, import_dialect
+from objconnect.localization.pipeline.ros import encode_bag, import_rosbags
 from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.errors import InputError
@@ -34,7 +34,7 @@ from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile
 
-# By these a file of this command is recognized. The columns after the first ones came later.
+# The header and the first columns mark a file as one of this command, which it may replace.
 _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
@@ -51,12 +51,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Geography:
-    """What a place is said in beside WGS84.
+    """The coordinates that are written in addition to WGS84, and the accuracy of the map on earth.
 
     Attributes:
-        undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
-        projection: a coordinate reference system; None for none.
-        georeference: how exactly the map is placed on earth; None if unknown.
+        undulation_m: height of the geoid above the ellipsoid; None leaves out heights above sea
+            level.
+        projection: coordinate reference system; None for none.
+        georeference: accuracy of the map's position on earth; None if unknown.
     """
 
     undulation_m: float | None = None
@@ -64,7 +65,7 @@ class Geography:
     georeference: Georeference | None = None
 
     def values(self, place: Geodetic) -> dict[str, str | float]:
-        """Return the height above sea level and the coordinates of a place."""
+        """Return the height above sea level and the projected coordinates of a position."""
         known: dict[str, str | float] = {}
         if self.undulation_m is not None:
             known["sea_level_m"] = round(place.altitude - self.undulation_m, 3)
@@ -81,15 +82,12 @@ class Located:
     """A photograph with its estimate.
 
     Attributes:
-        name: file name.
-        estimate: pose, in the frame of the map.
-        place: the camera on earth; None if unknown.
-        time: when it was taken; None if the photograph does not say.
-        camera: its camera; None if it cannot be read.
-        source: where the camera comes from.
+        place: position of the camera on earth; None if unknown.
+        time: when it was taken; None if unknown.
+        camera: its camera; None if the photograph cannot be read.
         seconds: time from the start of its sequence; None outside one.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: what the photograph does not say for sure, of what was taken from it.
+        doubts: metadata of the photograph that were used though they are uncertain.
     """
 
     name: str
@@ -104,13 +102,13 @@ class Located:
 
     @property
     def reason(self) -> str:
-        """Return the reason of the estimate, then what the photograph does not say for sure."""
+        """Return the reason of the estimate, then the doubts about the metadata."""
         own = self.estimate.reason
         more = (doubt for doubt in self.doubts if doubt not in own)
         return "; ".join(each for each in (own, *more) if each)
 
     @property
-    def found(self) -> bool:
+    def is_localized(self) -> bool:
         """Return whether the photograph was localized; a fallback pose does not count."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
@@ -137,13 +135,13 @@ class Located:
         return math.sqrt(east + north), math.sqrt(up)
 
     def accuracy(self, geography: Geography) -> EarthAccuracy:
-        """Return how exact the position on earth is."""
+        """Return the accuracy of the position on earth."""
         return combine_accuracies(self.covariance, geography.georeference)
 
     def to_stamped(self, geography: Geography) -> StampedPose | None:
-        """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
+        """Return the pose with its time, which is taken as UTC; None if either is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
-        if not self.found or pose is None or centre is None or self.place is None:
+        if not self.is_localized or pose is None or centre is None or self.place is None:
             return None
         if self.time is None or (time := self.time.replace(tzinfo=UTC)) < _EPOCH:
             return None
@@ -154,8 +152,8 @@ class Located:
         )
 
     def values(self, geography: Geography) -> dict[str, str | float]:
-        """Return what is known of time, heights, coordinates, attitude, uncertainty, camera and
-        method."""
+        """Return the table's values that are known: time, heights, coordinates, attitude,
+        uncertainty, camera and method."""
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
@@ -174,8 +172,8 @@ class Located:
             known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
-            # A prior says nothing of a focal length that is to be estimated.
-            estimated = self.found and self.estimate.inliers > 0
+            # A fallback pose says nothing about a focal length that is to be estimated.
+            estimated = self.is_localized and self.estimate.inliers > 0
             if estimated or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
         if self.estimate.by is not None:
@@ -185,16 +183,20 @@ class Located:
         return known
 
 
-def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
-    """Return the files that ``write_answers`` writes: poses, the table beside, and further ones.
+def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
+    """Return the files of ``encode_files``: poses, the table beside them, and further files.
+
+    Args:
+        poses: text file of the poses.
+        also: further files; the ending selects the format, one of ``FURTHER``.
 
     Raises:
-        InputError: the name of the poses is that of a table, or a further file has an ending that
-            is not one of ``FURTHER``, or needs a package that is not installed.
+        InputError: ``poses`` ends in .csv, an ending is unknown, or the package that a format needs
+            is not installed.
     """
     if not poses.name or poses.suffix.lower() == _TABLE:
         raise InputError(
-            f"{poses} cannot name the poses, for a table lies beside: let it end in .txt"
+            f"{poses} cannot hold the poses: its name is that of the table; let it end in .txt"
         )
     for path in also:
         if path.suffix.lower() not in FURTHER:
@@ -208,10 +210,10 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
     ]
 
 
-def contents(
+def encode_files(
     located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield the files that ``outputs`` named, with their texts."""
+    """Yield the paths that ``output_files`` returned, with the bytes to write there."""
     poses, table, *also = (file.path for file in files)
     yield poses, _pose_lines(located).encode()
     yield table, _table(located, geography).encode()
@@ -223,7 +225,7 @@ def _pose_lines(located: Sequence[Located]) -> str:
     lines = [_HEADER]
     for item in located:
         pose = item.estimate.cam_from_world
-        if item.found and pose is not None:
+        if item.is_localized and pose is not None:
             lines.append(pose_line(item.name, pose, 9))
     return "\n".join(lines) + "\n"
 
@@ -238,7 +240,7 @@ def _table(located: Sequence[Located], geography: Geography) -> str:
 
 
 def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
-    """Return the row of a photograph; columns that are unknown are missing."""
+    """Return the table's row of a photograph without the columns that are unknown."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
     row |= {"inliers": str(estimate.inliers), "reason": for_terminal(item.reason)}
@@ -259,13 +261,13 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
 
 
 def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not found.
+    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not localized.
 
-    Altitudes are above the ellipsoid, as the standard has them.
+    Altitudes are above the ellipsoid, as the standard requires.
     """
     features = []
     for item in located:
-        place = item.place if item.found else None
+        place = item.place if item.is_localized else None
         values: dict[str, Any] = {"name": for_terminal(item.name)}
         values["status"] = item.estimate.status.value
         if item.reason:
@@ -282,16 +284,16 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _kml(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return KML 2.2: a placemark for each photograph that was found, and their path.
+    """Return KML 2.2: a placemark for each localized photograph, and their path.
 
-    Its altitudes are above sea level. Where that is not known, the marks lie on the ground.
+    Altitudes are above sea level. Where the geoid is unknown, the marks are clamped to the ground.
     """
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
     ElementTree.SubElement(document, "name").text = _MARK
     undulation_m = geography.undulation_m
     mode = "clampToGround" if undulation_m is None else "absolute"
-    found = [item for item in located if item.found and item.place is not None]
+    found = [item for item in located if item.is_localized and item.place is not None]
     for item in found:
         mark = ElementTree.SubElement(document, "Placemark")
         ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
@@ -309,7 +311,7 @@ def _kml(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _stamp(time: datetime) -> str:
-    """Return a time as a photograph has it, to the millisecond."""
+    """Return a time in ISO 8601 without zone, to the millisecond."""
     return time.replace(tzinfo=None).isoformat(timespec="milliseconds")
 
 
@@ -330,20 +332,20 @@ def _geometry(
 
 
 def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
+    return encode_telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
 
 
 def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return bag(_sort_by_time(located, geography), _MARK)
+    return encode_bag(_sort_by_time(located, geography), _MARK)
 
 
 def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
-    """Return what was found, sorted by time."""
-    found = [item for item in located if item.found]
+    """Return the localized photographs that have a time, sorted by it."""
+    found = [item for item in located if item.is_localized]
     poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
         log.warning(
-            "%d of %d photographs have no time: logs and bags lack them",
+            "%d of %d photographs have no time and are left out of logs and bags",
             len(found) - len(poses),
             len(found),
         )
@@ -358,5 +360,8 @@ FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = 
 }
 """Formats of further files by their ending."""
 
-# What looks, before any work, whether the package of a format is installed.
-_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {".tlog": dialect, ".mcap": library}
+# Importers that fail, before any work, if the package of a format is not installed.
+_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {
+    ".tlog": import_dialect,
+    ".mcap": import_rosbags,
+}

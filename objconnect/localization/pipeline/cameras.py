@@ -1,4 +1,4 @@
-"""The camera of a photograph: that of the map, of the maker, of EXIF, or an estimate."""
+"""The camera of a photograph: from the map, the maker's calibration, EXIF, or estimated."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from objconnect.scene.quantities.film_lens import SAME_LENS
 from objconnect.scene.quantities.focal import SAME_ASPECT
 from objconnect.scene.storage.images import Exif
 
-# Focal lengths that are tried where nothing is known, in longest sides of the picture: from 90 to
-# 37 degrees of view.
+# Focal lengths to try where nothing is known, as multiples of the longer side: 90 to 37 degrees of
+# view.
 _TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
-# Standard deviation of an estimated focal length, as a share of it: that of a pinhole
-# (docs/evidence/robustness.md has an example), and that of a camera of the map.
+# Standard deviation of an estimated focal length, as a share of it: of a pinhole
+# (docs/evidence/robustness.md has an example), and of a camera of the map.
 _FOCAL_SHARE: Final = 0.06
 _MAP_SHARE: Final = 0.005
-# Most points of a map from which the distance of the ground is taken.
+# Maximum number of map points that give the distance to the ground.
 _POINTS: Final = 20_000
-# A focal length with which a photograph is not found counts as this much worse than the worst one.
+# Sigma of a focal length with which localization fails, relative to the worst that succeeds.
 _NOT_FOUND: Final = 2.0
 
 
@@ -43,13 +43,7 @@ class CameraSource(StrEnum):
 
 @dataclass(frozen=True)
 class Calibration:
-    """The camera of a photograph.
-
-    Attributes:
-        camera: the camera.
-        source: where it comes from.
-        others: cameras to try beside it where it is to be estimated.
-    """
+    """The camera of a photograph with its source; ``others`` are tried if it is to be estimated."""
 
     camera: Camera
     source: CameraSource
@@ -57,17 +51,17 @@ class Calibration:
 
 
 def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera]) -> Calibration:
-    """Return the camera of a photograph for which none is given.
+    """Return the camera of a photograph for which the user gives none.
 
-    It is, in this order: the map's camera of the photograph's size; the calibration in XMP; the
-    map's camera of another size, scaled; a pinhole of the focal length in EXIF. A camera of the map
-    counts where its focal length is that of EXIF; one of the photograph's size also where EXIF has
-    none. If all of them are missing, the camera is to be estimated. So it is where fields of EXIF
-    contradict each other: the map decides between what they say.
+    The first that exists is taken: the map's camera of the photograph's size; the calibration in
+    XMP; the map's camera of another size, scaled; a pinhole with the focal length in EXIF. A camera
+    of the map is used only if its focal length agrees with EXIF, or if EXIF has none and it is the
+    only one of the photograph's size. If none exists, or if fields of EXIF contradict each other,
+    the camera is to be estimated against the map.
 
     Args:
         size: width and height of the photograph, pixels.
-        exif: what the photograph says of itself.
+        exif: metadata of the photograph.
         cameras: cameras of the map.
     """
     if exif.focals:
@@ -96,9 +90,10 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
 def _candidates(
     size: tuple[int, int], focals: Sequence[float], cameras: Collection[Camera]
 ) -> Calibration:
-    """Return cameras to try of a photograph whose fields contradict each other.
+    """Return the cameras to try for a photograph whose EXIF fields contradict each other.
 
-    A focal length that is the map's has its camera. The likeliest one comes first.
+    A focal length that agrees with a camera of the map brings that camera, too. Such ones come
+    first.
     """
     alike = sorted(
         (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
@@ -113,14 +108,14 @@ def _candidates(
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera whose focal length is nearest; None where none is of such a lens."""
+    """Return the camera with the nearest focal length; None if it is of another lens."""
     off = {camera: _off(camera, focal) for camera in cameras}
     best = min(off, key=lambda camera: off[camera], default=None)
     return best if best is not None and off[best] < SAME_LENS else None
 
 
 def _off(camera: Camera, focal: float) -> float:
-    """Return by which share a camera's focal length differs from one in longest sides."""
+    """Return by which share a camera's focal length differs from ``focal`` (longer sides)."""
     ratio = camera.focal[0] / max(camera.width, camera.height) / focal
     return max(ratio, 1 / ratio) - 1
 
@@ -130,15 +125,15 @@ def estimate_camera(
 ) -> Camera:
     """Return the camera with which photographs of one lens fit a map best.
 
-    The misfit of a photograph is the standard deviation of its rotation about the optical axis,
-    which grows with the residuals of its inliers and, unlike that of the position, not with the
-    focal length. The logarithms are added, weighted by the numbers of inliers, as those of
-    likelihoods are. Between pinholes that were tried, the focal length is that of a parabola.
+    The misfit of a photograph is the standard deviation of its rotation about the optical axis. It
+    grows with the residuals of the inliers and, unlike that of the position, not with the focal
+    length. Like log-likelihoods, the logarithms are added, weighted by the numbers of inliers.
+    Between the pinholes of the range, a parabola through the misfits interpolates the focal length.
 
     Args:
         cameras: cameras to try (``calibration_of``). Pinholes of a range come last, shortest first.
         queries: photographs of the lens.
-        localize: answers a query.
+        localize: localizes a query.
     """
     misfit = np.zeros(len(cameras))
     for query in queries:
@@ -165,15 +160,15 @@ def estimate_camera(
 def with_focal_error(
     estimate: Estimate, camera: Camera, cameras: Collection[Camera], xyz: NDArray[np.float64]
 ) -> Estimate:
-    """Return an estimate whose covariance has the error of an estimated focal length, too.
+    """Return an estimate whose covariance includes the error of an estimated focal length.
 
-    A focal length that is too long by a share puts the camera too far away by that share of its
-    distance from the ground.
+    A focal length that is too long by a share moves the camera away by that share of its distance
+    from the ground.
 
     Args:
-        estimate: an answer with an estimated camera.
-        camera: the camera.
-        cameras: cameras of the map; the error of one of them is smaller.
+        estimate: pose that was computed with the estimated camera.
+        camera: the estimated camera.
+        cameras: cameras of the map; the error is smaller if ``camera`` is one of them.
         xyz: points (N, 3) of the map.
     """
     pose, covariance = estimate.cam_from_world, estimate.covariance
@@ -196,17 +191,17 @@ def with_focal_error(
 
 
 def _rotation_sigma(estimate: Estimate) -> float:
-    """Return the standard deviation of the rotation about the optical axis, rad; infinite where the
-    photograph was not found."""
+    """Return the standard deviation of the rotation about the optical axis, rad; infinite on
+    failure."""
     if estimate.status is not Status.OK:
         return math.inf
     variance = math.nan if estimate.covariance is None else float(estimate.covariance[2, 2])
-    # A method without covariance tells at least how many points agree.
+    # A method without covariance reports at least its number of inliers.
     return math.sqrt(variance if variance > 0 else 1 / max(estimate.inliers, 1))
 
 
 def _unlike(camera: Camera, exif: Exif) -> float:
-    """Return by which share a camera's focal length differs from that of EXIF."""
+    """Return by which share a camera's focal length differs from EXIF; infinite without one."""
     focal = exif.focal_in_longest_sides
     return math.inf if focal is None else _off(camera, focal)
 
@@ -216,7 +211,7 @@ def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
 
 
 def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera of a picture that was resized; its aspect ratio may be off by a little."""
+    """Return the camera of a resized picture; the aspect ratio may differ by a little."""
     scale = size[0] / camera.width
     return _change(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
 
@@ -224,7 +219,7 @@ def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
 def _change(
     camera: Camera, size: tuple[int, int], focal: float, centre: float, lower: float
 ) -> Camera:
-    """Return a camera whose focal length and principal point were scaled, and the latter moved."""
+    """Scale focal length and principal point of a camera, and move the latter down by ``lower``."""
     scales = {"f": focal, "fx": focal, "fy": focal, "cx": centre, "cy": centre}
     params = tuple(
         value * scales.get(name, 1.0) + (lower if name == "cy" else 0.0)
@@ -234,5 +229,5 @@ def _change(
 
 
 def _pinhole(size: tuple[int, int], focal: float) -> Camera:
-    """Return the pinhole of a focal length in longest sides of the picture."""
+    """Return the pinhole camera with a focal length in longer sides of the picture."""
     return Camera("SIMPLE_PINHOLE", *size, (focal * max(size), size[0] / 2, size[1] / 2))

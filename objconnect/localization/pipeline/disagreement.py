@@ -1,4 +1,4 @@
-"""Answers that contradict the positions that the photographs' own receiver measured."""
+"""Comparison of estimated positions with the GPS positions of the photographs."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from objconnect.localization.pipeline.answers import Geography, Located
 log = logging.getLogger(__name__)
 
 # Fewer photographs may all have a bad fix.
-_FEWEST: Final = 5
-# Standard deviations of one axis. Errors that all photographs share are larger by a chance of
+_MIN_PHOTOGRAPHS: Final = 5
+# Standard deviations of one axis. Errors that all photographs share exceed them with a chance of
 # 1 in 90 horizontally, and of 1 in 370 vertically.
 _FAR: Final = 3.0
-# A receiver without corrections is off by less in 95 % of places (m; GPS SPS standard of 2020).
+# A receiver without corrections is off by less at 95 % of sites (m; GPS SPS standard of 2020).
 _RECEIVER_M: Final = 8.0
-# A smaller standard deviation (m) is none that a receiver has.
-_LEAST: Final = 1e-3
+# No receiver has a smaller standard deviation (m).
+_MIN_SIGMA_M: Final = 1e-3
 
 
 class Disagreement(NamedTuple):
-    """How far answers are from measured positions.
+    """Distances between estimated and measured positions.
 
     Attributes:
-        photographs: number of photographs that have both.
+        photographs: number of photographs that have both positions.
         across_m: median horizontal distance, metres.
-        up_m: median height of the answers above the positions, metres; None where no height was
-            measured.
-        apart_m: median difference of the heights, whatever its sign, metres; None as ``up_m``.
+        up_m: median height of the estimates above the measurements, metres; None where no height
+            was measured.
+        height_error_m: median absolute difference of the heights, metres; None as ``up_m``.
         far_across: whether the horizontal distances are far larger than the sigmas.
-        far_up: the same of the heights.
-        far_within: whether the map's place on earth is unknown, and the horizontal distances are
+        far_up: whether the height differences are far larger than the sigmas.
+        far_within: whether the map's accuracy on earth is unknown, and the horizontal distances are
             larger than those of a receiver, and far larger than the sigmas within the map.
     """
 
     photographs: int
     across_m: float
     up_m: float | None
-    apart_m: float | None
+    height_error_m: float | None
     far_across: bool
     far_up: bool
     far_within: bool
@@ -57,63 +57,64 @@ class _Compared(NamedTuple):
 
 
 def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
-    """Compare answers with measured positions; None where fewer than five photographs have both.
+    """Compare estimated with measured positions; None if fewer than five photographs have both.
 
-    A distance is measured in standard deviations of position and answer together: that on earth
-    where the map's place on earth is known, else that within the map.
+    Distances are in standard deviations of both positions together. The estimate's deviation is
+    that on earth where the map's accuracy on earth is known, else that within the map.
     """
     compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
-    if len(compared) < _FEWEST:
+    if len(compared) < _MIN_PHOTOGRAPHS:
         return None
     across, across_sigmas, within_sigmas = np.median(compared[:, :3], axis=0).tolist()
     heights = compared[np.isfinite(compared[:, 3])]
-    up, apart, far_up = None, None, False
-    if len(heights) >= _FEWEST:
-        up, apart = float(np.median(heights[:, 3])), float(np.median(abs(heights[:, 3])))
+    up, height_error, far_up = None, None, False
+    if len(heights) >= _MIN_PHOTOGRAPHS:
+        up, height_error = float(np.median(heights[:, 3])), float(np.median(abs(heights[:, 3])))
         far_up = bool(np.median(heights[:, 4]) > _FAR)
     unplaced = geography.georeference is None and across > _RECEIVER_M
     far_within = unplaced and within_sigmas > _FAR
-    return Disagreement(len(compared), across, up, apart, across_sigmas > _FAR, far_up, far_within)
+    far_across = across_sigmas > _FAR
+    return Disagreement(len(compared), across, up, height_error, far_across, far_up, far_within)
 
 
 def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
-    """Warn in one line where answers are much further from measured positions than the sigmas.
+    """Warn in one line where estimates are much further from measured positions than the sigmas.
 
-    Where the map's place on earth is unknown, answers have sigmas within the map alone. Then a line
-    says how far they are from the measured positions.
+    Where the map's accuracy on earth is unknown, sigmas are within the map alone. The line then
+    says how far the estimates are from the measured positions.
     """
-    found = measure_disagreement(located, geography)
-    if found is None:
+    errors = measure_disagreement(located, geography)
+    if errors is None:
         return
-    if not (found.far_across or found.far_up):
-        if found.far_within:
+    if not (errors.far_across or errors.far_up):
+        if errors.far_within:
             log.warning(
                 "the answers lie %.1f m beside the GPS positions of the photographs (median of "
                 "%d): sigma_m is within the map, whose place on earth is not known as exactly",
-                found.across_m,
-                found.photographs,
+                errors.across_m,
+                errors.photographs,
             )
         return
-    parts = [f"{found.across_m:.1f} m beside"] if found.far_across else []
-    if found.far_up and found.up_m is not None and found.apart_m is not None:
+    parts = [f"{errors.across_m:.1f} m beside"] if errors.far_across else []
+    if errors.far_up and errors.up_m is not None and errors.height_error_m is not None:
         # Heights that scatter have a median near 0, which would say that they agree.
-        scattered = abs(found.up_m) < found.apart_m / 2
-        where = "above or below" if scattered else "above" if found.up_m > 0 else "below"
-        parts.append(f"{found.apart_m:.1f} m {where}")
+        scattered = abs(errors.up_m) < errors.height_error_m / 2
+        where = "above or below" if scattered else "above" if errors.up_m > 0 else "below"
+        parts.append(f"{errors.height_error_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
         "the sigmas of both: the map's place on earth is off, or the GPS is%s",
         " and ".join(parts),
-        found.photographs,
-        ", or its altitudes are above another surface (sea or ellipsoid)" if found.far_up else "",
+        errors.photographs,
+        ", or its altitudes are above another surface (sea or ellipsoid)" if errors.far_up else "",
     )
 
 
 def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Compared]:
-    """Yield distances, and what they are of the standard deviations; NaN for unknown heights."""
+    """Yield distances in metres and in standard deviations; NaN for unknown heights."""
     for item in located:
         gps, centre = item.gps, item.centre
-        if not item.found or centre is None or gps is None or gps.position_sigma is None:
+        if not item.is_localized or centre is None or gps is None or gps.position_sigma is None:
             continue
         if not gps.has_position or not np.isfinite(gps.position[:2]).all():
             continue
@@ -127,8 +128,8 @@ def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Comp
         up = up if math.isfinite(up_sigma) else math.nan
         yield _Compared(
             across,
-            across / max(across_sigma, _LEAST),
-            across / max((item.sigmas or (math.inf,))[0] / math.sqrt(2), _LEAST),
+            across / max(across_sigma, _MIN_SIGMA_M),
+            across / max((item.sigmas or (math.inf,))[0] / math.sqrt(2), _MIN_SIGMA_M),
             up,
-            abs(up) / max(up_sigma, _LEAST),
+            abs(up) / max(up_sigma, _MIN_SIGMA_M),
         )

@@ -1,4 +1,4 @@
-"""Asking a method: its exceptions are failures, and a failure may be tried again."""
+"""Localize a query so that exceptions become failures, and retry a failure without attitude."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ log = logging.getLogger(__name__)
 
 
 def localize_safely(localizer: Localizer, query: Query) -> Estimate:
-    """Localize a query, where an exception of the method counts as a failure.
+    """Localize a query; an exception of the method becomes the status ``FAILED`` and its reason.
 
-    A pose that is missing, not finite or too far away is a failure, too. The estimate then has the
-    status ``FAILED`` and states the reason.
+    A pose that is missing, not finite or too far away is a failure, too.
 
     Raises:
         InputError: the method cannot read its input.
-        PreparationError: the method cannot prepare the map, which it had left until now.
+        PreparationError: the method prepares the map with the first query, and cannot.
     """
     try:
         with one_step():
@@ -45,10 +44,10 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
 
 
 def localize_retrying(localizer: Localizer, query: Query) -> Estimate:
-    """Localize a query; where it is not found, once more without its attitude, which may be wrong.
+    """Localize a query; on failure, once more without its attitude.
 
-    A picture may have been rotated after it was taken. Arguments and errors are those of
-    ``localize_safely``.
+    The attitude may be wrong, as when a picture was rotated after it was taken. Arguments and
+    errors are those of ``localize_safely``.
     """
     estimate, prior = localize_safely(localizer, query), query.prior
     if estimate.status is Status.OK or prior is None or prior.cam_from_world_rotation is None:

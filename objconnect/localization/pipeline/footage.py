@@ -1,4 +1,4 @@
-"""A video with the telemetry of its subtitles: which camera and which words a frame has."""
+"""A video with the telemetry in its subtitles: the camera and the telemetry of each frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Final
 
 from objconnect.ingestion.telemetry import Telemetry, at_time, read_telemetry
 from objconnect.localization.pipeline.cameras import Calibration, CameraSource, calibration_of
-from objconnect.localization.pipeline.place import Place
+from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.quantities.coordinate_order import Pair
@@ -28,9 +28,9 @@ _SIDECARS: Final = (".SRT", ".srt", ".Srt")
 _FILM_MM: Final = 36.0
 # Rates and numbers of frames that agree differ by less than this share.
 _SAME_RATE: Final = 0.05
-# Pixels are square up to this share.
+# Largest deviation of square pixels' aspect ratio from 1.
 _SQUARE: Final = 0.005
-# A focal length changed where it differs by more than this share.
+# Smallest share by which a focal length changes on zoom.
 _ZOOMED: Final = 0.005
 
 
@@ -39,11 +39,8 @@ class Footage:
     """A video with its telemetry, to be localized.
 
     Attributes:
-        path: file of the video.
-        video: what the file says of itself.
         srt: subtitles with telemetry; None without.
-        flight: what they say; empty without.
-        rate_hz: frames a second to localize.
+        flight: telemetry of the subtitles; empty without.
     """
 
     path: Path
@@ -53,14 +50,20 @@ class Footage:
     rate_hz: float
 
     @staticmethod
-    def open(path: Path, srt: Path | None, rate_hz: float, place: Place | None = None) -> Footage:
-        """Read what a video and its subtitles say.
+    def open(
+        path: Path,
+        srt: Path | None,
+        rate_hz: float,
+        localization_map: LocalizationMap | None = None,
+    ) -> Footage:
+        """Read the metadata of a video and the telemetry of its subtitles.
 
         Args:
             path: file of the video.
             srt: its subtitles; None takes those of the same name beside it, if there are any.
             rate_hz: frames a second to localize.
-            place: the map, which tells what telemetry leaves open.
+            localization_map: resolves what is ambiguous in telemetry, such as the order of
+                coordinates.
 
         Raises:
             InputError: the video or the subtitles cannot be read.
@@ -75,26 +78,30 @@ class Footage:
                 path,
                 ", ".join(map(for_terminal, video.unread)),
             )
-        flight = [] if srt is None else read_telemetry(srt, _near(place), _lenses(place, video))
+        flight = (
+            []
+            if srt is None
+            else read_telemetry(srt, _near(localization_map), _lenses(localization_map, video))
+        )
         return Footage(path, video, srt, flight, rate_hz)
 
     @property
     def count(self) -> int:
-        """Return about how many frames are localized."""
+        """Return the approximate number of frames to localize."""
         rate_hz = min(self.rate_hz, self.video.rate_hz)
         return max(1, round((self.video.duration_s or 0.0) * rate_hz))
 
 
-def _near(place: Place | None) -> Pair | None:
+def _near(localization_map: LocalizationMap | None) -> Pair | None:
     """Return latitude and longitude of a map, degrees."""
-    if place is None or place.origin is None:
+    if localization_map is None or localization_map.origin is None:
         return None
-    return place.origin.latitude, place.origin.longitude
+    return localization_map.origin.latitude, localization_map.origin.longitude
 
 
-def _lenses(place: Place | None, video: Video) -> list[float]:
-    """Return the focal lengths of the map's cameras of a video's shape on 35 mm film, mm."""
-    cameras: Collection[Camera] = () if place is None else place.cameras
+def _lenses(localization_map: LocalizationMap | None, video: Video) -> list[float]:
+    """Return the 35 mm equivalent focal lengths (mm) of the map's cameras of a video's shape."""
+    cameras: Collection[Camera] = () if localization_map is None else localization_map.cameras
     shape = video.width / video.height
     return [
         _on_film(camera)
@@ -113,11 +120,10 @@ class FrameCameras:
 
     Attributes:
         base: camera without digital zoom.
-        focal_mm: focal length of the base in telemetry, mm on 35 mm film; None where telemetry does
-            not tell.
-        steady: the one zoom of all frames, a ratio to the base; None where it changes or is not
-            known.
-        is_given: whether the camera is that of all frames, whatever telemetry says.
+        focal_mm: 35 mm equivalent focal length (mm) that telemetry has for ``base``; None if
+            unknown.
+        steady: zoom of all frames, a ratio to the base; None where it changes or is unknown.
+        is_given: whether the user gives the camera, which then holds for all frames.
     """
 
     base: Calibration
@@ -126,7 +132,7 @@ class FrameCameras:
     is_given: bool = False
 
     def of(self, said: Telemetry | None) -> Calibration | None:
-        """Return the camera of a frame; None where its focal length is not known."""
+        """Return the camera of a frame; None where its focal length is unknown."""
         if self.is_given:
             return self.base
         scale = self.steady
@@ -139,15 +145,17 @@ class FrameCameras:
         return Calibration(_zoom(self.base.camera, scale), source)
 
 
-def cameras_of_frames(footage: Footage, camera: Camera | None, place: Place) -> FrameCameras:
+def cameras_of_frames(
+    footage: Footage, camera: Camera | None, localization_map: LocalizationMap
+) -> FrameCameras:
     """Return the cameras of a video's frames.
 
-    Without a given one it is the map's camera of their size and focal length, else one of the focal
-    length in the telemetry, scaled from the map's where that has such a lens. Zoom in the telemetry
-    multiplies the focal length.
+    If the user gives none, it is the map's camera of the frames' size and focal length, else one
+    with the focal length of the telemetry, scaled from the map's camera if that has such a lens.
+    Zoom in the telemetry multiplies the focal length.
 
     Raises:
-        InputError: the given camera has another size, or nothing tells the focal length.
+        InputError: the given camera has another size, or the focal length is unknown.
     """
     size = (footage.video.width, footage.video.height)
     shape = f"{footage.path} is {size[0]} x {size[1]} pixels and "
@@ -160,24 +168,24 @@ def cameras_of_frames(footage: Footage, camera: Camera | None, place: Place) -> 
     aspect = footage.video.pixel_aspect
     if abs(aspect - 1) > _SQUARE:
         raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
-    focal = _reference_focal(footage.flight, _lenses(place, footage.video))
-    base = calibration_of(size, Exif(None, None, focal_35mm=focal), place.cameras)
+    focal = _reference_focal(footage.flight, _lenses(localization_map, footage.video))
+    base = calibration_of(size, Exif(None, None, focal_35mm=focal), localization_map.cameras)
     if base.source is CameraSource.ESTIMATED:
         told = [said.zoom for said in footage.flight]
         what = "focal length" if all(told) else "focal length and zoom (dzoom_ratio)"
-        raise InputError(f"{shape}nothing tells the {what} of its frames{hint}")
+        raise InputError(f"{shape}has no {what}{hint}")
     scales = {_scale(said, focal) for said in footage.flight} or {1.0}
     if scales == {None} and all(said.zoom is None for said in footage.flight):
         if base.source is not CameraSource.MAP:
-            raise InputError(f"{shape}nothing tells the zoom (dzoom_ratio) of its frames{hint}")
-        log.warning("%s: the zoom is unknown, and the map's camera is taken without", footage.srt)
+            raise InputError(f"{shape}has no zoom (dzoom_ratio){hint}")
+        log.warning("%s: the zoom is unknown; the map's camera is used without zoom", footage.srt)
         scales = {1.0}
-    _warn_of_another_lens(footage, focal, base, place)
+    _warn_of_another_lens(footage, focal, base, localization_map)
     return FrameCameras(base, focal, scales.pop() if len(scales) == 1 else None)
 
 
 def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
-    """Return the focal length of a flight that is most like the map's, else the most frequent."""
+    """Return the focal length of a flight nearest to one of the map, else the most frequent."""
     focals = Counter(said.focal_mm for said in flight if said.focal_mm is not None)
     if not focals:
         return None
@@ -190,14 +198,14 @@ def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> fl
 
 
 def _scale(said: Telemetry, focal_mm: float | None) -> float | None:
-    """Return by what a frame's focal length is to be multiplied; None where that is not known."""
+    """Return the factor on the base focal length for a frame; None where it is unknown."""
     if focal_mm is None or said.zoom is None:
         return said.zoom
     return None if said.focal_mm is None else said.zoom * said.focal_mm / focal_mm
 
 
 def _zoom(camera: Camera, scale: float) -> Camera:
-    """Return the camera of the middle of its picture, enlarged by a scale."""
+    """Return the camera with a digital zoom, which enlarges the middle of the picture."""
     middle = {"cx": camera.width / 2, "cy": camera.height / 2}
     params = []
     for name, value in zip(MODELS[camera.model], camera.params, strict=True):
@@ -208,7 +216,7 @@ def _zoom(camera: Camera, scale: float) -> Camera:
 
 
 def _warn_of_zoom(footage: Footage) -> None:
-    """Warn where one camera is given for frames of several focal lengths."""
+    """Warn if one camera is given for frames of several focal lengths."""
     focals = [said.effective_mm for said in footage.flight if said.effective_mm is not None]
     if focals and max(focals) > (1 + _ZOOMED) * min(focals):
         log.warning(
@@ -220,18 +228,18 @@ def _warn_of_zoom(footage: Footage) -> None:
 
 
 def _warn_of_another_lens(
-    footage: Footage, focal: float | None, base: Calibration, place: Place
+    footage: Footage, focal: float | None, base: Calibration, localization_map: LocalizationMap
 ) -> None:
-    """Warn where the map has a camera of the frames' size, and telemetry tells another lens."""
+    """Warn if the map has a camera of the frames' size and telemetry names another lens."""
     same = [
         camera
-        for camera in place.cameras
+        for camera in localization_map.cameras
         if (camera.width, camera.height) == (footage.video.width, footage.video.height)
     ]
     if focal is not None and same and base.source is not CameraSource.MAP:
         log.warning(
-            "%s tells a focal length of %.1f mm, which is taken, and the map's camera of this size "
-            "has %.1f mm: --camera gives another",
+            "%s has a focal length of %.1f mm, which is used; the map's camera of this size has "
+            "%.1f mm: give --camera if that is right",
             footage.srt,
             focal,
             _on_film(same[0]),
@@ -240,11 +248,11 @@ def _warn_of_another_lens(
 
 @dataclass(frozen=True)
 class Timing:
-    """How frames of a video and subtitles belong together.
+    """The assignment of subtitles to frames of a video.
 
     Attributes:
-        by_frame: whether by the number of the frame, as where slow motion stretches times.
-        is_known: whether they are known to belong together.
+        by_frame: whether frame numbers decide instead of times, which slow motion stretches.
+        is_known: whether either of them fits the video.
     """
 
     by_frame: bool = False
@@ -252,10 +260,11 @@ class Timing:
 
     @staticmethod
     def of(flight: Sequence[Telemetry], video: Video) -> Timing:
-        """Compare the subtitles' times and numbers of frames with those of the video.
+        """Compare the times and frame numbers of the subtitles with those of the video.
 
-        Where they advance at another rate than the video's frames, either the numbers of frames or
-        the times reach to the end of the video; else none is believed, and a warning says so.
+        If frame numbers advance at another rate than the video's frames, those of the two count
+        that reach to the end of the video. If neither does, the subtitles are not used and a
+        warning says so.
         """
         numbered = [(said.frame, said.start_s) for said in flight if said.frame is not None]
         ascending = all(first[0] < second[0] for first, second in pairwise(numbered))
@@ -270,15 +279,15 @@ class Timing:
         if _alike(flight[-1].end_s, video.duration_s):
             return Timing()
         log.warning(
-            "the subtitles have %.1f frames a second and the video %.1f: what they say of a frame "
-            "is unknown, and is not used",
+            "the subtitles have %.1f frames a second and the video %.1f: they cannot be assigned "
+            "to frames and are not used",
             frames / seconds,
             video.rate_hz,
         )
         return Timing(is_known=False)
 
     def said(self, flight: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
-        """Return what subtitles say of a frame; None where they say nothing, or it is unknown."""
+        """Return the telemetry of a frame; None without."""
         if not self.is_known:
             return None
         if not self.by_frame:

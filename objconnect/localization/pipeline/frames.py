@@ -1,4 +1,4 @@
-"""The frames of a video as queries, with the priors of its telemetry."""
+"""The frames of a video as queries, with priors from its telemetry."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from objconnect.localization.pipeline.footage import (
     Timing,
     cameras_of_frames,
 )
+from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import Place
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.geometry.gimbal import gimbal_pose
@@ -30,34 +30,35 @@ from objconnect.scene.storage.video import decode_frames, frame_name
 log = logging.getLogger(__name__)
 
 RATE_HZ: Final = 2.0
-"""Frames a second of a video that are localized where nothing else is asked for."""
+"""Default number of video frames to localize per second."""
 
 
 @dataclass(frozen=True)
 class TelemetryReader:
-    """Turns telemetry into priors of a map.
+    """Converts telemetry to priors in the frame of a map.
 
     Attributes:
-        place: the map.
         options: standard deviations of positions and attitudes.
         undulation_m: height of the geoid above the ellipsoid; None leaves altitudes unknown.
     """
 
-    place: Place
+    localization_map: LocalizationMap
     options: LocalizeOptions
     undulation_m: float | None
 
     def __call__(self, said: Telemetry | None) -> Prior | None:
-        """Return what telemetry says in the map's frame; None where it says neither position nor
-        attitude, or the position is not near the map."""
+        """Return the prior in the map's frame; None if telemetry has neither a position near the
+        map nor an attitude."""
         if said is None:
             return None
         prior = self._position(said)
         if said.gimbal is None:
             return prior
         if prior is None:
-            # In the middle of the map's cameras.
-            prior = Prior(np.median(self.place.sparse_map.centres, 0), np.full(3, np.inf))
+            # An attitude needs a position: the middle of the map's cameras, with infinite sigma.
+            prior = Prior(
+                np.median(self.localization_map.sparse_map.centres, 0), np.full(3, np.inf)
+            )
         return replace(
             prior,
             cam_from_world_rotation=gimbal_pose(*said.gimbal).rotation.numpy(),
@@ -65,25 +66,19 @@ class TelemetryReader:
         )
 
     def _position(self, said: Telemetry) -> Prior | None:
-        origin = self.place.origin
+        origin = self.localization_map.origin
         if said.place is None or origin is None:
             return None
         known = said.abs_alt is not None and self.undulation_m is not None
         altitude = (said.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
         fix, sigma = Geodetic(*said.place, altitude), np.full(3, self.options.gps_sigma_m)
-        prior = Prior(*self.place.locate(fix, origin, sigma))
+        prior = Prior(*self.localization_map.locate(fix, origin, sigma))
         return None if np.hypot(*prior.position[:2]) > REACH_M else prior
 
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video at a rate.
-
-    Attributes:
-        footage: the video with its telemetry.
-        cameras: of the frames.
-        telemetry: makes priors of it.
-    """
+    """The frames of a video at a rate."""
 
     footage: Footage
     cameras: FrameCameras
@@ -91,38 +86,43 @@ class VideoFrames:
 
     @staticmethod
     def open(
-        video: Path, place: Place, options: LocalizeOptions, undulation_m: float | None
+        video: Path,
+        localization_map: LocalizationMap,
+        options: LocalizeOptions,
+        undulation_m: float | None,
     ) -> VideoFrames:
-        """Read what a video and its subtitles say.
+        """Read the metadata of a video and the telemetry of its subtitles.
 
         Args:
             video: MP4 or another file that FFmpeg reads.
-            place: map to localize in.
+            localization_map: map to localize in.
             options: what is known of the video.
-            undulation_m: height of the geoid above the ellipsoid; None where it is not known.
+            undulation_m: height of the geoid above the ellipsoid; None if unknown.
 
         Raises:
-            InputError: video or subtitles cannot be read, or nothing tells the camera.
+            InputError: video or subtitles cannot be read, or the camera is unknown.
         """
-        footage = Footage.open(video, options.srt, options.rate_hz or RATE_HZ, place)
-        telemetry = TelemetryReader(place, options, undulation_m)
+        footage = Footage.open(video, options.srt, options.rate_hz or RATE_HZ, localization_map)
+        telemetry = TelemetryReader(localization_map, options, undulation_m)
         warn_of_far_telemetry(footage, telemetry)
-        return VideoFrames(footage, cameras_of_frames(footage, options.camera, place), telemetry)
+        return VideoFrames(
+            footage, cameras_of_frames(footage, options.camera, localization_map), telemetry
+        )
 
     @property
     def count(self) -> int:
-        """Return about how many frames are localized."""
+        """Return the approximate number of frames to localize."""
         return self.footage.count
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return what the record of a sequence says of the source."""
+        """Return the description of the source for the record of a sequence."""
         video, srt = self.footage.path.name, self.footage.srt
         srt_name = None if srt is None else srt.name
         return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}
 
     def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """Yield the frames, with the priors of their telemetry; ``ask`` is not asked."""
+        """Yield the frames with the priors of their telemetry; ``ask`` is not used."""
         footage = self.footage
         clock, timing = _clock(footage), Timing.of(footage.flight, footage.video)
         for frame in decode_frames(footage.path, footage.rate_hz):
@@ -136,24 +136,24 @@ class VideoFrames:
                 doubts=_doubts(footage, said, self.cameras, self.telemetry),
             )
             if calibration is None:
-                reason = f"{footage.srt} does not tell the focal length or zoom: give --camera"
+                reason = f"{footage.srt} has no focal length or zoom of this frame: give --camera"
                 yield replace(image, reason=reason)
                 continue
             query = Query(image.name, frame.image, calibration.camera, gps)
             yield replace(image, query=query, gps=gps)
 
     def warn(self) -> None:
-        """Do nothing: what telemetry says is checked when it is opened."""
+        """Do nothing: telemetry is checked when it is opened."""
 
 
 def _doubts(
     footage: Footage, said: Telemetry | None, cameras: FrameCameras, telemetry: TelemetryReader
 ) -> tuple[str, ...]:
-    """Return what telemetry does not say of a frame for sure, of what is taken from it."""
+    """Return the telemetry of a frame that is used though it is uncertain."""
     if said is None:
-        return ("the subtitles say nothing of this frame",) if footage.flight else ()
+        return ("the subtitles have no entry for this frame",) if footage.flight else ()
     doubts = [] if cameras.is_given else [*said.lens_doubts]
-    if telemetry.place.origin is not None:
+    if telemetry.localization_map.origin is not None:
         doubts = [*said.place_doubts, *doubts]
         if said.place is not None and telemetry(replace(said, gimbal=None)) is None:
             doubts.append(f"its position is more than {REACH_M / 1000:.0f} km from the map")
@@ -161,13 +161,13 @@ def _doubts(
 
 
 def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
-    """Warn where no position of the telemetry lies near the map."""
+    """Warn if no position of the telemetry is near the map."""
     fixes = [said for said in footage.flight if said.place is not None]
-    if fixes and telemetry.place.origin is not None and telemetry(fixes[0]) is None:
+    if fixes and telemetry.localization_map.origin is not None and telemetry(fixes[0]) is None:
         places = [replace(said, gimbal=None) for said in fixes]
         if all(telemetry(said) is None for said in places):
             log.warning(
-                "%s has positions, and none within %.0f km of the map: they are not used",
+                "%s has no position within %.0f km of the map: its positions are not used",
                 footage.srt,
                 REACH_M / 1000,
             )

@@ -1,4 +1,4 @@
-"""A journal of the finished queries of a run, so that an interruption loses none of them."""
+"""A journal of the finished queries of a run, which an interrupted run resumes from."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Journal(Generic[Entry]):
 
     Attributes:
         done: finished queries by name.
-        dropped: parts of the data set of an earlier run whose queries were not taken, because its
-            key differs; None where there is no such run, or its parts are unknown.
+        dropped: digests of the parts of the data set of an earlier run whose key differs, so that
+            its queries are dropped; None without such a run, or if they are unknown.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Journal(Generic[Entry]):
             path: path of the file.
             key: digest of everything that decides the results.
             model: class of the entries.
-            parts: digests of the parts of the data set, which tell a later run what changed.
+            parts: digests of the parts of the data set, which show a later run what changed.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -83,7 +83,7 @@ class Journal(Generic[Entry]):
         return self
 
     def _begin(self) -> None:
-        """Take over the entries of an earlier run with the same key, and drop everything else."""
+        """Keep the entries of an earlier run with the same key, and drop everything else."""
         self._file.seek(0)
         # str.splitlines would also split at characters that names may contain.
         lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
@@ -153,10 +153,7 @@ def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
 
 
 def _parse_entries(lines: list[str], model: type[Entry]) -> list[Entry]:
-    """Return the entries up to the first line that is incomplete or invalid.
-
-    Of two entries of one name the later one replaces the earlier one.
-    """
+    """Return the entries up to the first line that is incomplete or invalid."""
     done: list[Entry] = []
     for line in lines:
         try:

@@ -1,4 +1,4 @@
-"""The everyday job: find the poses of photographs, or of the frames of a video, in a map."""
+"""Localize photographs, or the frames of a video, in a map and write the poses."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Final
 import numpy as np
 from pydantic import Field
 
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.localization.pipeline.cameras import CameraSource, with_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
 from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
 from objconnect.localization.pipeline.frames import VideoFrames
 from objconnect.localization.pipeline.journal import Journal, journal_path
+from objconnect.localization.pipeline.localization_map import LocalizationMap, geography_of
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.photograph_folder import PhotographFolder, photographs_in
-from objconnect.localization.pipeline.place import Place, geography_of
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
@@ -43,7 +43,7 @@ _DEFAULTS: Final = LocalizeOptions()
 
 
 def localize(
-    place: Place,
+    localization_map: LocalizationMap,
     photographs: Path,
     localizer: Localizer,
     out: Path,
@@ -55,39 +55,39 @@ def localize(
     localized photograph. The CSV file beside it has a row for each photograph: status, camera
     centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
     then time, attitude, camera and covariance (``Located.values``, ``Located.covariance``). A
-    photograph that cannot be read fails with that reason. Answers are kept in a
-    hidden journal until the end, so that an interrupted run goes on where it stopped.
+    photograph that cannot be read is a row with status ``failed`` and the reason. A hidden journal
+    keeps finished photographs, so that an interrupted run resumes where it stopped.
 
-    With ``options.sequence``, each photograph is looked for where those before it lead
+    With ``options.sequence``, the motion of the camera gives the prior of the next photograph
     (``Tracker``), the table has the seconds of each, and a JSON file beside the poses records
     the method and its options.
 
     Args:
-        place: map to localize in.
+        localization_map: map to localize in.
         photographs: folder of the photographs.
         localizer: method to run.
         out: text file of the poses. It and the CSV file replace only files of this command.
-        options: what is known of the photographs, and what else is written.
+        options: what is known of the photographs, and which further files are written.
 
     Returns:
         One entry for each photograph.
 
     Raises:
-        InputError: there is no photograph that can be read, the priors cannot be read or name none
-            of the photographs, those of a sequence tell no times, an output cannot be written, lies
-            in their folder or would replace a file of another program, or the map of further files
-            has no position on earth.
+        InputError: no photograph can be read; the priors cannot be read or name none of the
+            photographs; photographs of a sequence have no times; an output cannot be written, lies
+            in the folder of the photographs or would replace a file of another program; or a
+            further file needs a position of the map on earth, which it does not have.
     """
-    job = _Job(place, localizer, out, options, options.sequence)
+    job = _Job(localization_map, localizer, out, options, options.sequence)
     table = [] if options.priors is None else [options.priors]
     job.check([*photographs_in(photographs).values(), *table], photographs)
-    geography = geography_of(place, options)
-    source = PhotographFolder.open(photographs, place, options, geography.undulation_m)
+    geography = geography_of(localization_map, options)
+    source = PhotographFolder.open(photographs, localization_map, options, geography.undulation_m)
     return job.run(source, geography)
 
 
 def localize_video(
-    place: Place,
+    localization_map: LocalizationMap,
     video: Path,
     localizer: Localizer,
     out: Path,
@@ -96,24 +96,24 @@ def localize_video(
     """Localize frames of a video as a sequence; the files are those of ``localize``.
 
     Args:
-        place: map to localize in.
+        localization_map: map to localize in.
         video: MP4 or another file that FFmpeg reads.
         localizer: method to run.
         out: text file of the poses.
-        options: what is known of the video, and what else is written. A table of priors is one of
-            photographs, and not read.
+        options: what is known of the video, and which further files are written. ``priors`` is not
+            used.
 
     Returns:
         One entry for each frame.
 
     Raises:
-        InputError: video or subtitles cannot be read, the frames have no camera, or an output
-            cannot be written.
+        InputError: video or subtitles cannot be read, the camera is unknown, or an output cannot be
+            written.
     """
-    job = _Job(place, localizer, out, options, options.sequence or SequenceConfig())
+    job = _Job(localization_map, localizer, out, options, options.sequence or SequenceConfig())
     job.check([video] if options.srt is None else [video, options.srt])
-    geography = geography_of(place, options)
-    source = VideoFrames.open(video, place, options, geography.undulation_m)
+    geography = geography_of(localization_map, options)
+    source = VideoFrames.open(video, localization_map, options, geography.undulation_m)
     return job.run(source, geography)
 
 
@@ -126,9 +126,9 @@ def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> st
 
 @dataclass(frozen=True)
 class _Job:
-    """What is localized how, and where its answers go; ``sequence`` is None outside of one."""
+    """A call of ``localize``; ``sequence`` is None if each photograph is localized by itself."""
 
-    place: Place
+    localization_map: LocalizationMap
     localizer: Localizer
     out: Path
     options: LocalizeOptions
@@ -136,21 +136,21 @@ class _Job:
 
     @property
     def record(self) -> Path:
-        """Return the JSON file of how the poses of a sequence were made."""
+        """Return the JSON file that records the method and options of a sequence."""
         return self.out.with_suffix(".json")
 
     def check(self, inputs: Iterable[Path], folder: Path | None = None) -> None:
-        """Check that everything can be written.
+        """Check that all outputs can be written.
 
         Args:
             inputs: files that are read.
-            folder: where nothing may be written.
+            folder: folder in which nothing may be written.
 
         Raises:
             InputError: an output cannot be written, would replace an input or a file of another
                 program, or lies in the folder.
         """
-        files = outputs(self.out, self.options.also)
+        files = output_files(self.out, self.options.also)
         if self.sequence is not None:
             files.append(OutputFile(self.record, _RECORD.encode()))
         check_outputs(files, inputs)
@@ -158,15 +158,17 @@ class _Job:
             check_outside(files, folder)
 
     def run(self, source: Source, geography: Geography) -> list[Located]:
-        """Localize every image, or take the answer that the journal has, and write the answers."""
-        place, localizer = self.place, self.localizer
+        """Localize every image that the journal does not have, and write all answers."""
+        localization_map, localizer = self.localization_map, self.localizer
         located: list[Located] = []
         with (
             Journal(journal_path(self.out), self._key(), Answer) as journal,
-            # The disk of the output has room for what the method keeps per map.
+            # A scratch cache lies beside the output, whose disk is expected to have room for it.
             cache_or_scratch(self.options.cache, self.out.parent) as kept,
         ):
-            prepare = partial(prepare_first, localizer, place.sparse_map, place.images, kept)
+            prepare = partial(
+                prepare_first, localizer, localization_map.sparse_map, localization_map.images, kept
+            )
             answering = _Answering(self, journal, cache(prepare))
             images = source.images(answering.ask)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
@@ -179,21 +181,23 @@ class _Job:
         return located
 
     def _key(self) -> str:
-        """Return the digest of everything but the images that decides the answers."""
-        known = journal_key(self.place.sparse_map, self.place.images, self.localizer)
+        """Return the digest of everything but the images that affects the answers."""
+        known = journal_key(
+            self.localization_map.sparse_map, self.localization_map.images, self.localizer
+        )
         return digest_of(known, "" if self.sequence is None else self.sequence.model_dump_json())
 
     def _to_answer(self, image: QueryImage, estimate: Estimate) -> Located:
-        """Return the answer to an image with what is known of it."""
+        """Combine an estimate with the metadata of its image."""
         camera = None if image.query is None else image.query.camera
         source = None if image.calibration is None else image.calibration.source
         if camera is not None and source is CameraSource.ESTIMATED:
-            points = self.place.sparse_map.xyz
-            estimate = with_focal_error(estimate, camera, self.place.cameras, points)
+            points = self.localization_map.sparse_map.xyz
+            estimate = with_focal_error(estimate, camera, self.localization_map.cameras, points)
         return Located(
             image.name,
             estimate,
-            self.place.on_earth(estimate),
+            self.localization_map.on_earth(estimate),
             image.time,
             camera,
             source,
@@ -208,9 +212,9 @@ class _Job:
         located: Sequence[Located],
         geography: Geography,
     ) -> None:
-        """Write the answers, and of a sequence how they were made."""
-        files = outputs(self.out, self.options.also)
-        for file, content in contents(located, files, geography):
+        """Write the answers and, for a sequence, the record of method and options."""
+        files = output_files(self.out, self.options.also)
+        for file, content in encode_files(located, files, geography):
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
         if self.sequence is None:
@@ -219,7 +223,7 @@ class _Job:
             "generator": _RECORD,
             **source.record,
             "images": len(located),
-            "found": sum(item.found for item in located),
+            "found": sum(item.is_localized for item in located),
             "method": Method.of(self.localizer).model_dump(mode="json"),
             "sequence": self.sequence.model_dump(mode="json"),
         }
@@ -227,13 +231,13 @@ class _Job:
 
 
 class _Answering:
-    """Answers images in their order: from the journal, or by the method.
+    """Localizes images in their order, or takes their estimates from the journal.
 
     Args:
-        job: what is localized how.
-        journal: answers of the run that was interrupted, and of this one.
-        prepare: prepares the method, once. It is called when the first image was read, so that what
-            cannot be read is refused before.
+        job: the call of ``localize``.
+        journal: answers of the interrupted run and of this one.
+        prepare: prepares the method, once. It is called after the first image was read, so that
+            unreadable input is refused before the method takes time.
     """
 
     def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
@@ -242,15 +246,15 @@ class _Answering:
         self._asked = ""
 
     def ask(self, query: Query) -> Estimate:
-        """Localize a query by itself. The attitude of a gimbal may be wrong, and is retried."""
+        """Localize a query by itself; with a gimbal's attitude, retry a failure without it."""
         self._prepare()
         retries = self._job.options.priors is None
         return (localize_retrying if retries else localize_safely)(self._job.localizer, query)
 
     def __call__(self, image: QueryImage) -> Estimate:
-        """Return the answer to the next image."""
+        """Return the estimate of the next image."""
         self._prepare()
-        # What is found in a sequence depends on all images before.
+        # In a sequence an estimate depends on all images before.
         before = "" if self._tracker is None else self._asked
         self._asked = digest_of(before, image.seconds, *_words(image))
         estimate = self._estimate(image)
@@ -259,7 +263,7 @@ class _Answering:
         return estimate
 
     def _estimate(self, image: QueryImage) -> Estimate:
-        """Return the answer of the journal, or localize the image and add it there."""
+        """Return the estimate in the journal, or localize the image and add it there."""
         if image.query is None:
             return Estimate(Status.FAILED, reason=image.reason)
         answer = self._journal.done.get(quote_name(image.name))
@@ -274,19 +278,13 @@ class _Answering:
 
 
 class Answer(Named):
-    """The journal's entry of a photograph.
+    """The journal's entry of a photograph: the fields of ``Estimate``, and:
 
     Attributes:
-        name: file name, escaped by ``quote_name`` because JSON cannot hold every
-            file name.
+        name: file name, escaped by ``quote_name`` because JSON cannot hold every file name.
         asked: digest of the image, its camera and its prior, in a sequence with those before it.
-        status: status of the estimate.
-        reason: reason of the estimate.
         cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
         covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
-        inliers: number of inliers.
-        by: what gave the pose; None if unknown.
-        probability: probability that the best pose is right; None if unknown.
     """
 
     asked: str
@@ -334,7 +332,7 @@ class Answer(Named):
 
 
 def _words(image: QueryImage) -> Iterator[object]:
-    """Yield what decides the answer to an image beside the images before it."""
+    """Yield the inputs of an image that affect its estimate, for a digest."""
     yield image.name
     if image.query is None:
         return

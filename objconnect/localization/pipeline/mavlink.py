@@ -1,4 +1,4 @@
-"""Answers as MAVLink messages, in the telemetry logs (.tlog) that ground stations write.
+"""Poses as MAVLink messages in a telemetry log (.tlog), the format of ground stations.
 
 This is the one module that imports pymavlink, which the extra ``[robot]`` installs.
 """
@@ -18,14 +18,14 @@ from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.geometry.pose import quaternion_from_rotation
 from objconnect.scene.runtime.extras import import_extra
 
-# The axes of MAVLink, which point north, east and down, from those of a map.
+# Rotation from the axes of a map to north, east and down.
 _NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-# Forward is the optical axis, right and down are those of the picture.
+# Rotation from forward (optical axis), right and down to the axes of the camera.
 _CAM_FROM_FRD: Final = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 _VEHICLE: Final = 1
 
 
-def dialect() -> ModuleType:
+def import_dialect() -> ModuleType:
     """Return the dialect ``common`` of MAVLink 2.
 
     Raises:
@@ -34,25 +34,27 @@ def dialect() -> ModuleType:
     return import_extra("pymavlink.dialects.v20.common", "robot", "a telemetry log (.tlog)")
 
 
-def telemetry_log(poses: Sequence[StampedPose], undulation_m: float | None, mark: str) -> bytes:
-    """Return a telemetry log: every message behind its time, 8 bytes of microseconds.
+def encode_telemetry_log(
+    poses: Sequence[StampedPose], undulation_m: float | None, mark: str
+) -> bytes:
+    """Return a telemetry log: each message after its time in 8 bytes, microseconds.
 
-    Each pose is a GLOBAL_POSITION_SENSOR, which PX4 takes as auxiliary global position, and an
+    Each pose is a GLOBAL_POSITION_SENSOR, which PX4 uses as auxiliary global position, and an
     ODOMETRY, the local position from the map's origin in MAV_FRAME_LOCAL_NED. Its attitude is that
-    of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle, and
-    its covariance is about the axes of the local frame and within the map. ``eph`` and ``epv`` are
-    those on earth, and NaN where the map's place on earth is not known as exactly as that.
+    of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle. Its
+    covariance is within the map, about the axes of the local frame. ``eph`` and ``epv`` are on
+    earth, and NaN if the map's accuracy on earth is unknown. NaN is MAVLink's unknown value.
 
     Args:
         poses: sorted by time.
-        undulation_m: height of the geoid above the ellipsoid; altitudes above sea level are NaN,
-            which MAVLink has for unknown values, without it.
-        mark: text that says which program made the log.
+        undulation_m: height of the geoid above the ellipsoid; without it, altitudes above sea level
+            are NaN.
+        mark: name of the program that made the log.
 
     Raises:
         InputError: pymavlink is not installed.
     """
-    common = dialect()
+    common = import_dialect()
     link = common.MAVLink(None, _VEHICLE, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
     first = poses[0].microseconds if poses else 0
     text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())

@@ -1,9 +1,10 @@
-"""A motion model of a camera: constant velocity and turn rate, as a Kalman filter.
+"""A Kalman filter of a camera's motion with constant velocity and turn rate.
 
 Accelerations are white noise that is constant between frames (Bar-Shalom, Li and Kirubarajan,
 Estimation with Applications to Tracking and Navigation, 2001, section 6.3.2). Position and attitude
-are filtered apart; the attitude as a small rotation about the east, north and up axes on top of the
-estimated one, to first order (Sola, Quaternion kinematics for the error-state Kalman filter, 2017).
+have separate filters. The attitude's state is a small rotation about the east, north and up axes on
+top of the estimate, to first order (Sola, Quaternion kinematics for the error-state Kalman filter,
+2017).
 """
 
 from __future__ import annotations
@@ -23,39 +24,43 @@ Array = NDArray[np.float64]
 
 
 class MotionOptions(Config):
-    """How an aircraft and its gimbal move."""
+    """Noise of the motion model of aircraft and gimbal."""
 
     acceleration: float = Field(
         3.0, gt=0, description="Standard deviation of the acceleration per axis, m/s^2."
     )
     turn_acceleration_deg: float = Field(
-        30.0, gt=0, description="Standard deviation of the turn's acceleration per axis, deg/s^2."
+        30.0, gt=0, description="Standard deviation of the angular acceleration per axis, deg/s^2."
     )
     speed: float = Field(
-        10.0, gt=0, description="Standard deviation of the velocity per axis after one pose, m/s."
+        10.0,
+        gt=0,
+        description="Initial standard deviation of the velocity per axis, after one pose, m/s.",
     )
     turn_deg: float = Field(
         20.0,
         gt=0,
-        description="Standard deviation of the turn rate per axis after one pose, deg/s.",
+        description="Initial standard deviation of the turn rate per axis, after one pose, deg/s.",
     )
     least_sigma_m: float = Field(
         0.1,
         gt=0,
-        description="Least standard deviation of a measured position per axis, metres: covariances "
-        "know the noise of one image and no error of the map.",
+        description="Standard deviation per axis that is added to that of a measured position, m: "
+        "the covariance of a pose does not include errors of the map.",
     )
     least_sigma_deg: float = Field(
-        0.2, gt=0, description="Least standard deviation of a measured attitude per axis."
+        0.2,
+        gt=0,
+        description="Standard deviation per axis that is added to that of a measured attitude, "
+        "deg.",
     )
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where a camera is, how it moves, and how well that is known.
+    """The state of the filter: pose, velocity, turn rate and their covariances.
 
     Attributes:
-        seconds: time of the state.
         pose: ``cam_from_world``.
         velocity: (3,) of the camera centre, m/s.
         turn: (3,) rate of the camera's attitude about east, north and up, rad/s.
@@ -72,13 +77,13 @@ class Motion:
 
     @staticmethod
     def begin(seconds: float, pose: Pose, covariance: Array, options: MotionOptions) -> Motion:
-        """Return the state after one pose, of which the velocity is not known.
+        """Return the state after the first pose, with unknown velocity.
 
         Args:
             seconds: time of the pose.
             pose: ``cam_from_world``.
             covariance: (6, 6) of centre (metres) and attitude (rad), about east, north and up.
-            options: how fast the aircraft may be.
+            options: initial uncertainty of the velocities.
         """
         measured = _floor(covariance, options)
         unknown = options.speed**2, np.radians(options.turn_deg) ** 2
@@ -112,7 +117,7 @@ class Motion:
         Args:
             pose: measured ``cam_from_world``.
             covariance: (6, 6) of its centre and attitude, about east, north and up.
-            options: of the filter.
+            options: noise of the filter.
         """
         measured = _floor(covariance, options)
         innovation = self.innovation(pose)
@@ -130,7 +135,7 @@ class Motion:
         )
 
     def innovation(self, pose: Pose) -> Array:
-        """Return by how much a pose differs, (6,): centre (metres), attitude (rad)."""
+        """Return the difference (6,) of a pose from the state: centre (metres), attitude (rad)."""
         centre = pose.centre() - self.pose.centre()
         # A camera that turns by w about the world's axes has the rotation R exp(w)^T.
         attitude = so3_log(pose.rotation.T @ self.pose.rotation)
@@ -160,7 +165,7 @@ class Motion:
 
     @property
     def prior(self) -> Prior:
-        """Return what the state says to a localizer."""
+        """Return the state as the prior of a query."""
         return Prior(
             position=self.pose.centre().numpy(),
             position_sigma=np.sqrt(self.position_covariance.diagonal()[:3]),
@@ -170,16 +175,16 @@ class Motion:
 
 
 def _floor(covariance: Array, options: MotionOptions) -> Array:
-    """Return a measured covariance (6, 6) with the least variances added."""
+    """Return a measured covariance (6, 6) plus the variances of ``least_sigma_*``."""
     least = [options.least_sigma_m] * 3 + [np.radians(options.least_sigma_deg)] * 3
     floored: Array = covariance + np.diag(np.square(least))
     return floored
 
 
 def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Array, Array]:
-    """Return the correction (6,) of value and rate, and their covariance (6, 6) after it."""
+    """Return the Kalman correction (6,) of value and rate, and the covariance (6, 6) after it."""
     total, crossed = covariance[:3, :3] + measured, covariance[:3]
-    # NumPy would wake the threads of LAPACK, which takes 2 ms.
+    # NumPy would start LAPACK's threads, which takes 2 ms.
     gain = torch.linalg.solve(torch.from_numpy(total), torch.from_numpy(crossed)).numpy().T
     kept = np.eye(6) - gain @ np.eye(3, 6)
     # Joseph's form stays symmetric and positive.

@@ -1,4 +1,4 @@
-"""Options of ``localize``: what is known of the images beside themselves, and what is written."""
+"""Options of ``localize``: camera, priors, sequence and further outputs."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from objconnect.scene.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class LocalizeOptions:
-    """Options of ``localize`` and ``localize_video``, as the command line has them.
+    """Options of ``localize`` and ``localize_video``, the same as on the command line.
 
     Attributes:
-        camera: camera of all images. None takes that of each photograph (``calibration_of``), or of
-            each frame (``cameras_of_frames``).
-        priors: CSV file of positions of photographs, and perhaps attitudes (``read_priors``). None
-            takes positions from EXIF and attitudes of the gimbal from XMP, where a photograph has
+        camera: camera of all images. None determines the camera of each photograph
+            (``calibration_of``) or frame (``cameras_of_frames``).
+        priors: CSV file of positions and, optionally, attitudes of photographs (``read_priors``).
+            None takes positions from EXIF and gimbal attitudes from XMP, where a photograph has
             them.
-        gps_sigma_m: standard deviation per axis of measured positions, metres, and of those of a
-            table that states none. A fixed position of RTK has that of its XMP.
-        gimbal_sigma_deg: standard deviation per axis of measured attitudes, degrees.
+        gps_sigma_m: standard deviation per axis of positions that state none, metres. An RTK fix
+            has the sigma in its XMP.
+        gimbal_sigma_deg: standard deviation per axis of attitudes that state none, degrees.
         srt: subtitles of a video with telemetry. None takes those beside it, if there are any.
-        rate_hz: frames of a video to localize a second; None takes 2. Photographs of a sequence a
-            second, in the order of their names; None takes times from EXIF.
-        sequence: when an image is believed where those before it lead. None localizes each
-            photograph by itself. A video always is a sequence.
-        also: further files to write, by their ending: GeoJSON, KML, MAVLink's .tlog, ROS 2's .mcap.
-        undulation_m: height of the geoid above the ellipsoid at the place, metres. None takes it
-            from the grid of PROJ where that is installed, and else leaves heights above sea level
-            out.
-        projection: coordinate reference system in which coordinates are written, too.
-        cache: folder for what the method keeps per map. None takes a scratch folder beside the
+        rate_hz: of a video, frames to localize per second; None takes 2. Of a sequence of
+            photographs, photographs per second in the order of their names; None takes times from
+            EXIF.
+        sequence: options of a sequence. None localizes each photograph by itself; a video always is
+            a sequence.
+        also: further files to write; the ending selects GeoJSON (.geojson), KML (.kml), MAVLink
+            (.tlog) or ROS 2 (.mcap).
+        undulation_m: height of the geoid above the ellipsoid at the map, metres. None takes it from
+            the grid of PROJ; without the grid, heights above sea level are left out.
+        projection: coordinate reference system of further coordinates in the output.
+        cache: folder for what the method prepares per map. None uses a scratch folder beside the
             poses.
     """
 

@@ -1,4 +1,4 @@
-"""A folder of photographs: each by itself, or in the order in which they were taken."""
+"""A folder of photographs as queries, each by itself or in the order of their times."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.photographs import (
     PhotographReader,
@@ -21,7 +22,6 @@ from objconnect.localization.pipeline.photographs import (
     warn_of_rolling_shutter,
     with_estimates,
 )
-from objconnect.localization.pipeline.place import Place
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.priors import AssumedSigmas, MapFrame
@@ -52,11 +52,8 @@ class PhotographFolder:
     """The photographs of a folder.
 
     Attributes:
-        folder: the folder.
-        paths: its photographs by name.
-        reader: makes them queries.
-        rate_hz: photographs a second, of a sequence in the order of names; None for times of EXIF.
-        seconds: time of each from the start of the sequence; those that cannot be read have none.
+        rate_hz: photographs per second of a sequence in the order of names; None for EXIF times.
+        seconds: time of each from the start of the sequence, without those that cannot be read;
             None where each is localized by itself.
     """
 
@@ -68,22 +65,27 @@ class PhotographFolder:
 
     @staticmethod
     def open(
-        folder: Path, place: Place, options: LocalizeOptions, undulation_m: float | None
+        folder: Path,
+        localization_map: LocalizationMap,
+        options: LocalizeOptions,
+        undulation_m: float | None,
     ) -> PhotographFolder:
-        """Read what a table and the photographs of a sequence say of priors and times.
+        """List the photographs; read the table of priors and the times of a sequence.
 
         Args:
             folder: the folder.
-            place: map to localize in.
+            localization_map: map to localize in.
             options: what is known of the photographs.
-            undulation_m: height of the geoid above the ellipsoid; None where it is not known.
+            undulation_m: height of the geoid above the ellipsoid; None if unknown.
 
         Raises:
-            InputError: there is no photograph, the priors cannot be read or name none of them, or
-                those of a sequence tell no times, or two of them tell the same.
+            InputError: there is no photograph; the priors cannot be read or name none of them; or a
+                photograph of a sequence has no time, or the same time as another one.
         """
         paths = photographs_in(folder)
-        reader = PhotographReader(place, options, _priors(paths, place, options), undulation_m)
+        reader = PhotographReader(
+            localization_map, options, _priors(paths, localization_map, options), undulation_m
+        )
         seconds = None if options.sequence is None else _seconds(paths, reader, options.rate_hz)
         return PhotographFolder(folder, paths, reader, options.rate_hz, seconds)
 
@@ -94,15 +96,15 @@ class PhotographFolder:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return what the record of a sequence says of the source."""
+        """Return the description of the source for the record of a sequence."""
         return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
 
     def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
         """Yield the photographs in their order.
 
         Args:
-            ask: localizes a query. Outside a sequence, a camera that nothing tells is estimated by
-                it, before the first photograph.
+            ask: localizes a query. Outside a sequence, it estimates unknown cameras before the
+                first photograph.
 
         Raises:
             InputError: none of them can be localized.
@@ -114,15 +116,15 @@ class PhotographFolder:
         return (self._image(reader, name) for name in self._order())
 
     def warn(self) -> None:
-        """Warn of what the photographs that were read say and what cannot be believed."""
+        """Warn of rolling shutter and of uncertain metadata of the photographs that were read."""
         warn_of_rolling_shutter(self.reader.said.values())
         warn_of_doubts(self.reader)
 
     def _require_one(self) -> None:
-        """Refuse, before any work, a folder of which no photograph can be localized.
+        """Check, before any work, that at least one photograph can be localized.
 
         Raises:
-            InputError: it is one.
+            InputError: none can.
         """
         reason = ""
         for name in self._order():
@@ -139,7 +141,7 @@ class PhotographFolder:
         return sorted(self.paths, key=lambda name: seconds.get(name, math.inf))
 
     def _image(self, reader: PhotographReader, name: str) -> QueryImage:
-        """Read a photograph; where it cannot be localized, say why."""
+        """Read a photograph; if it cannot be localized, return the reason."""
         path, sequence = self.paths[name], self.seconds
         seconds = None if sequence is None else sequence.get(name)
         try:
@@ -154,14 +156,14 @@ class PhotographFolder:
         if sequence is None or image.calibration is None or not image.calibration.others:
             return image
         told = f" ({'; '.join(reader.exif(path).lens_doubts)})" if image.doubts else ""
-        reason = f"nothing tells the focal length of {path}{told}: give --camera"
+        reason = f"the focal length of {path} is unknown{told}: give --camera"
         return replace(image, query=None, reason=reason)
 
 
 def _priors(
-    paths: Mapping[str, Path], place: Place, options: LocalizeOptions
+    paths: Mapping[str, Path], localization_map: LocalizationMap, options: LocalizeOptions
 ) -> dict[str, Prior] | None:
-    """Read the priors of a table, by name; None without a table.
+    """Read the table of priors, by name; None without a table.
 
     Raises:
         InputError: the table cannot be read, has none of the photographs, or has positions on
@@ -177,7 +179,7 @@ def _priors(
         raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
     if without:
         log.warning("%s lacks %d of %d photographs", path, len(without), len(paths))
-    frame = MapFrame.of(place.sparse_map, place.origin)
+    frame = MapFrame.of(localization_map.sparse_map, localization_map.origin)
     assumed = AssumedSigmas(
         np.full(3, options.gps_sigma_m),
         options.gimbal_sigma_deg,
@@ -193,8 +195,7 @@ def _seconds(
     """Return seconds from the first photograph, by a rate or by EXIF.
 
     Raises:
-        InputError: there is no rate, and a photograph does not tell when it was taken, or two tell
-            the same time.
+        InputError: there is no rate, and a photograph has no time or the same time as another one.
     """
     times: dict[str, datetime | None] = {}
     for name, path in paths.items():
@@ -203,12 +204,12 @@ def _seconds(
     if rate_hz is not None:
         return {name: index / rate_hz for index, name in enumerate(paths)}
     known = {name: time.replace(tzinfo=None) for name, time in times.items() if time is not None}
-    hint = "give --rate, photographs a second, and they are taken in the order of their names"
+    hint = "give --rate (photographs per second) to take them in the order of their names"
     for name in times:
         if name not in known:
-            raise InputError(f"photograph {name} does not tell when it was taken: {hint}")
+            raise InputError(f"photograph {name} has no time in EXIF: {hint}")
     ordered = sorted(known, key=lambda name: known[name])
     for before, name in pairwise(ordered):
         if known[before] == known[name]:
-            raise InputError(f"photographs {before} and {name} tell the same time: {hint}")
+            raise InputError(f"photographs {before} and {name} have the same time: {hint}")
     return {name: (known[name] - known[ordered[0]]).total_seconds() for name in ordered}

@@ -1,4 +1,4 @@
-"""Photographs as queries, with their camera and their prior."""
+"""Photographs as queries with camera and prior, read from files and their metadata."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from objconnect.localization.pipeline.cameras import (
     calibration_of,
     estimate_camera,
 )
+from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import Place
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
@@ -33,31 +33,30 @@ from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rg
 
 log = logging.getLogger(__name__)
 
-# What DJI calls a shutter that reads line after line, and a speed (m/s) at which this counts.
+# DJI's word for a rolling shutter, and the least speed (m/s) at which it matters.
 _ROLLING: Final = "electronic"
 _FAST: Final = 5.0
-# Photographs of one lens from which its camera is estimated.
+# Maximum number of photographs of one lens from which its camera is estimated.
 _ENOUGH: Final = 5
 
 Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
-"""Maker, model, equivalent focal length (mm) or what contradicts it, and size in pixels."""
+"""Maker, model, 35 mm equivalent focal length (mm), contradicting ones, and size in pixels."""
 
 
 @dataclass(frozen=True)
 class PhotographReader:
-    """Reads photographs as queries, with their camera and their prior.
+    """Reads photographs as queries with camera and prior.
 
     Attributes:
-        place: map to localize in.
         options: the camera of all photographs, and standard deviations.
         priors: priors by name; None takes them from EXIF and XMP.
         undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
-            are above sea level; None where it is not known.
-        estimated: cameras of lenses of which nothing else says what they are.
-        said: what the photographs that were read say of themselves.
+            are above sea level; None if unknown.
+        estimated: estimated cameras by lens.
+        said: metadata of the photographs that were read.
     """
 
-    place: Place
+    localization_map: LocalizationMap
     options: LocalizeOptions
     priors: Mapping[str, Prior] | None = None
     undulation_m: float | None = None
@@ -68,7 +67,7 @@ class PhotographReader:
         """Read a photograph.
 
         Raises:
-            InputError: it cannot be read, or is not of the size of the camera of all photographs.
+            InputError: it cannot be read, or its size is not that of the given camera.
         """
         pixels, exif = read_rgb(path, self.options.camera), self.exif(path)
         calibration = self.calibration(exif, (pixels.shape[1], pixels.shape[0]))
@@ -84,7 +83,7 @@ class PhotographReader:
         )
 
     def exif(self, path: Path) -> Exif:
-        """Return what a photograph says of itself; it is read once.
+        """Return the metadata of a photograph, which is read once.
 
         Raises:
             InputError: it cannot be read.
@@ -99,18 +98,18 @@ class PhotographReader:
             return Calibration(self.options.camera, CameraSource.GIVEN)
         if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
             return Calibration(estimate, CameraSource.ESTIMATED)
-        return calibration_of(size, exif, self.place.cameras)
+        return calibration_of(size, exif, self.localization_map.cameras)
 
     def doubts(self, exif: Exif) -> tuple[str, ...]:
-        """Return what a photograph does not say for sure, of what is taken from it.
+        """Return the metadata that are used though they are uncertain.
 
-        A given camera or table of priors leaves nothing to doubt.
+        The user's camera and table of priors replace metadata, which then cause no doubt.
         """
-        place: tuple[str, ...] = ()
-        if self.priors is None and self.place.origin is not None:
-            place = (*exif.place_doubts, *self._far(exif, self.place.origin))
+        position: tuple[str, ...] = ()
+        if self.priors is None and self.localization_map.origin is not None:
+            position = (*exif.place_doubts, *self._far(exif, self.localization_map.origin))
         lens = exif.lens_doubts if self.options.camera is None else ()
-        return (*place, *lens, *exif.other_doubts)
+        return (*position, *lens, *exif.other_doubts)
 
     def _far(self, exif: Exif, origin: Geodetic) -> list[str]:
         if exif.position is None:
@@ -120,15 +119,15 @@ class PhotographReader:
         return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
 
     def _read_prior(self, exif: Exif) -> Prior | None:
-        """Return the position in EXIF, with what XMP knows of its sigma and of the attitude.
+        """Return the position in EXIF with the sigma and the attitude in XMP.
 
-        None without a position, or where the map has none on earth.
+        It is None if the photograph or the map has no position on earth.
         """
-        origin = self.place.origin
+        origin = self.localization_map.origin
         if exif.position is None or origin is None:
             return None
         sigma = np.array(exif.xmp.rtk_sigma or (self.options.gps_sigma_m,) * 3)
-        prior = Prior(*self.place.locate(exif.position, origin, sigma))
+        prior = Prior(*self.localization_map.locate(exif.position, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(
@@ -139,19 +138,19 @@ class PhotographReader:
 
 
 def lens_of(exif: Exif, size: tuple[int, int]) -> Lens:
-    """Return what all photographs of one lens have in common."""
+    """Return the metadata that all photographs of one lens share."""
     return exif.make, exif.model, exif.focal_35mm, exif.focals, size
 
 
 def with_estimates(
     reader: PhotographReader, paths: Mapping[str, Path], localize: Callable[[Query], Estimate]
 ) -> PhotographReader:
-    """Return the reader with estimates of the cameras that nothing else tells.
+    """Return the reader with estimates of the unknown cameras.
 
     Args:
         reader: reads photographs.
         paths: photographs by name. A few of each lens are localized with every camera to try.
-        localize: answers a query.
+        localize: localizes a query.
     """
     tried: dict[Lens, tuple[Camera, ...]] = {}
     unknown: dict[Lens, dict[str, Path]] = {}
@@ -159,7 +158,7 @@ def with_estimates(
         try:
             exif, size = reader.exif(path), image_size(path)
         except (InputError, OSError):
-            continue  # it is a row of the answer
+            continue  # The answer has a row with the reason.
         lens, calibration = lens_of(exif, size), reader.calibration(exif, size)
         if calibration.others:
             tried[lens] = (calibration.camera, *calibration.others)
@@ -169,7 +168,7 @@ def with_estimates(
         log.warning(
             "%s the focal length of %d photographs of %d x %d pixels: it is estimated; "
             "give --camera for exact poses",
-            "fields of EXIF contradict each other on" if lens[-2] else "nothing tells",
+            "fields of EXIF contradict each other on" if lens[-2] else "EXIF does not have",
             len(unknown[lens]),
             *lens[-1],
         )
@@ -180,7 +179,7 @@ def with_estimates(
 
 
 def _some(paths: Mapping[str, Path]) -> dict[str, Path]:
-    """Return a few photographs from all over a flight."""
+    """Return a few photographs spread over a flight."""
     names, count = list(paths), min(len(paths), _ENOUGH)
     return {name: paths[name] for name in (names[k * len(names) // count] for k in range(count))}
 
@@ -188,7 +187,7 @@ def _some(paths: Mapping[str, Path]) -> dict[str, Path]:
 def _read(
     reader: PhotographReader, paths: Mapping[str, Path], advance: Callable[[int], None]
 ) -> Iterator[Query]:
-    """Yield the photographs that can be read, one after the other."""
+    """Yield the photographs that can be read."""
     for done, (name, path) in enumerate(paths.items()):
         advance(done)
         with suppress(InputError, OSError):
@@ -197,15 +196,14 @@ def _read(
 
 
 def warn_of_doubts(reader: PhotographReader) -> None:
-    """Warn of what photographs say of themselves and cannot be believed, a line for each kind."""
-    for line in summarize_doubts(
-        {path.name: reader.doubts(exif) for path, exif in reader.said.items()}
-    ):
+    """Warn of uncertain metadata of photographs, a line for each kind."""
+    doubts = {path.name: reader.doubts(exif) for path, exif in reader.said.items()}
+    for line in summarize_doubts(doubts):
         log.warning("%s", line)
 
 
 def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
-    """Warn of photographs that were taken at speed with a shutter that reads line after line."""
+    """Warn of photographs that were taken at speed with a rolling shutter."""
     speeds = [
         exif.xmp.speed
         for exif in photographs
@@ -213,8 +211,8 @@ def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
     ]
     if speeds:
         log.warning(
-            "%d photographs were taken with an electronic shutter at up to %.0f m/s: their lines "
-            "are not of one moment, which moves poses; fly slower or use a mechanical shutter",
+            "%d photographs were taken with a rolling (electronic) shutter at up to %.0f m/s, "
+            "which biases poses: fly slower or use a mechanical shutter",
             len(speeds),
             max(filter(None, speeds)),
         )

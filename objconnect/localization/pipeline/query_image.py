@@ -1,4 +1,4 @@
-"""An image to localize, with what is known of it."""
+"""An image to localize with its metadata."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from objconnect.scene.localizer import Prior, Query
 
 @dataclass(frozen=True)
 class QueryImage:
-    """A photograph or a frame of a video, with what is known of it.
+    """A photograph or a frame of a video with its metadata.
 
     Attributes:
-        name: name among the poses.
+        name: name in the output.
         query: the image with its camera and its prior; None where it cannot be localized.
-        calibration: its camera, or cameras to try; None where that is not known.
+        calibration: its camera, or cameras to try; None if unknown.
         time: when it was taken; None if unknown.
         seconds: from the start of its sequence; None outside one, or if unknown.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: what the photograph, or the telemetry of a frame, does not say for sure.
-        reason: why it cannot be localized.
+        doubts: metadata or telemetry that was used though it is uncertain.
     """
 
     name: str

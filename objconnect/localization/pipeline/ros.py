@@ -1,4 +1,4 @@
-"""Answers as messages of ROS 2, in a bag of one MCAP file.
+"""Poses as ROS 2 messages in a bag of one MCAP file.
 
 This is the one module that imports rosbags, which the extra ``[robot]`` installs.
 """
@@ -25,8 +25,8 @@ _MAP: Final = "map"
 _CAMERA: Final = "camera_link"
 
 
-def library() -> tuple[ModuleType, ModuleType]:
-    """Return the modules of rosbags that write bags and that know messages.
+def import_rosbags() -> tuple[ModuleType, ModuleType]:
+    """Return the modules of rosbags for bags and for message types.
 
     Raises:
         InputError: rosbags is not installed.
@@ -36,24 +36,23 @@ def library() -> tuple[ModuleType, ModuleType]:
     return bags, import_extra("rosbags.typesys", "robot", purpose)
 
 
-def bag(poses: Sequence[StampedPose], mark: str) -> bytes:
+def encode_bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
-    Each pose is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid and whose
-    covariance is that on earth, of type unknown where the map's place on earth is not known so
-    exactly. Where the covariance within the map is known, it is a
-    ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``, too: metres east, north and up
-    from the map's origin, turned as REP 103 has bodies (x forward along the optical axis, y left, z
-    up), with rotations about the fixed axes of the map.
+    Each pose is a ``sensor_msgs/NavSatFix``. Its altitude is above the ellipsoid and its covariance
+    is on earth, of type unknown if the map's accuracy on earth is unknown. If the covariance within
+    the map is known, the pose also is a ``geometry_msgs/PoseWithCovarianceStamped`` in the frame
+    ``map``: metres east, north and up from the map's origin. Body axes follow REP 103 (x forward
+    along the optical axis, y left, z up), and rotations are about the fixed axes of the map.
 
     Args:
         poses: sorted by time.
-        mark: text that says which program made the bag.
+        mark: name of the program that made the bag.
 
     Raises:
         InputError: rosbags is not installed.
     """
-    bags, typesys = library()
+    bags, typesys = import_rosbags()
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
@@ -71,7 +70,7 @@ def _write(writer: Any, store: Any, poses: Sequence[StampedPose], mark: str) -> 
         data = store.serialize_cdr(message, connection.msgtype)
         writer.write(connection, microseconds * 1000, data)
 
-    # It comes first, so that the beginning of the file tells whose it is.
+    # It comes first, so that the beginning of the file names the program.
     text = store.types["std_msgs/msg/String"](data=mark)
     put(topic("made_by", "std_msgs/msg/String"), poses[0].microseconds if poses else 0, text)
     position = topic("fix", "sensor_msgs/msg/NavSatFix")

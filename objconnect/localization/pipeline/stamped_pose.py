@@ -1,4 +1,4 @@
-"""A pose with its time, its place on earth and its covariance, as autopilots and robots take it."""
+"""A pose with time, position on earth and covariance, as autopilots and robots use it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from objconnect.scene.geometry.geodesy import Geodetic
 
 @dataclass(frozen=True)
 class StampedPose:
-    """A camera that was localized, at its time.
+    """The pose of a localized camera at its time.
 
     Attributes:
         microseconds: time since 1970, UTC.
-        place: the camera on earth.
+        place: position of the camera on earth.
         centre: the camera in the map's frame, (3,) metres east, north and up.
         world_from_cam: rotation (3, 3) from the camera's axes (right, down, forward) to the map's.
         covariance: (6, 6) of centre (m) and attitude (rad) within the map, about east, north and
             up; None if unknown.
-        accuracy: how exact ``place`` is, with the map's own place on earth.
+        accuracy: accuracy of ``place``, which includes that of the map on earth.
     """
 
     microseconds: int

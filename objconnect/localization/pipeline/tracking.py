@@ -1,8 +1,8 @@
-"""Localization of a sequence: what the camera's motion predicts is the prior of the next image.
+"""Localization of a sequence: the predicted motion of the camera is the prior of the next image.
 
-Every image is localized in the map, so that errors do not add up; the motion only says where to
-look. It is believed no further than its covariance: an answer that contradicts it is checked by a
-search from what else is known, and after some failures the camera counts as lost, and is searched.
+Every image is localized in the map, so that errors do not accumulate; the motion only gives the
+prior. A pose that contradicts the motion is checked by a search without it. After some failures the
+camera counts as lost, and the next image is searched without the motion, too.
 """
 
 from __future__ import annotations
@@ -19,51 +19,52 @@ from objconnect.scene.config import Config, load_config
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
 from objconnect.scene.storage.records import Record
 
-# A position that claims to be more exact than this, metres, counts as this exact.
-_MOST_EXACT_M: Final = 1e-3
-# The camera is lost, too, when the predicted attitude is less exact than this, degrees per axis.
+# Lower bound of a prior's position sigmas, metres.
+_MIN_SIGMA_M: Final = 1e-3
+# The camera is also lost when the sigma of the predicted attitude exceeds this, degrees per axis.
 _LOST_SIGMA_DEG: Final = 30.0
-# Answers in a row that agree with the motion, after which a search that contradicts it is not
-# believed.
+# After so many successive poses that agree with the motion, a search that contradicts it fails.
 _SURE_AFTER: Final = 3
-# Two answers closer than this agree.
+# Two poses closer than this agree.
 _AGREED_M: Final = 0.5
 _AGREED_DEG: Final = 2.0
-# Sigmas per axis of a pose that states no covariance: metres, degrees.
+# Sigmas per axis of a pose without covariance: metres, degrees.
 _UNKNOWN_SIGMA_M: Final = 1.0
 _UNKNOWN_SIGMA_DEG: Final = 2.0
-_CONTRADICTED = "what was found contradicts the motion of the camera"
+_CONTRADICTED: Final = "the pose contradicts the motion of the camera"
 
 
 class SequenceConfig(Config):
-    """When an image of a sequence is believed, and when the camera counts as lost."""
+    """Options of a sequence: when a pose agrees with the motion, and when the camera is lost."""
 
-    motion: MotionOptions = Field(MotionOptions(), description="How aircraft and gimbal move.")
+    motion: MotionOptions = Field(
+        MotionOptions(), description="Noise of the motion model of aircraft and gimbal."
+    )
     gate: float = Field(
         22.5,
         gt=0,
-        description="Squared Mahalanobis distance from the predicted pose below which an answer "
-        "agrees with it; of the right answers 99.9 % do (6 degrees of freedom).",
+        description="Squared Mahalanobis distance from the predicted pose below which a pose "
+        "agrees with it; 99.9 % of right poses do (6 degrees of freedom).",
     )
     lost_after: int = Field(
-        4, ge=1, description="Images without an answer after which the camera is lost."
+        4, ge=1, description="Number of successive failures after which the camera is lost."
     )
     lost_sigma_m: float = Field(
         15.0,
         gt=0,
-        description="The camera is lost when the predicted position is less exact than this, "
-        "metres per axis.",
+        description="Standard deviation of the predicted position per axis above which the camera "
+        "is lost, m.",
     )
 
 
 class _Settings(Record):
-    """What of the settings is of a sequence and not of its method."""
+    """The settings of a sequence among those of a method."""
 
     sequence: SequenceConfig = SequenceConfig()
 
 
 def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
-    """Take the settings of a sequence, ``sequence.KEY``, out of others.
+    """Remove the settings of a sequence, ``sequence.KEY``, from others and return them.
 
     Args:
         settings: values by key; those of the sequence are removed.
@@ -78,11 +79,11 @@ def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
 class Tracker:
     """Localizes the images of a sequence, one after the other.
 
-    The state follows from the answers alone, so that an interrupted run is taken up by telling the
-    tracker the answers it gave.
+    Its state depends on the estimates alone, so that an interrupted run resumes by passing the
+    earlier estimates to ``take``.
 
     Attributes:
-        searched: number of images that were searched so far.
+        searched: number of images that were searched without the motion.
     """
 
     def __init__(self, localizer: Localizer, config: SequenceConfig) -> None:
@@ -93,10 +94,10 @@ class Tracker:
         self.searched = 0
 
     def localize(self, query: Query, seconds: float) -> Estimate:
-        """Localize the next image; call ``take`` with the answer.
+        """Localize the next image; call ``take`` with the estimate.
 
         Args:
-            query: the image, with what the aircraft knows of its pose; its ``prior`` may be None.
+            query: the image; its prior, if any, is what the aircraft measured.
             seconds: time of the image, later than those before.
         """
         moving = self._predict(seconds)
@@ -116,7 +117,7 @@ class Tracker:
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
     def take(self, estimate: Estimate, seconds: float) -> None:
-        """Take over an answer, of this run or of the one that was interrupted."""
+        """Update the motion with an estimate of this run or of the one that was interrupted."""
         pose = estimate.cam_from_world
         if estimate.status is not Status.OK or pose is None:
             self._failures += 1
@@ -141,21 +142,21 @@ class Tracker:
         return moving if known and moving.sigma_deg < _LOST_SIGMA_DEG else None
 
     def _near(self, query: Query, moving: Motion, tracked: bool) -> Estimate:
-        """Localize an image from what the motion predicts, and there alone if ``tracked``."""
+        """Localize an image from the predicted pose, and nowhere else if ``tracked``."""
         asked = replace(query, prior=moving.prior, tracked=tracked)
         return localize_safely(self._localizer, asked)
 
     def _believes(self, estimate: Estimate, moving: Motion, prior: Prior | None) -> bool:
-        """Return whether an answer agrees with the motion and with what the aircraft says."""
+        """Return whether an estimate agrees with the motion and with the aircraft's prior."""
         return self._agrees(estimate, moving) and self._fits(estimate, prior)
 
     def _search(self, query: Query) -> Estimate:
-        """Localize an image from what is known without the motion."""
+        """Localize an image without the motion."""
         self.searched += 1
         return localize_retrying(self._localizer, query)
 
     def _agrees(self, estimate: Estimate, moving: Motion) -> bool:
-        """Return whether an answer is a pose that the motion predicts."""
+        """Return whether an estimate agrees with the motion."""
         pose = estimate.cam_from_world
         if estimate.status is not Status.OK or pose is None:
             return False
@@ -163,16 +164,16 @@ class Tracker:
         return moving.distance(pose, covariance, self._config.motion) < self._config.gate
 
     def _fits(self, estimate: Estimate, prior: Prior | None) -> bool:
-        """Return whether an answer is where the aircraft says that it is, if it says so."""
+        """Return whether an estimate agrees with the position of the prior, if it has one."""
         pose = estimate.cam_from_world
         if prior is None or prior.position_sigma is None or pose is None:
             return True
-        sigma = np.maximum(prior.position_sigma, _MOST_EXACT_M)
+        sigma = np.maximum(prior.position_sigma, _MIN_SIGMA_M)
         errors = (pose.centre().numpy() - prior.position) / sigma
         return bool(errors @ errors < self._config.gate)
 
     def _same(self, estimate: Estimate, other: Estimate) -> bool:
-        """Return whether two answers are one pose."""
+        """Return whether two estimates have the same pose."""
         if estimate.status is not Status.OK or other.status is not Status.OK:
             return False
         if estimate.cam_from_world is None or other.cam_from_world is None:
@@ -181,7 +182,7 @@ class Tracker:
         return float(metres) < _AGREED_M and float(degrees) < _AGREED_DEG
 
     def _covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (6, 6) of an answer's centre and attitude in the world."""
+        """Return the covariance (6, 6) of an estimate's centre and attitude in the world."""
         stated = estimate.world_covariance()
         if stated is not None and np.isfinite(stated).all():
             return stated

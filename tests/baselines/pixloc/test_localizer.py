@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
-from objconnect.localization.coarse.finder import PlaceOptions
+from objconnect.localization.coarse.finder import CoarseSearchOptions
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.references import POINTS
@@ -195,7 +195,7 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
     sure = replace(unknown, position_sigma=np.array([2.0, 2.0, 1.0]))
     found, misled = {}, {}
     for many in (False, True):
-        place = PlaceOptions(candidates=5 if many else 0)
+        place = CoarseSearchOptions(candidates=5 if many else 0)
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many, place=place))
         localizer.prepare(*made, cache)
         found[many] = errors(localizer.localize(replace(QUERY, prior=unknown)))[0]
@@ -216,7 +216,7 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)
     localizer = PixlocLocalizer(
-        PixlocConfig(weights=weights, multistart=True, place=PlaceOptions())
+        PixlocConfig(weights=weights, multistart=True, place=CoarseSearchOptions())
     )
     localizer.prepare(*made, cache)
     estimate = localizer.localize(query)
@@ -320,7 +320,7 @@ def test_sizes_that_are_no_multiples(weights: Path, made: tuple[SparseMap, Path]
 
 def test_no_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("baselines.pixloc.localizer.SHIPPED", tmp_path / "pixloc.safetensors")
-    with pytest.raises(InputError, match="train them .* or name a file"):
+    with pytest.raises(InputError, match="train them .* or give a file"):
         create("pixloc", {})
     with pytest.raises(InputError, match="no weights at"):
         create("pixloc", {"weights": str(tmp_path / "none.tar")})

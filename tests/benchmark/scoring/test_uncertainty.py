@@ -19,7 +19,7 @@ from benchmark.scoring.uncertainty import (
 )
 from experiments.covariance import Answers, calibrate
 from objconnect.localization.align.covariance import Spread
-from objconnect.localization.featuremetric.calibration import CovarianceNumbers
+from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import pose_at, scored_query
@@ -116,7 +116,7 @@ def test_a_predicted_probability_goes_before_a_sigma() -> None:
 
 
 def made_answers(
-    numbers: CovarianceNumbers, seed: int, count: int = 2000, freedom: int = 8
+    numbers: CovarianceModel, seed: int, count: int = 2000, freedom: int = 8
 ) -> Answers:
     """Errors of Student's distribution that have the covariances that the numbers give."""
     rng = np.random.default_rng(seed)
@@ -139,11 +139,11 @@ def made_answers(
 @pytest.mark.parametrize(
     "planted",
     [
-        CovarianceNumbers.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)),
-        CovarianceNumbers.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
+        CovarianceModel.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)),
+        CovarianceModel.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
     ],
 )
-def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
+def test_calibration_finds_what_was_planted(planted: CovarianceModel) -> None:
     found = calibrate(made_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
@@ -154,7 +154,7 @@ def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = CovarianceNumbers.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1))
+    planted = CovarianceModel.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1))
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:

@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import nn
 
-from objconnect.learning.inference import ConvReLU, Pooling, fold
+from objconnect.learning.inference import ConvReLU, Pooling, fuse_layers
 from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
+from objconnect.network.coarse_localizer import CoarseLocalizerConfig
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.localizer import ObjConnectConfig
 from objconnect.network.network import ObjConnectNet
-from objconnect.network.place import PlaceConfig
 
 
 def trained(network: nn.Module) -> nn.Module:
@@ -43,7 +43,7 @@ def networks() -> list[nn.Module]:
 def test_folded_networks_are_the_same(which: int) -> None:
     plain = trained(networks()[which])
     folded = copy.deepcopy(plain)
-    fold(folded, "float32")
+    fuse_layers(folded, "float32")
     assert any(isinstance(module, ConvReLU) for module in folded.modules())
     assert not any(isinstance(module, nn.BatchNorm2d) for module in folded.modules())
     image = torch.rand(1, 3, 80, 150).contiguous(memory_format=torch.channels_last)
@@ -65,7 +65,7 @@ def test_pooling_is_that_of_torch(size: tuple[int, int], dtype: torch.dtype) -> 
 def test_bfloat16_is_near() -> None:
     plain = trained(networks()[0])
     folded = copy.deepcopy(plain)
-    fold(folded, "bfloat16")
+    fuse_layers(folded, "bfloat16")
     image = torch.rand(1, 3, 64, 64)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
         half = folded(image)
@@ -76,7 +76,7 @@ def test_bfloat16_is_near() -> None:
         assert 0 < float((a - b).norm() / b.norm()) < 0.03
 
 
-@pytest.mark.parametrize("config", [ObjConnectConfig, PlaceConfig])
+@pytest.mark.parametrize("config", [ObjConnectConfig, CoarseLocalizerConfig])
 @pytest.mark.parametrize(
     ("units", "used"),
     [

@@ -11,7 +11,7 @@ import torch
 from torch.nn import functional
 
 import objconnect.learning.quantization as quantization
-from objconnect.learning.inference import fold
+from objconnect.learning.inference import fuse_layers
 from objconnect.learning.quantization import double, largest_values, quantize
 from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.methods import create
@@ -46,7 +46,7 @@ def similarity(a: torch.Tensor, b: torch.Tensor) -> float:
 @pytest.mark.parametrize("method", ["pixloc", "objconnect"])
 def test_features_are_nearly_the_same(method: str) -> None:
     network = trained(networks()[0]) if method == "pixloc" else read_network(SHIPPED)[0]
-    fold(network, "float32")
+    fuse_layers(network, "float32")
     seen = pictures(4)
     with torch.inference_mode():
         with largest_values(network) as largest:
@@ -70,7 +70,7 @@ def test_features_are_nearly_the_same(method: str) -> None:
 @needs_units
 def test_parts_that_are_not_shown_change_nothing() -> None:
     network, _ = read_network(SHIPPED)
-    fold(network, "float32")
+    fuse_layers(network, "float32")
     seen = pictures(1)
     shown = np.zeros((48, 88), np.bool_)
     shown[8:30, 20:50] = True
@@ -101,7 +101,7 @@ def test_doubling_rounds_bilinear_values(
 
 def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pyramid = networks()[2].eval()
-    fold(pyramid, "float32")
+    fuse_layers(pyramid, "float32")
     monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: True)
     with pytest.raises(InputError, match=r"quantized=true needs a network with a U-Net decoder"):
         quantize(pyramid, {}, STRIDES)
@@ -147,7 +147,7 @@ def test_poses_are_found(method: str, share: float, tmp_path: Path) -> None:
 @needs_units
 def test_the_network_of_the_map_is_left_alone() -> None:
     network = networks()[0].eval()
-    fold(network, "float32")
+    fuse_layers(network, "float32")
     before = copy.deepcopy(network.state_dict())
     with torch.inference_mode(), largest_values(network) as largest:
         network(pictures(1))

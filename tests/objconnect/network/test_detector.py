@@ -13,7 +13,7 @@ from objconnect.learning.training.options import PairOptions
 from objconnect.learning.training.pairs import collate
 from objconnect.learning.training.rendered import RenderedPairs
 from objconnect.network.config import DetectorConfig, ObjConnectNetConfig
-from objconnect.network.detector import DetectorMaps, ObjectDetector, detections, label_map
+from objconnect.network.detector import DetectorMaps, ObjectDetector, extract_detections, label_map
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_loss import cell_labels, identity_loss, place_loss
@@ -91,7 +91,7 @@ def test_right_maps_lose_nothing_and_others_do() -> None:
 
 def test_right_maps_are_read_as_the_objects() -> None:
     objects = three_objects()
-    found = detections(right_maps(objects), STRIDE, 10, 0.5)
+    found = extract_detections(right_maps(objects), STRIDE, 10, 0.5)
     order = found.side.argsort(descending=True)
     assert torch.allclose(found.xy[order], objects.centres[:2])
     assert torch.allclose(found.side[order], objects.sides[:2])
@@ -108,7 +108,7 @@ def test_finer_labels_follow_the_object_more_closely() -> None:
     objects = three_objects()
     maps = right_maps(objects)
     maps.inside[0, 2:5, 5] = 4.4  # between 20 and 24; the next cell says -12
-    found = detections(maps, STRIDE, 10, 0.5)
+    found = extract_detections(maps, STRIDE, 10, 0.5)
     large = int((found.side == 12).nonzero())
     ends = []
     for cell in (1, 2, 4):
@@ -155,7 +155,7 @@ def test_learned_segments_need_a_detector() -> None:
 def test_no_peak_is_no_object() -> None:
     maps = right_maps(three_objects())
     nothing = DetectorMaps((torch.full_like(maps.centre, -9.0), *maps[1:]))
-    found = detections(nothing, STRIDE, 10, 0.5)
+    found = extract_detections(nothing, STRIDE, 10, 0.5)
     assert len(found) == 0
     assert (label_map(nothing, found, STRIDE, 1) == NOTHING).all()
 

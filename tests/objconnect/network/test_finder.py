@@ -19,8 +19,8 @@ from objconnect.localization.coarse.headings import ALTITUDES
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.localization.featuremetric.references import ReferenceSource, references
-from objconnect.network.finder import ObjectPlaceFinder, ObjectPlaceOptions, headings_around
+from objconnect.localization.featuremetric.references import ReferenceSource, load_references
+from objconnect.network.finder import ObjectSearch, ObjectSearchOptions, headings_around
 from objconnect.network.landmarks import Landmarks
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network.network import read_network
@@ -58,13 +58,13 @@ def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def finder() -> ObjectPlaceFinder:
+def finder() -> ObjectSearch:
     network, _ = read_network(SHIPPED)
-    return ObjectPlaceFinder(network, MapExtractor(network, 512, "float32"), ObjectPlaceOptions())
+    return ObjectSearch(network, MapExtractor(network, 512, "float32"), ObjectSearchOptions())
 
 
 def source_of(
-    finder: ObjectPlaceFinder, sparse_map: SparseMap, scene: Scene, cache: Path, key: str = "a key"
+    finder: ObjectSearch, sparse_map: SparseMap, scene: Scene, cache: Path, key: str = "a key"
 ) -> ReferenceSource:
     kept = MapCache.of(sparse_map, scene.images_root, cache)
     return ReferenceSource(kept, finder._find._extract, key, "objconnect", 64)
@@ -76,9 +76,7 @@ def landmarks_in(path: Path) -> Landmarks:
 
 
 @pytest.fixture(scope="module")
-def seen(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def seen(finder: ObjectSearch, rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The cache of a finder that has looked at the rendered scene."""
     cache = tmp_path_factory.mktemp("seen")
     finder.prepare(source_of(finder, rendered.sparse_map(), rendered, cache))
@@ -92,17 +90,17 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_objects_are_found_in_the_feature_maps_of_references(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The network sees every photograph once, and finds the objects that it would find alone."""
     alone, beside = tmp_path / "alone", tmp_path / "beside"
     finder.prepare(source_of(finder, rendered.sparse_map(), rendered, alone))
     source = source_of(finder, rendered.sparse_map(), rendered, beside)
-    references(source, 64, finder.watcher(source))
+    load_references(source, 64, finder.observer(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
         finder.prepare(source)
-    assert finder.watcher(source) is None
+    assert finder.observer(source) is None
     (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
     assert one.name == other.name
     found, again = landmarks_in(one), landmarks_in(other)
@@ -111,7 +109,7 @@ def test_objects_are_found_in_the_feature_maps_of_references(
 
 
 def test_the_map_is_looked_at_once(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sparse_map = rendered.sparse_map()
     finder.prepare(source_of(finder, sparse_map, rendered, tmp_path))
@@ -128,7 +126,7 @@ def test_the_map_is_looked_at_once(
 
 
 def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = rendered.sparse_map()
     fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
@@ -144,7 +142,7 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
 
     monkeypatch.setattr(MapExtractor, "__call__", counted)
     source = source_of(finder, whole, rendered, grown)
-    references(source, 64, finder.watcher(source))
+    load_references(source, 64, finder.observer(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
     finder.prepare(source)
     assert len(asked) == len(whole.names)
@@ -155,7 +153,7 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
 
 
 def test_a_map_seen_along_the_ground_has_no_objects(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+    finder: ObjectSearch, rendered: Scene, tmp_path: Path
 ) -> None:
     up = np.eye(4)
     up[:3, :3] = so3_exp(torch.tensor([math.pi / 2, 0.0, 0.0]).double()).numpy()
@@ -187,7 +185,7 @@ def test_landmarks_lie_where_objects_are(rendered: Scene, seen: Path) -> None:
 
 
 def test_the_place_of_a_query_is_among_those_found(
-    finder: ObjectPlaceFinder, rendered: Scene, seen: Path
+    finder: ObjectSearch, rendered: Scene, seen: Path
 ) -> None:
     """In the map's own season, told nothing."""
     (dataset,) = open_datasets(rendered.path)
@@ -215,12 +213,12 @@ def test_in_large_maps_the_search_is_asked_first(
     rendered: Scene, cache: Path, most: int, asked: bool
 ) -> None:
     """Of a query that the search finds by itself."""
-    options = ObjectPlaceOptions(most_landmarks=most)
+    options = ObjectSearchOptions(most_landmarks=most)
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
     localizer.prepare(dataset.load_map(), dataset.images, cache)
     other = localizer._other
-    assert isinstance(other, ObjectPlaceFinder)
+    assert isinstance(other, ObjectSearch)
     assert other.is_first is asked
     calls: list[str] = []
     find = other.find
@@ -242,7 +240,7 @@ def test_objects_are_asked_where_the_search_fails(
     allowed: bool,
 ) -> None:
     """Their places count as far as the position that is told, if any, allows them."""
-    options = ObjectPlaceOptions(most_landmarks=0)
+    options = ObjectSearchOptions(most_landmarks=0)
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
     localizer.prepare(dataset.load_map(), dataset.images, cache)
@@ -250,7 +248,7 @@ def test_objects_are_asked_where_the_search_fails(
     query = next(query for query in dataset.queries if "summer" in query.name)
     calls: list[str] = []
     other = localizer._other
-    assert isinstance(other, ObjectPlaceFinder)
+    assert isinstance(other, ObjectSearch)
     there = Candidate(query.reference, 1.0)
     monkeypatch.setattr(other, "find", lambda query: calls.append(query.name) or [there])
     told = None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
-from objconnect.network.landmarks import Landmarks, View, merge, on_ground
+from objconnect.network.landmarks import Landmarks, View, merge, place_on_ground
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
@@ -47,7 +47,7 @@ def photograph(
         (torch.from_numpy(xyz[:, 2] - 5.0) * per_metre)[shown].float(),
         vectors[shown],
     )
-    return View(f"{centre}.jpg", CAMERA, pose, found, on_ground(found, CAMERA, pose, GROUND))
+    return View(f"{centre}.jpg", CAMERA, pose, found, place_on_ground(found, CAMERA, pose, GROUND))
 
 
 def views(xyz: NDArray[np.float64], vectors: torch.Tensor) -> list[View]:
@@ -68,7 +68,7 @@ def test_a_ray_to_the_sky_has_no_place() -> None:
     xyz, vectors = things()
     view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)
     flat = Pose(so3_exp(torch.tensor([np.pi / 2, 0.0, 0.0])).double(), torch.zeros(3).double())
-    placed = on_ground(view.found, CAMERA, flat, GROUND)
+    placed = place_on_ground(view.found, CAMERA, flat, GROUND)
     assert np.isnan(placed.xyz).all(1).any()
     assert len(merge([view._replace(placed=placed, pose=flat)])[0]) <= len(placed.xyz)
 
@@ -93,7 +93,7 @@ def test_what_one_photograph_of_four_shows_is_none() -> None:
     joined = Detections(
         *(torch.cat([getattr(each, name) for each in both]) for name in vars(both[0]))
     )
-    placed = on_ground(joined, CAMERA, seen[0].pose, GROUND)
+    placed = place_on_ground(joined, CAMERA, seen[0].pose, GROUND)
     landmarks = merge([seen[0]._replace(found=joined, placed=placed), *seen[1:]])[0]
     assert np.linalg.norm(landmarks.xyz - ghost, axis=1).min() > 0.2
 

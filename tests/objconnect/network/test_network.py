@@ -61,7 +61,7 @@ def test_without_objects_nothing_is_segmented(monkeypatch: pytest.MonkeyPatch) -
     made = network(segmentation="none", **OFF)
     image = pictures(1, 32, 32)
     assert len(made(image)) == 3
-    with pytest.raises(InputError, match="without objects"):
+    with pytest.raises(InputError, match="has no objects"):
         made.objects(image)
 
 
@@ -228,5 +228,5 @@ def test_coarse_levels_alone_are_those_of_all(decoder: str) -> None:
 
 def test_weights_may_record_what_is_no_option_any_more() -> None:
     assert ObjConnectNetConfig(**{"finest_object_stride": 4}) == ObjConnectNetConfig()
-    with pytest.raises(ValueError, match="finest_object_stride is 8 in these weights, and 4 here"):
+    with pytest.raises(ValueError, match="finest_object_stride is 8 in these weights; only 4"):
         ObjConnectNetConfig(**{"finest_object_stride": 8})

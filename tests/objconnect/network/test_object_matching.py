@@ -13,13 +13,13 @@ from objconnect.network.config import ConstellationConfig
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.constellation_training import (
     ConstellationTraining,
-    Lesson,
-    LessonQuery,
+    TrainingQuery,
+    TrainingScene,
     describe_query,
     train_graph,
 )
 from objconnect.network.landmarks import Landmarks, merge
-from objconnect.network.object_matching import Connector, LaidOut, describe_landmarks
+from objconnect.network.object_matching import Connector, ObjectLayout, describe_landmarks
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from tests.objconnect.network.test_landmarks import CAMERA, DOWN, GROUND, photograph, things, views
@@ -101,7 +101,7 @@ def test_a_constellation_means_the_same_wherever_it_stands() -> None:
     assert not torch.allclose(described(place), described(place * 1.5), atol=1e-2)
 
 
-def alone_alike(count: int, seed: int) -> Lesson:
+def alone_alike(count: int, seed: int) -> TrainingScene:
     """Landmarks that all look the same, and queries of parts of them: only neighbours tell."""
     rng = np.random.default_rng(seed)
     xyz = np.column_stack([rng.uniform(-60, 60, (count, 2)), np.full(count, 6.0)])
@@ -114,12 +114,14 @@ def alone_alike(count: int, seed: int) -> Lesson:
         rows = np.flatnonzero(np.linalg.norm(xyz[:, :2] - centre, axis=1) < 35)
         offset = (xyz[rows, :2] - centre) / 80.0
         short = np.full(len(rows), 1 / 80.0)
-        laid = LaidOut(offset, short, 2 * short, torch.from_numpy(same[rows]), np.arange(len(rows)))
-        queries.append(LessonQuery(f"{number}.jpg", "winter", laid, 80.0, rows, xyz[rows]))
-    return Lesson(f"scene {seed}", landmarks, queries)
+        laid = ObjectLayout(
+            offset, short, 2 * short, torch.from_numpy(same[rows]), np.arange(len(rows))
+        )
+        queries.append(TrainingQuery(f"{number}.jpg", "winter", laid, 80.0, rows, xyz[rows]))
+    return TrainingScene(f"scene {seed}", landmarks, queries)
 
 
-def found_first(graph: ConstellationGraph, lesson: Lesson) -> float:
+def found_first(graph: ConstellationGraph, lesson: TrainingScene) -> float:
     """The share of objects whose own landmark is most like them."""
     hits = []
     with torch.no_grad():

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import objconnect.network.training
 from objconnect.learning.training.config import TrainConfig
-from objconnect.localization.featuremetric.training import both, contrast_of, levels_of
+from objconnect.localization.featuremetric.training import contrast_of, levels_of, stack_images
 from objconnect.methods import TRAINABLE, trainable
 from objconnect.network.loss import (
     feature_distance,
@@ -42,7 +42,7 @@ def test_feature_distance_is_equation_6() -> None:
     training = made()
     strides = training.network_config.strides
     with torch.no_grad():
-        levels = levels_of(training.network.eval()(both(batch)), strides, batch)
+        levels = levels_of(training.network.eval()(stack_images(batch)), strides, batch)
     by_hand = []
     for level, stride in zip(levels, strides, strict=True):
         for b in range(2):

@@ -24,7 +24,7 @@ from objconnect.ingestion.photographs import read_flight
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.loop import _claim as claim_run
 from objconnect.localization.matching.structure import StructureConfig
-from objconnect.localization.pipeline.place import open_place
+from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.export import export
 from objconnect.scene.flights.textfiles import (
@@ -749,7 +749,7 @@ def test_the_gimbal_of_a_real_flight(
     cosine = (np.trace(prior.cam_from_world_rotation @ truth.rotation.numpy().T) - 1) / 2
     assert np.degrees(np.arccos(cosine)) < 10
     assert prior.attitude_sigma_deg == 5
-    assert open_place(beach).origin is not None
+    assert open_map(beach).origin is not None
 
 
 def test_far_points_of_any_map(flight: Path) -> None:

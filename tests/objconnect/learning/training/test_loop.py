@@ -123,7 +123,7 @@ class _Bereaved(PixlocTraining):
 def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) -> None:
     """At step 4, when pairs of the next two are made or on their way: those of the last are not."""
     config = TINY.model_copy(update={"steps": 8, "workers": 1, "warm_up": 0.0})
-    with pytest.raises(InputError, match="makes pairs died .*the same command goes on"):
+    with pytest.raises(InputError, match="data loading process died .*run the same command"):
         train("pixloc", _Bereaved, [rendered.path], tmp_path, config)
     assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["done"] in (4, 6)
     assert read_weights(train("pixloc", PixlocTraining, [rendered.path], tmp_path, config)).tensors

@@ -9,11 +9,11 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.coarse.finder import PlaceOptions, hypotheses
+from objconnect.localization.coarse.finder import CoarseSearchOptions, hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDES
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
-from objconnect.localization.coarse.search import Hypotheses, PlaceSearch
+from objconnect.localization.coarse.search import Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -81,7 +81,7 @@ def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, heigh
     passes = [base @ so3_exp(math.radians(k * 10) * UP) for k in range(36)]
     # The network sees the same whatever it is asked from: turning the picture is its caller's.
     hypotheses = Hypotheses(passes, [0.0], [0.7 * height, height, 1.3 * height])
-    best, *others = PlaceSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 3)
+    best, *others = MosaicSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 3)
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
     assert best.score > 0.6 and all(each.score < best.score for each in others)
@@ -91,14 +91,14 @@ def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
     true = posed(DOWN @ so3_exp(math.radians(18) * UP), (0.0, 10.0, 65.0))
     turns = [math.radians(each) for each in (-18, 0, 18)]
     hypotheses = Hypotheses([DOWN], turns, [60.0])
-    best = PlaceSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 1)[0]
+    best = MosaicSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 1)[0]
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 1
 
 
 def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
     true = posed(DOWN, (12.0, -20.0, 65.0))
-    search = PlaceSearch(mosaic)
+    search = MosaicSearch(mosaic)
     elsewhere = Hypotheses([DOWN], [0.0], [60.0], within=(-40.0, 40.0, 15.0))
     for candidate in search(lambda _: seen(mosaic, true), elsewhere, 5):
         x, y, _ = candidate.pose.centre().tolist()
@@ -112,10 +112,10 @@ def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
 def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radius: float) -> None:
     """By so many standard deviations and two cells, of 2 m each."""
     known = Prior(np.array([10.0, 20.0, 65.0]), np.array([5.0, 4.0, 1.0]))
-    tried = hypotheses(known, PlaceOptions(reach_sigmas=sigmas), mosaic.grid, 80.0)
+    tried = hypotheses(known, CoarseSearchOptions(reach_sigmas=sigmas), mosaic.grid, 80.0)
     assert tried.within == (10.0, 20.0, radius)
     assert tried.altitudes == [60.0]
-    unknown = hypotheses(None, PlaceOptions(), mosaic.grid, 80.0)
+    unknown = hypotheses(None, CoarseSearchOptions(), mosaic.grid, 80.0)
     assert unknown.within is None
     assert unknown.altitudes == [80.0 * part for part in ALTITUDES]
 
@@ -124,7 +124,7 @@ def test_candidates_are_apart(mosaic: Mosaic) -> None:
     true = posed(DOWN, (12.0, -20.0, 65.0))
     passes = [DOWN @ so3_exp(math.radians(each) * UP) for each in (-5, 0, 5)]
     hypotheses = Hypotheses(passes, [0.0], [55.0, 60.0, 65.0])
-    found = PlaceSearch(mosaic, separation=12.0)(lambda _: seen(mosaic, true), hypotheses, 6)
+    found = MosaicSearch(mosaic, separation=12.0)(lambda _: seen(mosaic, true), hypotheses, 6)
     centres = np.array([each.pose.centre().numpy() for each in found])
     between = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
     assert len(found) == 6
@@ -134,7 +134,7 @@ def test_candidates_are_apart(mosaic: Mosaic) -> None:
 def test_a_query_that_shows_no_ground_has_no_place(mosaic: Mosaic) -> None:
     upwards = torch.eye(3, dtype=torch.float64)
     level = seen(mosaic, posed(DOWN, (0.0, 0.0, 65.0)))
-    assert PlaceSearch(mosaic)(lambda _: level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
+    assert MosaicSearch(mosaic)(lambda _: level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
 
 
 def test_a_mosaic_comes_back_from_its_arrays(mosaic: Mosaic) -> None:

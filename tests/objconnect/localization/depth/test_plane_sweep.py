@@ -72,7 +72,7 @@ def test_a_photograph_of_any_size_and_lens_is_made_smaller() -> None:
     camera = Camera("SIMPLE_RADIAL", 1024, 575, (600.0, 512.0, 287.0, 0.004))
     pose = looking_down(0, 0)
     grey = torch.rand(575, 1024)
-    small = GreyPhotograph(grey, camera, pose, lambda xy: xy).shrunk(3)
+    small = GreyPhotograph(grey, camera, pose, lambda xy: xy).downscale(3)
     assert (small.camera.width, small.camera.height) == (341, 191) == tuple(small.grey.shape[::-1])
     torch.testing.assert_close(small.grey[0, 0], grey[:3, :3].mean())
     rays, _ = camera.unproject(torch.tensor([[300.0, 150.0]], dtype=torch.float64))

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
-from objconnect.localization.depth.sweep import Sweeper, SweepOptions, window
+from objconnect.localization.depth.sweep import Sweeper, SweepOptions, window_offsets
 from objconnect.localization.depth.window_sweep import WindowSweep
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import height, write_map
 
-WINDOW = window()
+WINDOW = window_offsets()
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from objconnect.localization.align.aligner import Alignment
 from objconnect.localization.align.covariance import Spread
 from objconnect.localization.featuremetric.attempt import Attempt, pose_covariance
-from objconnect.localization.featuremetric.calibration import CovarianceNumbers
+from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
 
-NUMBERS = CovarianceNumbers(
+NUMBERS = CovarianceModel(
     factor=2.0,
     patches_power=0.5,
     level=4e-4,

@@ -11,7 +11,7 @@ import torch
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level
-from objconnect.localization.featuremetric.evidence import Evidence, evidence
+from objconnect.localization.featuremetric.evidence import Evidence, measure_evidence
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 
@@ -53,7 +53,7 @@ def aside(metres: float) -> Pose:
 
 
 def told(made: Problem, pose: Pose = POSE) -> Evidence:
-    return evidence(made, pose, 0.7)
+    return measure_evidence(made, pose, 0.7)
 
 
 def test_a_right_pose_stands_out_and_halves_agree() -> None:

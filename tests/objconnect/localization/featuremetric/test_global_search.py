@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from objconnect.localization.coarse.finder import PlaceFinder
+from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.acceptance import log_odds_of
 from objconnect.localization.featuremetric.attempt import Attempt
@@ -54,7 +54,7 @@ def search(*attempts: Attempt) -> GlobalSearch:
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), near=near)
     places = SimpleNamespace(find=lambda _: [Candidate(at(80), 0.0, By.PLACE)])
     return GlobalSearch(
-        cast(Refiner, refine), cast(SparseMap, None), cast(PlaceFinder, places), None
+        cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, places), None
     )
 
 

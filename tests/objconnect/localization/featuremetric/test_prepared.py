@@ -14,9 +14,9 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.pipeline.failures import localize_safely
+from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.localization.pipeline.localize import localize
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import open_place
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError, PreparationError
@@ -117,7 +117,7 @@ def test_what_goes_wrong_then_is_no_failure_of_a_query(
     def broken(*_: object) -> None:
         raise RuntimeError("no memory")
 
-    monkeypatch.setattr("objconnect.localization.featuremetric.localizer.references", broken)
+    monkeypatch.setattr("objconnect.localization.featuremetric.localizer.load_references", broken)
     with pytest.raises(PreparationError, match="could not be prepared: RuntimeError: no memory"):
         localize_safely(left, told_all(hamlet))
     assert localize_safely(left, told_nothing(hamlet)).status is Status.OK
@@ -157,8 +157,8 @@ def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Pat
     cache, out = tmp_path / "cache", tmp_path / "poses.txt"
     method = create("objconnect", OPTIONS)
     options = LocalizeOptions(cache=cache)
-    (located,) = localize(open_place(rendered.path), folder, method, out, options)
-    assert located.found and located.estimate.by is By.MATCHES
+    (located,) = localize(open_map(rendered.path), folder, method, out, options)
+    assert located.is_localized and located.estimate.by is By.MATCHES
     assert kept(cache) == {"sift-points"}
     (row,) = csv.DictReader(out.with_suffix(".csv").open())
     assert row["by"] == "matches" and float(row["probability"]) > 0.99

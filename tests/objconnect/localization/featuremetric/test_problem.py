@@ -15,7 +15,7 @@ from objconnect.localization.align.problem import Problem
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.problem import Levelling, ProblemBuilder, fit
-from objconnect.localization.featuremetric.references import ReferenceSource, references
+from objconnect.localization.featuremetric.references import ReferenceSource, load_references
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import tilt
 from objconnect.scene.localizer import Query
@@ -38,7 +38,7 @@ def problems(tmp_path: Path) -> ProblemBuilder:
     images = tmp_path / "images"
     sparse_map = write_map(images)
     kept = MapCache.of(sparse_map, images, tmp_path)
-    observations = references(ReferenceSource(kept, extract, "key", "pixloc", 2000), 2**20)
+    observations = load_references(ReferenceSource(kept, extract, "key", "pixloc", 2000), 2**20)
     damping = [factors().detach() for factors in network.damping]
     return ProblemBuilder(extract, observations, sparse_map.centres, damping, Options())
 

@@ -16,9 +16,9 @@ from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import (
     ReferenceFeatures,
     ReferenceSource,
+    load_references,
     observe,
     order_by_coverage,
-    references,
 )
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -42,7 +42,7 @@ def extract(tmp_path_factory: pytest.TempPathFactory) -> MapExtractor:
 
 def read(made: tuple[SparseMap, Path], extract: MapExtractor, cache: Path) -> ReferenceFeatures:
     kept = MapCache.of(*made, cache)
-    return references(ReferenceSource(kept, extract, "key", "method", 100), 2**20)
+    return load_references(ReferenceSource(kept, extract, "key", "method", 100), 2**20)
 
 
 def test_beginnings_cover_the_picture() -> None:
@@ -116,9 +116,9 @@ def test_other_inputs_are_other_files(
     moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
     kept = MapCache.of(sparse_map, images, tmp_path)
     source = ReferenceSource(kept, extract, "key", "method", 100)
-    references(replace(source, kept=replace(kept, sparse_map=moved)), 2**30)
-    references(replace(source, extractor_key="other"), 2**30)
-    references(replace(source, corners=CORNERS), 2**30)
+    load_references(replace(source, kept=replace(kept, sparse_map=moved)), 2**30)
+    load_references(replace(source, extractor_key="other"), 2**30)
+    load_references(replace(source, corners=CORNERS), 2**30)
     # The last has a file of corners beside it.
     assert len(list(tmp_path.iterdir())) == 5
 
@@ -144,8 +144,8 @@ def test_what_an_added_photograph_does_not_change_is_copied(
     kept = MapCache.of(whole, images, tmp_path / "cache")
     source = ReferenceSource(kept, extract, "key", "method", 100, corners)
     before = MapCache.of(without_the_last(whole), images, tmp_path / "cache")
-    references(replace(source, kept=before), 2**30)
-    alone = references(replace(source, kept=replace(kept, folder=tmp_path / "alone")), 2**30)
+    load_references(replace(source, kept=before), 2**30)
+    alone = load_references(replace(source, kept=replace(kept, folder=tmp_path / "alone")), 2**30)
     asked = []
 
     def counted(of: MapExtractor, *args: Any) -> Any:
@@ -154,7 +154,7 @@ def test_what_an_added_photograph_does_not_change_is_copied(
 
     extracted = MapExtractor.__call__
     monkeypatch.setattr(MapExtractor, "__call__", counted)
-    grown = references(source, 2**30)
+    grown = load_references(source, 2**30)
     for row in range(len(whole.names)):
         for ours, theirs in zip(grown[row].features, alone[row].features, strict=True):
             np.testing.assert_array_equal(ours, theirs)
@@ -162,7 +162,7 @@ def test_what_an_added_photograph_does_not_change_is_copied(
         np.testing.assert_array_equal(grown[row].confidence, alone[row].confidence)
     # The first photographs share no point with the last.
     assert 1 <= len(asked) < len(whole.names)
-    references(replace(source, extractor_key="other"), 2**30)
+    load_references(replace(source, extractor_key="other"), 2**30)
     assert len(asked) >= 2 * len(whole.names) - 4
 
 

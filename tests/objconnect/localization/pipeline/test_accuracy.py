@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from objconnect.localization.pipeline.accuracy import combine_accuracies
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.localization.pipeline.disagreement import measure_disagreement, warn_of_disagreement
 from objconnect.scene.bundle.georeference import EXACT, Georeference
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -29,9 +29,9 @@ CENTRE = np.array([10.0, 20.0, 30.0])
 
 def row(tmp_path: Path, georeference: Georeference | None) -> dict[str, str]:
     """The row of the table of an answer."""
-    files = outputs(tmp_path / "poses.txt", [tmp_path / "poses.geojson"])
+    files = output_files(tmp_path / "poses.txt", [tmp_path / "poses.geojson"])
     located = [Located("a.jpg", looking(30, -60, 4), PLACE)]
-    for path, content in contents(located, files, Geography(georeference=georeference)):
+    for path, content in encode_files(located, files, Geography(georeference=georeference)):
         path.write_bytes(content)
     (only,) = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
     (feature,) = json.loads((tmp_path / "poses.geojson").read_text())["features"]
@@ -134,7 +134,7 @@ def test_heights_that_scatter_are_not_said_to_agree(caplog: pytest.LogCaptureFix
     """Half of them are 40 m too high and half too low: the median is near 0."""
     located = [*flown((0, 0, 40), (3, 3, 5)), *flown((0, 0, -40), (3, 3, 5), 6)]
     found = measure_disagreement(located, Geography(georeference=EXACT))
-    assert found is not None and found.far_up and found.apart_m == pytest.approx(40, abs=0.2)
+    assert found is not None and found.far_up and found.height_error_m == pytest.approx(40, abs=0.2)
     mixed = [*located[:6], *located[7:], *flown((0, 0, 0.1), (3, 3, 5), 1)]
     assert "40.0 m above or below the GPS positions" in said(caplog, mixed, EXACT)
 

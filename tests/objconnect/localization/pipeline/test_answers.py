@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import objconnect.methods
 from objconnect.ingestion.attitude import gimbal_angles, gimbal_pose
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.scene.bundle.georeference import EXACT
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
@@ -43,8 +43,8 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
 
 
 def written(located: list[Located], out: Path, undulation: float | None = None) -> None:
-    files = outputs(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
-    for path, content in contents(located, files, Geography(undulation, None, EXACT)):
+    files = output_files(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
+    for path, content in encode_files(located, files, Geography(undulation, None, EXACT)):
         path.write_bytes(content)
     check_outputs(files)  # all of them are recognized as files of ours
 
@@ -132,7 +132,7 @@ def test_other_endings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"poses.gpx must end in .geojson or .kml or .tlog or .mcap"
     ):
-        outputs(tmp_path / "poses.txt", [tmp_path / "poses.gpx"])
+        output_files(tmp_path / "poses.txt", [tmp_path / "poses.gpx"])
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from objconnect.localization.pipeline.footage import (
     Timing,
     cameras_of_frames,
 )
-from objconnect.localization.pipeline.place import Place, open_place
+from objconnect.localization.pipeline.localization_map import LocalizationMap, open_map
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.storage.video import Video, VideoFrame
@@ -27,8 +27,8 @@ SRT = Path("FLIGHT.SRT")
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
-    return open_place(write_scene(tmp_path_factory.mktemp("place") / "scene"))
+def place(tmp_path_factory: pytest.TempPathFactory) -> LocalizationMap:
+    return open_map(write_scene(tmp_path_factory.mktemp("place") / "scene"))
 
 
 def footage(*flight: Telemetry, size: tuple[int, int] = (480, 270)) -> Footage:
@@ -58,7 +58,9 @@ def focals(cameras: FrameCameras, film: Footage) -> list[float | None]:
     ],
 )
 def test_zoom_changes_the_camera_of_a_frame(
-    place: Place, zooms: list[tuple[float | None, float | None]], expected: list[float | None]
+    place: LocalizationMap,
+    zooms: list[tuple[float | None, float | None]],
+    expected: list[float | None],
 ) -> None:
     film = footage(*(said(k, *zoom) for k, zoom in enumerate(zooms)))
     cameras = cameras_of_frames(film, None, place)
@@ -69,7 +71,7 @@ def test_zoom_changes_the_camera_of_a_frame(
     assert (after is not None) == steady
 
 
-def test_the_map_s_camera_is_zoomed_about_the_middle(place: Place) -> None:
+def test_the_map_s_camera_is_zoomed_about_the_middle(place: LocalizationMap) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
     lens = 36 * own.focal[0] / max(own.width, own.height)
     film = footage(said(0, lens), said(1, lens, 2.0), size=(own.width, own.height))
@@ -87,7 +89,7 @@ def test_the_map_s_camera_is_zoomed_about_the_middle(place: Place) -> None:
     np.testing.assert_allclose(after - middle, 2 * (before - middle), rtol=1e-9)
 
 
-def test_an_unknown_zoom_is_said(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unknown_zoom_is_said(place: LocalizationMap, caplog: pytest.LogCaptureFixture) -> None:
     film = footage(said(0, 24.0, None), said(1, 24.0, None))
     with pytest.raises(InputError, match="dzoom_ratio.*--camera"):
         cameras_of_frames(film, None, place)
@@ -99,7 +101,7 @@ def test_an_unknown_zoom_is_said(place: Place, caplog: pytest.LogCaptureFixture)
 
 
 def test_a_given_camera_is_that_of_all_frames(
-    place: Place, caplog: pytest.LogCaptureFixture
+    place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     given = Camera("SIMPLE_PINHOLE", 480, 270, (300.0, 240.0, 135.0))
     film = footage(said(0, 24.0), said(1, 48.0))
@@ -109,13 +111,13 @@ def test_a_given_camera_is_that_of_all_frames(
 
 
 def test_another_lens_than_the_map_s_is_said(
-    place: Place, caplog: pytest.LogCaptureFixture
+    place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
     film = footage(said(0, 300.0), size=(own.width, own.height))
     found = cameras_of_frames(film, None, place).of(film.flight[0])
     assert found is not None and found.source is CameraSource.EXIF
-    assert any("focal length of 300.0 mm, which is taken" in line for line in caplog.messages)
+    assert any("focal length of 300.0 mm, which is used" in line for line in caplog.messages)
 
 
 def numbered(count: int, step_s: float) -> list[Telemetry]:
@@ -154,7 +156,7 @@ def test_subtitles_without_numbers_hold_by_their_times() -> None:
     assert timing == Timing()
 
 
-def test_pixels_that_are_not_square_need_a_camera(place: Place) -> None:
+def test_pixels_that_are_not_square_need_a_camera(place: LocalizationMap) -> None:
     film = footage(said(0, 24.0))
     film = replace(film, video=replace(film.video, pixel_aspect=4 / 3))
     with pytest.raises(InputError, match=r"1\.333 times as wide as high: give its calibration"):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import objconnect.methods
-from objconnect.localization.pipeline.answers import Geography, Located, contents, outputs
+from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.scene.bundle.georeference import EXACT, Georeference
 from objconnect.scene.geo.crs import Projection, geoid_undulation
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
@@ -49,8 +49,8 @@ def located() -> list[Located]:
 
 
 def written(folder: Path, geography: Geography, *endings: str) -> list[Path]:
-    files = outputs(folder / "poses.txt", [folder / f"poses.{ending}" for ending in endings])
-    for path, content in contents(located(), files, geography):
+    files = output_files(folder / "poses.txt", [folder / f"poses.{ending}" for ending in endings])
+    for path, content in encode_files(located(), files, geography):
         path.write_bytes(content)
     check_outputs(files)  # all of them are recognized as files of ours
     return [file.path for file in files[2:]]
@@ -199,8 +199,8 @@ def test_ros(tmp_path: Path) -> None:
 
 
 def test_nothing_found_is_an_empty_log(tmp_path: Path) -> None:
-    files = outputs(tmp_path / "p.txt", [tmp_path / "p.tlog", tmp_path / "p.mcap"])
-    for path, content in contents(located()[3:], files, Geography()):
+    files = output_files(tmp_path / "p.txt", [tmp_path / "p.tlog", tmp_path / "p.mcap"])
+    for path, content in encode_files(located()[3:], files, Geography()):
         path.write_bytes(content)
     assert len(messages(tmp_path / "p.tlog")) == 1
     with highlevel.AnyReader([tmp_path / "p.mcap"]) as reader:

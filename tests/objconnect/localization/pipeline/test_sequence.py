@@ -16,8 +16,8 @@ import objconnect.methods
 from benchmark.cli import app
 from objconnect.ingestion.telemetry import Telemetry
 from objconnect.localization.pipeline.frames import TelemetryReader
+from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.localization.pipeline.options import LocalizeOptions
-from objconnect.localization.pipeline.place import open_place
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.exports.export import export
 from objconnect.scene.flights.textfiles import read_poses
@@ -95,7 +95,7 @@ def test_first_telemetry_then_motion_is_the_prior(
 ) -> None:
     words = ("--map", scene, "--video", video, "--rate", 1, "--out", tmp_path / "t.txt")
     assert run(*words, "--undulation", 0, "--gps-sigma", 3, "--gimbal-sigma", 4).exit_code == 0
-    frames = open_place(scene)
+    frames = open_map(scene)
     priors = [query.prior for query in method.seen]
     assert len(priors) == 3 and all(prior is not None for prior in priors)
     first, second = priors[0], priors[1]
@@ -267,7 +267,7 @@ def test_the_camera_of_a_video(scene: Path, method: FakeLocalizer, tmp_path: Pat
     write_video(path, [np.zeros((40, 48, 3), np.uint8)] * 2, 1.0)
     words = ("--map", scene, "--video", path, "--out", tmp_path / "t.txt")
     refused = run(*words)
-    assert refused.exit_code == 2 and "nothing tells the focal length" in refused.stderr
+    assert refused.exit_code == 2 and "has no focal length" in refused.stderr
     refused = run(*words, "--camera", "SIMPLE_PINHOLE 64 48 50 32 24")
     assert refused.exit_code == 2 and "48 x 40" in refused.stderr
     assert run(*words, "--camera", "SIMPLE_PINHOLE 48 40 50 24 20").exit_code == 0
@@ -280,7 +280,7 @@ def test_the_camera_of_a_video(scene: Path, method: FakeLocalizer, tmp_path: Pat
 
 
 def test_priors_of_telemetry(scene: Path) -> None:
-    place, options = open_place(scene), LocalizeOptions(gps_sigma_m=2.0)
+    place, options = open_map(scene), LocalizeOptions(gps_sigma_m=2.0)
     assert place.origin is not None
     fix = geodetic_from_enu(np.array([12.0, -7.0, 60.0]), place.origin)
     said = Telemetry(0, 1, (fix.latitude, fix.longitude), abs_alt=fix.altitude - 48)

@@ -1,4 +1,4 @@
-"""The place that photographs are localized in: a map, its photographs, and where it is on earth."""
+"""The localization map: a sparse map, its photographs and its position on earth."""
 
 from __future__ import annotations
 
@@ -27,14 +27,12 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Place:
-    """A map, its photographs, and its place on earth.
+class LocalizationMap:
+    """A sparse map, its photographs, and its position on earth.
 
     Attributes:
-        sparse_map: the map.
-        images: folder of its photographs.
         origin: position of its origin on earth; None if unknown.
-        georeference: how exactly that position is known; None if unknown.
+        georeference: accuracy of that position; None if unknown.
     """
 
     sparse_map: SparseMap
@@ -50,10 +48,9 @@ class Place:
     def locate(
         self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a place on earth in the map's world, (3,) metres, and its standard deviations.
+        """Return a position on earth in the map's frame, (3,) metres, and its standard deviations.
 
-        Where the altitude is unknown, the height is that of the map's cameras, and its sigma is
-        infinite.
+        If the altitude is unknown, the height is that of the map's cameras with infinite sigma.
         """
         if not np.isnan(place.altitude):
             return enu_from_geodetic(place, origin), sigma
@@ -68,7 +65,7 @@ class Place:
         return geodetic_from_enu(estimate.cam_from_world.centre().numpy(), self.origin)
 
 
-def open_place(path: Path) -> Place:
+def open_map(path: Path) -> LocalizationMap:
     """Open a scene with its map, or a flight, to localize photographs in it.
 
     Raises:
@@ -78,32 +75,36 @@ def open_place(path: Path) -> Place:
         scene = Scene.open(path)
         manifest = scene.manifest
         images = scene.images_root
-        return Place(scene.sparse_map(), images, manifest.origin, manifest.effective_georeference)
+        return LocalizationMap(
+            scene.sparse_map(), images, manifest.origin, manifest.effective_georeference
+        )
     if (path / "sparse" / "map").is_dir():
-        return Place(read_model(path / "sparse" / "map"), path / "images", read_origin(path))
+        return LocalizationMap(
+            read_model(path / "sparse" / "map"), path / "images", read_origin(path)
+        )
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
 
 
-def geography_of(place: Place, options: LocalizeOptions) -> Geography:
-    """Return what places are said in beside WGS84.
+def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) -> Geography:
+    """Return the coordinates to write in addition to WGS84, and the accuracy of the map on earth.
 
     Raises:
-        InputError: the map has no position on earth and something was asked that needs one, or the
-            system does not reach there.
+        InputError: the map has no position on earth and an output needs one, or it lies outside the
+            coordinate reference system.
     """
     undulation_m, projection = options.undulation_m, options.projection
     asked = [*options.also, *([] if projection is None else [projection.name])]
-    if place.origin is None:
+    if localization_map.origin is None:
         if asked:
             raise InputError(
-                f"{asked[0]} cannot be written, for the map has no position on earth: give a "
-                "flight its origin.json (lat, lon, alt)"
+                f"{asked[0]} cannot be written because the map has no position on earth: add "
+                "origin.json (lat, lon, alt) to the folder of the map"
             )
         return Geography(undulation_m)
-    if projection is not None and not projection.reaches(place.origin):
-        raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
-    if projection is not None and (doubt := projection.doubt_at(place.origin)):
+    if projection is not None and not projection.reaches(localization_map.origin):
+        raise InputError(f"the map lies outside {projection.name}: give the CRS of its zone")
+    if projection is not None and (doubt := projection.doubt_at(localization_map.origin)):
         log.warning("%s", doubt)
     if undulation_m is None:
-        undulation_m = geoid_undulation(place.origin)
-    return Geography(undulation_m, projection, place.georeference)
+        undulation_m = geoid_undulation(localization_map.origin)
+    return Geography(undulation_m, projection, localization_map.georeference)
