@@ -46,8 +46,8 @@ def train(
 ) -> None:
     """Train a method on rendered scenes, or resume its training.
 
-    Under torchrun, several processes train together. The weights are used by passing their file to
-    evaluate or localize with --set weights=FILE.
+    Under torchrun, several processes train together. To use the weights, pass --set weights=FILE to
+    evaluate or localize.
     """
     from objconnect.learning.training.command import train as run
     from objconnect.learning.training.config import TrainConfig
