@@ -320,7 +320,7 @@ def test_basin_of_no_size(made_flight: Path, tmp_path: Path, fake: FakeLocalizer
     words = ["basin", made_flight, "--method", "fake", "--out", tmp_path / "out"]
     result = invoke(*words, "--errors", "3m,5deg")
     assert result.exit_code == 2
-    assert "errors are listed as 1m/2deg,3m/5deg; got '3m'" in error_line(result.stderr)
+    assert "write errors as 1m/2deg,3m/5deg; got '3m'" in error_line(result.stderr)
     assert not (tmp_path / "out").exists()
 
 

@@ -72,7 +72,7 @@ def test_a_table_of_conditions_has_all_photographs(made_flight: Path) -> None:
     table = _declare(made_flight)
     lines = table.read_text().splitlines()
     table.write_text("\n".join(lines[:-1]) + "\n")
-    with pytest.raises(InputError, match=f"does not tell the condition of {QUERY_NAMES[-1]}"):
+    with pytest.raises(InputError, match=f"has no condition for {QUERY_NAMES[-1]}"):
         only(made_flight)
 
 

@@ -97,11 +97,11 @@ def test_sizes_from_words() -> None:
     assert parse_sizes("1m/2deg, 3.5m/5deg") == (Size(1, 2), Size(3.5, 5))
     assert parse_sizes(",".join(str(size) for size in DEFAULT_SIZES)) == DEFAULT_SIZES
     for words, message in [
-        ("1m", "errors are listed as"),
-        ("", "errors are listed as"),
-        ("-1m/2deg", "errors are listed as"),
+        ("1m", "write errors as"),
+        ("", "write errors as"),
+        ("-1m/2deg", "write errors as"),
         ("1m/2deg,1m/2deg", "listed twice"),
-        ("1m/200deg", "cannot be wrong by 200 degrees"),
+        ("1m/200deg", "an attitude error is at most 180 degrees; got 200"),
     ]:
         with pytest.raises(InputError, match=message):
             parse_sizes(words)

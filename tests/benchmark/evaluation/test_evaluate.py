@@ -161,7 +161,7 @@ def test_results_of_another_start_are_not_replaced_in_silence(
     run(made_flight, FakeLocalizer({}))
     (said,) = (record.getMessage() for record in caplog.records)
     assert said.endswith(
-        "meadow/fake.json will be replaced, which holds results of start none: "
+        "meadow/fake.json holds results of start none and will be replaced: "
         "choose another --out to keep both"
     )
 

@@ -46,7 +46,7 @@ def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: 
     poses.write_text(line("000000.jpg", pose_at(1)))
     result = invoke("score", poses, "--reference", scene, "--out", tmp_path / "out")
     assert result.exit_code == 2
-    assert "write whole names" in error_line(result.stderr)
+    assert "write the full names" in error_line(result.stderr)
     poses.write_text(line(dataset.queries[0].name, dataset.queries[0].reference))
     result = invoke("score", poses, "--reference", scene, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr
@@ -55,8 +55,8 @@ def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no pose"),
-        ("z.jpg 1 0 0 0 0 0 0\n", "1 poses are of no query of the reference, such as z.jpg"),
+        ("", "contains no pose"),
+        ("z.jpg 1 0 0 0 0 0 0\n", "1 poses belong to no query of the data sets, such as z.jpg"),
         ("b.jpg 1 0 0 0 0 0\n", "expected 8 columns"),
         ("b.jpg 2 0 0 0 0 0 0\n", "quaternion"),
         ("b.jpg 1 0 0 0 0 0 nan\n", "not a finite number"),
