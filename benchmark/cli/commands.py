@@ -30,15 +30,16 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "diagnose": "Report which objects in a map's photographs have points in the map.",
         "supplement": "Add points on small standing objects that have none in the map.",
     },
-    "learning": {
-        "train": "Train a method on rendered scenes, or resume its training.",
-    },
     "localization": {
         "localize": "Find the poses of new photographs, or of the frames of a video, in a map.",
         "evaluate": "Localize the queries of data sets and score the poses.",
         "basin": "Measure how recall falls with the error of the prior pose.",
         "score": "Score the poses that another program estimated.",
         "submit": "Write the poses of all query images in the format of visuallocalization.net.",
+    },
+    "methods": {
+        "options": "List the options of a localizer with their defaults.",
+        "train": "Train a method on rendered scenes, or resume its training.",
     },
     "planning": {
         "forecast": "Forecast where along a flight a method finds a fix, by season and light.",

@@ -19,7 +19,8 @@ Settings = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Set one option of the method, or of its training in train; repeat for each option. "
-        "Options of a sequence or a forecast are written sequence.KEY and forecast.KEY.",
+        "'objconnect options METHOD' lists those of a method. Options of a sequence or a forecast "
+        "are written sequence.KEY and forecast.KEY.",
     ),
 ]
 

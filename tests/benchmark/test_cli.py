@@ -23,7 +23,7 @@ from benchmark.cli.arguments import parse_settings
 from benchmark.cli.commands import COMMANDS, CommandGroup
 from benchmark.cli.options import options_of
 from benchmark.cli.output import Summary, emit
-from objconnect.methods import create
+from objconnect.methods import METHODS, create
 from objconnect.scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 
@@ -493,6 +493,24 @@ def test_options_of_a_configuration() -> None:
     text = " ".join(runner.invoke(small, ["--help"]).stdout.split())
     assert "--wind <float> Speed of the wind, metres per second." in text
     assert "--rain <int> Millimetres per hour. [default: 5]" in text
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_option_that_is_listed_can_be_set(method: str) -> None:
+    result = invoke("options", method, "--json")
+    assert result.exit_code == 0, result.stderr
+    listed = json.loads(result.stdout)["options"]
+    assert all(option["description"] for option in listed)
+    defaults = create(method, {}).config
+    assert {option["key"] for option in listed} >= set(type(defaults).model_fields)
+    settings = {o["key"]: o["default"] for o in listed if not isinstance(o["default"], dict)}
+    assert create(method, settings).config == defaults
+
+
+def test_options_are_printed_as_they_are_set() -> None:
+    lines = invoke("options", "objconnect").stdout.splitlines()
+    assert {"search (group)", "search.risk=0.05", "weights=null"} <= set(lines)
+    assert invoke("options", "prior").stdout == "prior has no options\n"
 
 
 def test_text_ends_in_one_line_break(capsys: pytest.CaptureFixture[str]) -> None:

@@ -360,6 +360,7 @@ COMMANDS: dict[str, Row] = {
         out=out_file("out.txt", "out.csv", "out.json"),
         overrides=values(None, "sequence.colour=red", "sequence.gate=0", "sequence.motion=fast"),
     ),
+    "options": Row({"method": METHOD, "as_json": FLAG}),
     "train": Row(
         {
             "method": values("objconnect", "", "magic", "sift", "../x", LONG),
