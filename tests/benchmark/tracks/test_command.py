@@ -112,7 +112,7 @@ def test_a_record_that_is_missing_is_named(out: Path, board: Path) -> None:
     photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
     photograph.write_bytes(photograph.read_bytes() + b"\0")
     report = track("tiny", out, board=board)
-    assert "cameras and brightness town-11.json.xz would tell" in report.text()
+    assert "there is no town-11.json.xz to compare with" in report.text()
     assert report.differing == ("town-11",)
 
 

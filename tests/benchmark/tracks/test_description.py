@@ -87,7 +87,7 @@ def test_places_by_name() -> None:
     ("old", "new", "says"),
     [
         ("name: tiny", "name: other", "called 'other', its folder 'tiny'"),
-        ("dataset: b", "dataset: park-1", "two places have one name"),
+        ("dataset: b", "dataset: park-1", "two sites have the same name"),
         ("dataset: b", "dataset: ../b", "places.1.dataset"),
         ("seed: 2", "seed: -2", "places.1.seed"),
         ("renders: []", "renders: [abc]", "places.0.renders.0"),
@@ -108,9 +108,9 @@ def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> N
 def test_an_unknown_track(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match="no track of the name 'uav'; there are street-seasons, uav-seasons, uav-small",
+        match="no track called 'uav'; there are street-seasons, uav-seasons, uav-small",
     ):
         load_track("uav")
     for name in ("tiny", "", "..", "../tracks/tiny"):
-        with pytest.raises(InputError, match=f"has no track of the name '{name}'$"):
+        with pytest.raises(InputError, match=f"has no track called '{name}'$"):
             load_track(name, tmp_path)

@@ -214,7 +214,7 @@ def test_a_scene_that_contradicts_itself(tmp_path: Path) -> None:
     scene = write_place(tmp_path / "park-1")
     splits = scene.splits.model_copy(update={"map": ("map/images/000009.jpg",)})
     write_json(scene.path / "splits.json", splits)
-    with pytest.raises(InputError, match="000009.jpg of splits.json is no frame"):
+    with pytest.raises(InputError, match="000009.jpg in splits.json is not a frame"):
         measure(Scene.open(scene.path))
 
 

@@ -585,9 +585,9 @@ def test_no_condition_is_called_all(scored: Path, tmp_path: Path) -> None:
     manifest = scene / "scene.json"
     manifest.write_text(manifest.read_text().replace("winter-dusk", "all"))
     line = refused(tmp_path, "evaluate", scene, "--method", "prior", "--out", tmp_path / "out")
-    assert "no condition can be called 'all'" in line
+    assert "the condition 'all' is a reserved name" in line
     scored.write_text(scored.read_text().replace("same-flight", "all"))
-    assert "no condition can be called 'all'" in refused(tmp_path, "leaderboard", scored)
+    assert "the condition 'all' is a reserved name" in refused(tmp_path, "leaderboard", scored)
 
 
 HOSTILE = "\x1b[31m<b>|*x*|\n# forged\u202e $y$ `z`"
