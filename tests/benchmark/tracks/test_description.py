@@ -79,7 +79,7 @@ def test_places_by_name() -> None:
     assert TRACK.select() == TRACK.places
     assert TRACK.select(("b", "park-1")) == TRACK.places, "in the track's order"
     assert TRACK.select(("b",)) == TRACK.places[1:]
-    with pytest.raises(InputError, match="no place 'c'; it has park-1, b"):
+    with pytest.raises(InputError, match="no site 'c'; it has park-1, b"):
         TRACK.select(("b", "c"))
 
 
