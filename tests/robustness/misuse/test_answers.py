@@ -530,7 +530,7 @@ def test_view_of_other_results_says_so(scored: Path, tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "hamlet")
     results = scored.parents[1]
     line = refused(tmp_path, "view", scene, "--results", results, "--out", tmp_path / "v.html")
-    assert "the results are of meadow, none of the scene hamlet" in line
+    assert "the results are of meadow, not of the scene hamlet" in line
 
 
 def test_basin_and_baseline_keep_files_of_the_user(

@@ -314,7 +314,7 @@ def test_worst_queries_have_pictures_where_an_album_is_kept(
     browser.wait("[...document.querySelectorAll('#worst-rows img')].every(i => i.naturalWidth)")
     assert browser.run("document.querySelector('#worst-rows img').naturalWidth") == 96
     assert is_clean(browser)
-    with pytest.raises(InputError, match="is of the data of"):
+    with pytest.raises(InputError, match="belongs to the data of"):
         keep_pictures([tmp_path], folder)
     assert main(["--track", str(folder), str(tmp_path / "results")]) == 0
     assert main(["--track", str(folder), str(tmp_path)]) == 2

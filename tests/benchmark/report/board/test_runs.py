@@ -167,7 +167,7 @@ def test_a_query_without_a_row_is_named(made: Path) -> None:
     path = made / NAME / "queries" / "town-1.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if "snow-dusk/images/000003" not in line))
-    with pytest.raises(InputError, match=r"has no row of snow-dusk/images/000003.jpg"):
+    with pytest.raises(InputError, match=r"has no row for snow-dusk/images/000003.jpg"):
         read_boards(made)
 
 
