@@ -161,7 +161,7 @@ def _recorded(
     judge = attempts.evaluate_alignment
     queries = dataset.queries[:: given.every]
     with (
-        patch.object(refiners, "judged", judged),
+        patch.object(refiners, "evaluate_alignment", evaluate),
         patch.object(localizers, "is_answer", is_answer),
         progress_bar(f"{dataset.name} in {there.name}", len(queries)) as advance,
     ):

@@ -120,7 +120,7 @@ def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str
         >>> class Options(Config):
         ...     steps: int = 1000
         ...     loss_share: float = 0.5
-        >>> as_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
+        >>> take_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
         {'steps': 9, 'loss_share': 0.3}
     """
     taken: dict[str, Any] = {}
