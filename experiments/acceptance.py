@@ -128,12 +128,12 @@ def record(given: argparse.Namespace) -> None:
         for path in given.datasets:
             for dataset in open_datasets(path)[:1]:
                 other = open_datasets(given.map)[0] if given.map else None
-                for each in _recorded(dataset, other, given, settings, cache):
+                for each in _localize_queries(dataset, other, given, settings, cache):
                     file.write(json.dumps(_plain(each)) + "\n")
                     file.flush()
 
 
-def _recorded(
+def _localize_queries(
     dataset: Dataset,
     other: Dataset | None,
     given: argparse.Namespace,
@@ -150,7 +150,7 @@ def _recorded(
     told: list[Attempt] = []
     matched: list[Estimate] = []
 
-    def judged(*arguments: Any) -> Attempt:
+    def evaluate_and_keep(*arguments: Any) -> Attempt:
         told.append(judge(*arguments))
         return told[-1]
 
@@ -161,7 +161,7 @@ def _recorded(
     judge = attempts.evaluate_alignment
     queries = dataset.queries[:: given.every]
     with (
-        patch.object(refiners, "evaluate_alignment", evaluate),
+        patch.object(refiners, "evaluate_alignment", evaluate_and_keep),
         patch.object(localizers, "is_answer", is_answer),
         progress_bar(f"{dataset.name} in {there.name}", len(queries)) as advance,
     ):
@@ -255,10 +255,10 @@ def _regression(cases: Cases, ridge: float) -> Array:
     terms, _, _ = cases
     spread = terms.std(0).clip(1e-6)
 
-    def penalized(numbers: Array) -> float:
+    def penalize(numbers: Array) -> float:
         return _loss(numbers, cases) + ridge * float(((numbers[1:] * spread) ** 2).sum()) / 100
 
-    return np.asarray(minimize(penalized, np.zeros(1 + terms.shape[1]), method="BFGS").x)
+    return np.asarray(minimize(penalize, np.zeros(1 + terms.shape[1]), method="BFGS").x)
 
 
 def _together(parts: Sequence[Cases]) -> Cases:
@@ -289,14 +289,14 @@ def fit(given: argparse.Namespace) -> None:
     aligned = _chosen([_cases(records) for records in files if records])
     model = AcceptanceModel(
         aligned=AlignedModel(**dict(zip(AlignedModel.model_fields, aligned.round(3), strict=True))),
-        matched=_matched_model(_together(list(map(_matches, files)))),
+        matched=_fit_matches(_together(list(map(_matches, files)))),
     )
     print(model)
     if given.out:
         model.write(given.out, "python -m experiments.acceptance")
 
 
-def _matched_model(cases: Cases) -> MatchedModel:
+def _fit_matches(cases: Cases) -> MatchedModel:
     """Return the model of poses by matches; the shipped one where records have no such pose."""
     if not len(cases[0]):
         return AcceptanceModel.beside(None).matched
@@ -322,7 +322,7 @@ class Answer(NamedTuple):
         return self.probability >= 1 - risk and self.told.sigma_m <= most_sigma_m
 
 
-def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
+def choose_answer(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
     """Return the pose that is believed first, or the likeliest one of all; None without a pose."""
     poses = [(each.pose_of, model.of_alignment(each.evidence)) for each in record.aligned]
     for tried in range(1, len(poses) + 1):
@@ -341,7 +341,7 @@ def check(given: argparse.Namespace) -> None:
     )
     drawn = {}
     for records in given.records:
-        some = [answered(each, model, given.risk) for each in read(records)]
+        some = [choose_answer(each, model, given.risk) for each in read(records)]
         answers = [each for each in some if each is not None]
         drawn[records.stem] = answers
         _row(records.stem, answers, given)
@@ -368,12 +368,12 @@ def calibration_error(answers: Sequence[Answer]) -> float:
 
     Poses that are neither right nor false, which ``fit`` leaves out, do not count.
     """
-    binned = list(_binned(answers))
+    binned = list(_bin(answers))
     total = sum(count * abs(share - expected) for _, expected, share, count in binned)
     return total / max(sum(count for *_, count in binned), 1)
 
 
-def _binned(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
+def _bin(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
     """Yield lower bound, mean probability, share that is right, and number, of each bin."""
     clear = [each for each in answers if each.told.right or each.told.false]
     probability = np.array([each.probability for each in clear])
@@ -395,7 +395,7 @@ def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:
     figure, axes = plt.subplots(rows, columns, figsize=(3 * columns, 3 * rows), squeeze=False)
     for axis, (name, answers) in zip(axes.flat, drawn.items(), strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-        for _, expected, share, count in _binned(answers):
+        for _, expected, share, count in _bin(answers):
             low, high = wilson(round(share * count), count)
             axis.plot([expected, expected], [low, high], color="C0", linewidth=1)
             axis.plot([expected], [share], "o", color="C0", markersize=3 + math.log2(1 + count))

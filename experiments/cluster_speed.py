@@ -32,7 +32,7 @@ class Run(NamedTuple):
     cpu: float
 
 
-def accounted(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+def count_seconds(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Frames of a share, then the processor seconds they took."""
     before = _children()
     yield from frame_files(share)
@@ -46,7 +46,7 @@ def _children() -> float:
 
 def measure(address: str, workers: int, job: RenderJob) -> Run:
     """Render all frames of a job with all workers of a cluster."""
-    with worker_pool(address, accounted) as team:
+    with worker_pool(address, count_seconds) as team:
         assert team.cores == workers
         first = job.model_copy(update={"poses": {0: job.poses[0]}})
         for _ in team.map([first] * workers):

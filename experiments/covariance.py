@@ -192,7 +192,7 @@ def _answers(
     load = start.loader(dataset, dataset.load_map(), cache)
     last: list[Attempt] = []
 
-    def measured(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
+    def measure(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
         last[:] = [attempt]
         covariance = None if attempt.spread is None else attempt.spread.covariance[0].numpy()
         if covariance is None or not np.isfinite(covariance).all():
@@ -200,7 +200,7 @@ def _answers(
         return attempt.view.photograph_covariance(covariance)
 
     with (
-        patch.object(attempts, "pose_covariance", measured),
+        patch.object(attempts, "pose_covariance", measure),
         progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
     ):
         for done, query in enumerate(dataset.queries, 1):

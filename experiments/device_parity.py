@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for method in given.methods:
         for start in STARTS:
             both = [answers(dataset, method, d, start, given.every) for d in ("cpu", given.device)]
-            print(f"{method}, {start}: {compared(*both)}", flush=True)
+            print(f"{method}, {start}: {compare(*both)}", flush=True)
 
 
 def answers(dataset: Dataset, method: str, device: str, start: str, every: int = 1) -> Answers:
@@ -73,7 +73,7 @@ def answers(dataset: Dataset, method: str, device: str, start: str, every: int =
         return Answers(poses, time.perf_counter() - begin)
 
 
-def compared(first: Answers, second: Answers) -> str:
+def compare(first: Answers, second: Answers) -> str:
     """Return how far the poses of two devices are apart, and the ratio of seconds, in words."""
     apart = [
         tuple(map(float, pose.error_to(other)))

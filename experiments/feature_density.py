@@ -41,7 +41,7 @@ class _Places(NamedTuple):
     weight: NDArray[np.float64]
 
 
-def _made(method: str) -> Localizer:
+def _make(method: str) -> Localizer:
     if method == "objects":
         return create(
             "objconnect", {"weights": SHIPPED.with_name("objconnect-objects.safetensors")}
@@ -60,7 +60,7 @@ def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
         yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
 
 
-def _shown(
+def _identify(
     image: MapImage, xyz: NDArray[np.float64], instance: NDArray[np.uint16]
 ) -> NDArray[np.uint16]:
     """Identifiers (N,) of what lies at the pixels of points."""
@@ -83,7 +83,7 @@ def main(path: Path, cache: Path) -> None:
     print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
           + "  small to all  small things with one")  # fmt: skip
     for method in _METHODS:
-        localizer = _made(method)
+        localizer = _make(method)
         localizer.prepare(sparse_map, dataset.images, cache)
         totals: list[NDArray[np.float64]] = []
         shown = met = 0
@@ -92,7 +92,7 @@ def main(path: Path, cache: Path) -> None:
             seen = np.unique(instance)
             things = set(seen[groups.of(seen) == _SMALL].tolist())
             for turn, places in enumerate(_places(localizer, row)):
-                on = _shown(image, places.xyz, instance)
+                on = _identify(image, places.xyz, instance)
                 counted = np.bincount(groups.of(on), places.weight, minlength=4)
                 if turn == len(totals):
                     totals.append(np.zeros(4))

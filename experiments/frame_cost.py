@@ -56,7 +56,7 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
     }
 
 
-def tried(
+def try_settings(
     config: SimulateConfig, settings: Sequence[str], always: Sequence[str], paths: int
 ) -> Iterator[str]:
     """Yield a line for each setting: seconds of the picture alone, and how it differs.
@@ -121,7 +121,7 @@ def main() -> None:
     config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
     if settings:
         print("| | cpu-seconds | difference |\n|---|--:|---|")
-        for line in tried(config, settings, always, paths):
+        for line in try_settings(config, settings, always, paths):
             print(line, flush=True)
         return
     cost = frame_cost(config, *always)

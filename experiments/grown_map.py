@@ -33,9 +33,9 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         caches = Path(scratch) / "kept", Path(scratch) / "alone"
-        old, old_seconds = _prepared(given.old, given.method, caches[0])
-        new, grown = _prepared(given.new, given.method, caches[0])
-        _, alone = _prepared(given.new, given.method, caches[1])
+        old, old_seconds = _prepare(given.old, given.method, caches[0])
+        new, grown = _prepare(given.new, given.method, caches[0])
+        _, alone = _prepare(given.new, given.method, caches[1])
         (fresh,) = caches[1].glob(f"{given.method}-*.h5")
         (before,) = set(caches[0].glob(fresh.name[:-19] + "*.h5")) - {caches[0] / fresh.name}
         _require_same(fresh, caches[0] / fresh.name)
@@ -45,7 +45,7 @@ def main() -> None:
     print(f" ({grown / alone:.2f}); features of {copied} were copied")
 
 
-def _prepared(scene: Path, method: str, cache: Path) -> tuple[int, float]:
+def _prepare(scene: Path, method: str, cache: Path) -> tuple[int, float]:
     """Prepare a map; return its number of photographs and the processor seconds."""
     opened = Scene.open(scene)
     sparse_map, localizer = opened.sparse_map(), create(method, {})

@@ -100,7 +100,7 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
                 in_a = at_pixels(first[None], image, a[None])[0].numpy()
                 in_b = at_pixels(second[None], image, b[None])[0].numpy()
                 kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
-            for size, found in found_in_both(network, scene, *pair):
+            for size, found in find_in_both(network, scene, *pair):
                 sizes.setdefault(size, []).append(found)
     for kind, values in kinds.items():
         print(f"{kind}: mean IoU {np.mean(values):.3f} of {len(values)} segments")
@@ -159,7 +159,7 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
     return xy[there][same], projected.xy[there][same], (camera.height, camera.width)
 
 
-def learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
+def segment_learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
     """Return the label map of the detector."""
     with torch.inference_mode():
         return network.predict_segments(_picture(scene, name))[0]
@@ -189,7 +189,7 @@ def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor
 
 
 KINDS = [
-    ("learned", learned),
+    ("learned", segment_learned),
     ("slic", _without_learning("slic")),
     ("felzenszwalb", _without_learning("felzenszwalb")),
     ("squares", _without_learning("grid")),
@@ -202,7 +202,7 @@ def _picture(scene: Scene, name: str) -> Tensor:
     return torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None] / 255
 
 
-def found_in_both(
+def find_in_both(
     network: ObjConnectNet, scene: Scene, one: str, other: str
 ) -> list[tuple[str, bool]]:
     """Return the size class of each object that both frames show, and whether both find it."""

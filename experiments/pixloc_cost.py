@@ -123,7 +123,7 @@ def start_of(query: Query) -> Pose:
     return Pose(rotation, -rotation @ torch.from_numpy(prior.position))
 
 
-def made(method: str, ground: Ground) -> Run:
+def make(method: str, ground: Ground) -> Run:
     """A method as a function that localizes every query once."""
     if method == "authors":
         return _authors(ground)
@@ -187,7 +187,7 @@ def _authors(ground: Ground) -> Run:
         quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
         model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
 
-    def seen_from(query: Query) -> dict[int, set[int]]:
+    def see_from(query: Query) -> dict[int, set[int]]:
         seen: dict[int, set[int]] = {}
         references = ground.references(query)
         for name in references:
@@ -211,7 +211,7 @@ def _authors(ground: Ground) -> Run:
     for query in ground.queries:
         start = start_of(query)
         stance = Stance.from_Rt(start.rotation.numpy(), start.translation.numpy())
-        asked.append((query.name, lens, stance, seen_from(query)))
+        asked.append((query.name, lens, stance, see_from(query)))
 
     @torch.no_grad()
     def run() -> object:
@@ -231,7 +231,7 @@ def _measure(given: argparse.Namespace) -> None:
     kept = given.kept
     scene = given.scene
     ground = Ground.of_scene(scene, given.queries, kept) if scene else Ground.write(kept)
-    run = made(given.one, ground)
+    run = make(given.one, ground)
     reset_peak()
     run()
     processor, wall = process_time(), perf_counter()

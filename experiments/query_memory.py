@@ -51,7 +51,7 @@ def heap() -> tuple[float, float]:
     return (said.uordblks + said.hblkhd) / _MB, said.fordblks / _MB
 
 
-def cached() -> float:
+def measure_caches() -> float:
     """Return what all bounded caches hold, 1e6 bytes."""
     gc.unfreeze()  # what is frozen is not listed
     return sum(each.nbytes for each in gc.get_objects() if type(each) is LruCache) / _MB
@@ -80,7 +80,7 @@ def main() -> None:
         found = method.localize(query)
         stages = " ".join(f"{stage} {seconds:.1f}" for stage, seconds in found.seconds.items())
         del query
-        numbers = (resident_bytes() / _MB, peak_megabytes() or 0.0, *heap(), cached())
+        numbers = (resident_bytes() / _MB, peak_megabytes() or 0.0, *heap(), measure_caches())
         print(number + 1, *(f"{mb:.0f}" for mb in numbers), found.status, stages, flush=True)
 
 

@@ -48,7 +48,7 @@ _COARSER: Final = 8
 _MOST_TRIES: Final = 100
 
 
-def changed(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
+def change(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
     """Return a picture in another light, of another camera, perhaps under snow or in haze."""
     x = picture.astype(np.float32) / 255
     x = x ** np.exp(rng.normal(0, 0.35 * strength))
@@ -133,7 +133,7 @@ def make(given: argparse.Namespace) -> None:
         if seen is None:
             continue
         name = f"q{len(cameras):03d}.jpg"
-        seen = changed(seen, rng, given.look)
+        seen = change(seen, rng, given.look)
         cv2.imwrite(str(given.out / "images" / name), seen[..., ::-1])
         lens = f"{_FOCAL} {_FOCAL} {_SIDE / 2} {_SIDE / 2}"
         cameras.append(f"{name} PINHOLE {_SIDE} {_SIDE} {lens}\n")

@@ -59,7 +59,7 @@ def main(job_path: str, out: str) -> None:
             _put(layer, "material_override", glow if kind in ("flat", "still") else None)
             _put(scene.render, "resolution_percentage", 1 if kind == "still" else 100)
             pose = np.array(job.poses[int(number)])
-            with _changed(scene, settings):
+            with _change_settings(scene, settings):
                 start = time.process_time()
                 if ours:
                     scene.cycles.seed = int(number)
@@ -82,7 +82,7 @@ def _put(owner: Any, name: str, value: Any) -> None:
 
 
 @contextmanager
-def _changed(scene: Any, settings: Sequence[str]) -> Iterator[None]:
+def _change_settings(scene: Any, settings: Sequence[str]) -> Iterator[None]:
     """Change settings, each as path=value, and set them back."""
     before = []
     for setting in settings:

@@ -40,13 +40,15 @@ def main(scene: Path, count: int) -> None:
     spent: list[float] = []
     for kind in _KINDS:
 
-        def timed(images: Tensor, config: ObjConnectNetConfig, kind: str = kind) -> Tensor:
+        def time_segmentation(
+            images: Tensor, config: ObjConnectNetConfig, kind: str = kind
+        ) -> Tensor:
             begun = process_time()
             labels = segment(images, config.model_copy(update={"segmentation": kind}))
             spent.append(process_time() - begun)
             return labels
 
-        network.segment = timed
+        network.segment = time_segmentation
         whole = []
         for query in (queries[0], *queries):  # the first one warms up
             spent.clear()

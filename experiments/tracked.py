@@ -116,7 +116,7 @@ def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Fr
     ]
 
 
-def told_of(frame: Frame) -> Prior:
+def prior_of(frame: Frame) -> Prior:
     """Return what is told of the first frame: wrong by a standard deviation or so."""
     rng = np.random.default_rng(SEED)
     turn = Pose.exp(torch.from_numpy(np.append(np.radians(rng.normal(0, 3, 3)), np.zeros(3))))
@@ -125,7 +125,7 @@ def told_of(frame: Frame) -> Prior:
     return Prior(position, np.full(3, 3.0), rotation, 3.0)
 
 
-def followed(place: Place, cache: Path, method: str, settings: dict[str, Any], name: str) -> Run:
+def create_run(place: Place, cache: Path, method: str, settings: dict[str, Any], name: str) -> Run:
     """Return a run that is ready for its first frame."""
     localizer = create(method, settings)
     localizer.prepare(place.sparse_map, place.images, cache)
@@ -154,13 +154,13 @@ def main() -> None:
     frames = frames_of(scene, given.session, given.every, given.rate)
     both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
     tracking = both | {"tracking": json.loads(given.tracking)}
-    runs = [followed(place, given.cache, given.method, tracking, "tracked")]
+    runs = [create_run(place, given.cache, given.method, tracking, "tracked")]
     if not given.alone:
         alone = both | {"tracking": None}
-        without = followed(place, given.cache, given.method, alone, "without")
+        without = create_run(place, given.cache, given.method, alone, "without")
         runs.insert(0, without)
     for number, frame in enumerate(frames):
-        told = told_of(frame) if number == 0 else None
+        told = prior_of(frame) if number == 0 else None
         for run in runs if number % 2 else runs[::-1]:
             run.take(frame, told)
     for run in runs:

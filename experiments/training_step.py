@@ -68,7 +68,7 @@ def pair(side: int) -> Pair:
     )
 
 
-def made(method: str, side: int) -> Callable[[], object]:
+def make(method: str, side: int) -> Callable[[], object]:
     """Return a function that takes one step of a method."""
     batch = collate([pair(side)])
     if method == "authors":
@@ -140,7 +140,7 @@ def _measure(given: argparse.Namespace) -> None:
     """Print processor seconds of a step as one line of JSON; for a process of its own."""
     torch.set_num_threads(1)
     official.load(given.checkout)
-    step = made(given.one, given.side)
+    step = make(given.one, given.side)
     step()
     spent = []
     for _ in range(_STEPS):

@@ -24,7 +24,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import has_blender, require_blender
-from tests.shared import alone, made_once
+from tests.shared import alone, make_once
 from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
@@ -150,7 +150,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         simulate(RENDERED, folder / "hamlet")
         build_map(folder / "hamlet")
 
-    return Scene.open(made_once(tmp_path_factory, "rendered", make) / "hamlet")
+    return Scene.open(make_once(tmp_path_factory, "rendered", make) / "hamlet")
 
 
 @pytest.fixture

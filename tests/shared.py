@@ -25,7 +25,7 @@ def alone(factory: pytest.TempPathFactory, name: str) -> Iterator[Path]:
         yield root
 
 
-def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """Return the folder ``name``, which the first process that asks for it makes.
 
     Args:

@@ -25,7 +25,7 @@ from benchmark.cli.options import options_of
 from benchmark.cli.output import Summary, emit
 from objconnect.methods import METHODS, create
 from objconnect.scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
+from tests.benchmark.made_data import FakeLocalizer, move, pose_at, write_flight, write_model
 
 ROOT = Path(__file__).parents[2]
 
@@ -48,8 +48,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
     """Every method name gives this localizer."""
     localizer = FakeLocalizer(
         {
-            "b.jpg": Estimate(Status.OK, moved(pose_at(1), 0.1)),
-            "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.1)),
+            "b.jpg": Estimate(Status.OK, move(pose_at(1), 0.1)),
+            "d.jpg": Estimate(Status.OK, move(pose_at(3), 0.1)),
         }
     )
     monkeypatch.setattr(objconnect.methods, "create", lambda name, overrides: localizer)
@@ -147,7 +147,7 @@ def empty_map(flight: Path) -> str:
     return "is empty"
 
 
-def truncated_map(flight: Path) -> str:
+def truncate_map(flight: Path) -> str:
     path = flight / "sparse" / "map" / "points3D.bin"
     path.write_bytes(path.read_bytes()[:1000])
     return "points3D.bin is truncated or damaged"
@@ -188,7 +188,7 @@ def gps_without_columns(flight: Path) -> str:
         binary_poses,
         missing_map,
         empty_map,
-        truncated_map,
+        truncate_map,
         query_in_the_map,
         bad_gps,
         gps_without_columns,
@@ -203,7 +203,7 @@ def test_broken_flight(flight: Path, tmp_path: Path, damage: Callable[[Path], st
     assert not (tmp_path / "out").exists()
 
 
-def truncated_photograph(flight: Path) -> str:
+def truncate_photograph(flight: Path) -> str:
     path = flight / "images" / first_query(flight)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     return f"{path} is damaged"
@@ -217,7 +217,7 @@ def photograph_of_another_size(flight: Path) -> str:
     return f"{path} is 40 x 30 pixels but its camera is"
 
 
-@pytest.mark.parametrize("damage", [truncated_photograph, photograph_of_another_size])
+@pytest.mark.parametrize("damage", [truncate_photograph, photograph_of_another_size])
 def test_broken_photograph(
     flight: Path, tmp_path: Path, fake: FakeLocalizer, damage: Callable[[Path], str]
 ) -> None:
@@ -444,11 +444,11 @@ def test_help_is_quick() -> None:
     done = run_process("--help")
     assert done.returncode == 0
     assert time.perf_counter() - start < 3  # about 0.3 s on an idle machine
-    assert not loaded_with("benchmark.cli") & {"torch", "numpy", "rich.progress"}
-    assert not loaded_with("benchmark.cli.simulation") & {"torch", "pycolmap", "bpy"}
+    assert not list_loaded_with("benchmark.cli") & {"torch", "numpy", "rich.progress"}
+    assert not list_loaded_with("benchmark.cli.simulation") & {"torch", "pycolmap", "bpy"}
 
 
-def loaded_with(module: str) -> set[str]:
+def list_loaded_with(module: str) -> set[str]:
     """Names of all modules that are loaded when one is imported by a fresh interpreter."""
     told = f"import sys, {module}; print(*sys.modules)"
     done = subprocess.run(

@@ -17,13 +17,13 @@ from benchmark.cli import app
 from benchmark.results.results import DatasetId, Results
 from benchmark.scoring.paired import compare
 from objconnect.localization.provenance import Method
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 
 def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64) -> None:
     """Results whose queries have these errors (m); None is a failure, names begin with s or w."""
     queries = [
-        scored_query(name, error, "summer" if name.startswith("s") else "winter")
+        make_scored_query(name, error, "summer" if name.startswith("s") else "winter")
         for name, error in errors.items()
     ]
     Results.of(

@@ -40,12 +40,12 @@ def rewrite_poses(flight: Path, change: Callable[[np.ndarray], np.ndarray]) -> N
     path.write_text("\n".join(lines) + "\n")
 
 
-def transposed(matrix: np.ndarray) -> np.ndarray:
+def transpose(matrix: np.ndarray) -> np.ndarray:
     matrix[:3, :3] = matrix[:3, :3].T.copy()
     return matrix
 
 
-def centred(matrix: np.ndarray) -> np.ndarray:
+def centre(matrix: np.ndarray) -> np.ndarray:
     matrix[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
     return matrix
 
@@ -61,8 +61,8 @@ def test_real_flight_holds(sparse: Path, cache: Path) -> None:
     ("change", "fault"),
     [
         (np.linalg.inv, "poses are inverted"),
-        (centred, "translations are camera centres"),
-        (transposed, "rotations are transposed"),
+        (centre, "translations are camera centres"),
+        (transpose, "rotations are transposed"),
         (lambda matrix: np.diag([1.0, -1, -1, 1]) @ matrix, "camera axes are OpenGL's"),
     ],
 )

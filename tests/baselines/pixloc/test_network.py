@@ -31,7 +31,7 @@ def test_equals_the_authors(extra: int) -> None:
                 name = f"vgg{16 + 3 * extra}/{height}x{width}/{kind}/{level}"
                 assert values.shape == tuple(recorded[f"{name}/shape"])
                 np.testing.assert_allclose(
-                    official.sampled(values), recorded[name], rtol=0, atol=TOLERANCE
+                    official.sample(values), recorded[name], rtol=0, atol=TOLERANCE
                 )
 
 

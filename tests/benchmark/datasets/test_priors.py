@@ -199,11 +199,11 @@ def test_the_truth_or_unknown_or_an_error(tmp_path: Path) -> None:
 def priors_of(made_flight: Path) -> Callable[..., list[Prior | None]]:
     """Write the priors of a flight and open it."""
 
-    def opened(*lines: str) -> list[Prior | None]:
+    def open_priors(*lines: str) -> list[Prior | None]:
         (made_flight / "priors.csv").write_text("\n".join(lines) + "\n")
         return [query.prior for query in open_flight(made_flight)[0].queries]
 
-    return opened
+    return open_priors
 
 
 def test_a_flight_measures_the_sigma_on_its_map(

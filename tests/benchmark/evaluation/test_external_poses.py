@@ -13,7 +13,7 @@ from benchmark.report import tables
 from benchmark.report.paper import side_by_side
 from benchmark.results.results_files import load
 from objconnect.scene.geometry.pose import Pose
-from tests.benchmark.made_data import moved, pose_at
+from tests.benchmark.made_data import move, pose_at
 from tests.benchmark.test_cli import error_line, invoke
 
 
@@ -24,7 +24,7 @@ def line(name: str, pose: Pose) -> str:
 
 def test_scored_as_our_own(made_flight: Path, tmp_path: Path) -> None:
     poses = tmp_path / "hloc.txt"
-    poses.write_text(line("b.jpg", moved(pose_at(1), 0.1)) + line("d.jpg", moved(pose_at(3), 0.3)))
+    poses.write_text(line("b.jpg", move(pose_at(1), 0.1)) + line("d.jpg", move(pose_at(3), 0.3)))
     arguments = ("score", poses, "--reference", made_flight, "--out", tmp_path / "out")
     result = invoke(*arguments, "--start", "retrieval=50")
     assert result.exit_code == 0, result.stderr

@@ -25,7 +25,7 @@ def one(cmu: Path) -> Path:  # noqa: F811
     return cmu
 
 
-def tilted() -> Pose:
+def tilt() -> Pose:
     """A pose whose centre and translation differ in every number."""
     turn = so3_exp(torch.tensor([0.3, -0.5, 0.7], dtype=torch.float64))
     return Pose(turn @ pose_at(4).rotation, turn @ pose_at(4).translation)
@@ -33,7 +33,7 @@ def tilted() -> Pose:
 
 def test_lines(one: Path, tmp_path: Path) -> None:
     answers = {
-        SNOW: Estimate(Status.OK, tilted()),
+        SNOW: Estimate(Status.OK, tilt()),
         AUTUMN: Estimate(Status.FALLBACK, pose_at(2), reason="prior"),
         HIDDEN: Estimate(Status.OK, pose_at(3)),
     }
@@ -46,8 +46,8 @@ def test_lines(one: Path, tmp_path: Path) -> None:
     assert [len(word.split(".")[1]) for word in words] == [6] * 7
     numbers = np.array([float(word) for word in words])
     assert np.linalg.norm(numbers[:4]) == pytest.approx(1, abs=2e-6)
-    assert numbers[4:] == pytest.approx(tilted().translation.numpy(), abs=1e-6)
-    assert numbers[4:] != pytest.approx(tilted().centre().numpy(), abs=0.1)
+    assert numbers[4:] == pytest.approx(tilt().translation.numpy(), abs=1e-6)
+    assert numbers[4:] != pytest.approx(tilt().centre().numpy(), abs=0.1)
 
 
 def test_each_image_has_its_own_camera(one: Path, tmp_path: Path) -> None:

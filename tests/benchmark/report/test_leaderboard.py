@@ -12,16 +12,16 @@ from benchmark.evaluation.starts import NONE, PRIOR, Start
 from benchmark.report.leaderboard import leaderboard
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
+from tests.benchmark.made_data import FakeLocalizer, move, pose_at
 
 
 def run(data: Path, out: Path, name: str, start: Start = PRIOR, **config: Any) -> Path:
     """A method that finds every summer query 0.1 m off, and one winter query 1 m off."""
     answers = {
-        f"summer-grid/images/{k:06d}.jpg": Estimate(Status.OK, moved(pose_at(k + 1), 0.1))
+        f"summer-grid/images/{k:06d}.jpg": Estimate(Status.OK, move(pose_at(k + 1), 0.1))
         for k in range(3)
     }
-    answers["winter-grid/images/000000.jpg"] = Estimate(Status.OK, moved(pose_at(2), 1.0))
+    answers["winter-grid/images/000000.jpg"] = Estimate(Status.OK, move(pose_at(2), 1.0))
     localizer = FakeLocalizer(answers)
     localizer.name = name
     localizer.config = localizer.config.model_copy(update=config)
@@ -64,9 +64,9 @@ def test_false_fixes_stand_beside_recall(scene: Path, tmp_path: Path) -> None:
     """One of six queries is answered 20 m off and called right, and one is so called a fallback."""
     name = "summer-grid/images/{:06d}.jpg".format
     answers = {
-        name(0): Estimate(Status.OK, moved(pose_at(1), 20)),
-        name(1): Estimate(Status.FALLBACK, moved(pose_at(2), 20), reason="far"),
-        name(2): Estimate(Status.OK, moved(pose_at(3), 4)),
+        name(0): Estimate(Status.OK, move(pose_at(1), 20)),
+        name(1): Estimate(Status.FALLBACK, move(pose_at(2), 20), reason="far"),
+        name(2): Estimate(Status.OK, move(pose_at(3), 4)),
     }
     (dataset,) = open_datasets(scene)
     evaluate(dataset, FakeLocalizer(answers), tmp_path / "out", PRIOR)

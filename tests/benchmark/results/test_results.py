@@ -11,12 +11,16 @@ from benchmark.results.results import DatasetId, Results, rescore
 from benchmark.results.results_files import load
 from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 
 @pytest.fixture
 def results() -> Results:
-    queries = (scored_query("a", 0.1), scored_query("b", 0.7), scored_query("c", None, "winter"))
+    queries = (
+        make_scored_query("a", 0.1),
+        make_scored_query("b", 0.7),
+        make_scored_query("c", None, "winter"),
+    )
     return Results.of(
         Method(name="fake", config={"strength": 1.0}, weights_sha256=None),
         DatasetId(name="meadow", track="flight", sha256="ab", map_conditions=("summer",)),
@@ -67,7 +71,7 @@ def _error(stored: dict[str, Any]) -> None:
     stored["queries"][1]["t_err_m"] = 0.1
 
 
-def _dropped(stored: dict[str, Any]) -> None:
+def _drop(stored: dict[str, Any]) -> None:
     del stored["queries"][2]
 
 
@@ -78,7 +82,7 @@ def _dropped(stored: dict[str, Any]) -> None:
         (_interval, "by_condition.summer.recall.5m_10deg.low"),
         (_condition, "by_condition.winter"),
         (_error, "summary.median_t_m"),
-        (_dropped, "summary.failed"),
+        (_drop, "summary.failed"),
     ],
 )
 def test_changed_figures_are_noticed(

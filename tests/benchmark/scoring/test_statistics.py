@@ -17,19 +17,19 @@ from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.scoring.uncertainty import risk_coverage
 from objconnect.localization.provenance import Method
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 TIGHT, MIDDLE, WIDE = THRESHOLDS
 LOST, WON = (3, 4, 5, 13, 14, 23, 33), (50, 51)
 
 
-def made(error_m: dict[int, float | None], name: str) -> Results:
+def make(error_m: dict[int, float | None], name: str) -> Results:
     """Sixty queries 0.1 m off, flight by flight of ten, but for those of `error_m`; None failed."""
     queries: list[QueryResult] = []
     for k in range(60):
         metres = error_m.get(k, 0.1)
         queries.append(
-            scored_query(
+            make_scored_query(
                 f"{k:02d}",
                 metres,
                 "summer" if k < 30 else "winter",
@@ -40,7 +40,7 @@ def made(error_m: dict[int, float | None], name: str) -> Results:
                 seconds={"total": 0.1 * (k + 1)},
             )
         )
-    queries[59] = scored_query("59", 0.1, "winter", Status.FALLBACK, group="flight 5")
+    queries[59] = make_scored_query("59", 0.1, "winter", Status.FALLBACK, group="flight 5")
     return Results.of(
         Method(name=name, config={}, weights_sha256=None),
         DatasetId(name="d", track="uav-sim", sha256="a" * 64, map_conditions=("summer",)),
@@ -50,8 +50,8 @@ def made(error_m: dict[int, float | None], name: str) -> Results:
 
 
 # Queries 50 and 51 of the first are 0.4 m off, 52 fails; the second finds them.
-FIRST = made({50: 0.4, 51: 0.4, 52: None}, "first")
-SECOND = made(dict.fromkeys(LOST, 7.0) | {52: None}, "second")
+FIRST = make({50: 0.4, 51: 0.4, 52: None}, "first")
+SECOND = make(dict.fromkeys(LOST, 7.0) | {52: None}, "second")
 
 
 def right(results: Results) -> list[bool]:

@@ -10,7 +10,7 @@ from objconnect.ingestion.command import ingest
 from objconnect.ingestion.report import IngestReport
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.images import resize_file
-from tests.shared import made_once
+from tests.shared import make_once
 
 SIDE = 500
 
@@ -23,7 +23,7 @@ def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         for path in sorted((beach / "photos").iterdir()):
             resize_file(path, folder / path.name, SIDE)
 
-    return made_once(tmp_path_factory, "photographs", make)
+    return make_once(tmp_path_factory, "photographs", make)
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 
 
-def made(seed: int, count: int = 3000) -> Lessons:
+def make(seed: int, count: int = 3000) -> Lessons:
     """Return places that are on objects where two figures together say so."""
     rng = np.random.default_rng(seed)
     figures = rng.normal(3, 5, (count, FIGURES)).astype(np.float32)
@@ -32,8 +32,8 @@ def made(seed: int, count: int = 3000) -> Lessons:
 
 
 def test_it_learns_what_only_figures_together_say() -> None:
-    judge = learn([made(seed) for seed in range(5)], steps=1000)
-    other = made(2)
+    judge = learn([make(seed) for seed in range(5)], steps=1000)
+    other = make(2)
     right = (judge.likely(other.figures) > 0.5) == other.on_object
     assert right.mean() > 0.85
     assert "8 of 8 small objects" in report(judge, other)[-1]
@@ -42,7 +42,7 @@ def test_it_learns_what_only_figures_together_say() -> None:
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    first, second = (learn([made(0)], steps=20, seed=3).state_dict() for _ in range(2))
+    first, second = (learn([make(0)], steps=20, seed=3).state_dict() for _ in range(2))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -63,7 +63,7 @@ def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not judge places by the"):
         read_classifier(path)
     with pytest.raises(InputError, match="no place to learn from"):
-        learn([made(0, 0)])
+        learn([make(0, 0)])
     assert read_weights(SHIPPED).config == {"figures": FIGURES}
 
 

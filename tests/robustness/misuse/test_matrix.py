@@ -19,9 +19,9 @@ from tests.robustness.misuse.cases import (
     CASES,
     Case,
     check_one_line,
-    declared,
-    kept,
+    declare,
     lay_out,
+    list_kept,
     names_of,
     parameters,
     stop_at_work,
@@ -44,7 +44,7 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
     assert Path.cwd() == tree
     if case.fault.fine:
         assert outcome.code == 0, outcome
-        assert happened.keys() - declared(case, row, happened) == set()
+        assert happened.keys() - declare(case, row, happened) == set()
         return
     assert not outcome.begun, "the work began"
     assert outcome.code == 2, outcome
@@ -53,7 +53,7 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
         assert outcome.stderr == ""
     else:
         check_one_line(outcome, names_of(case))
-    assert {name: happened[name] for name in happened.keys() - kept(row, happened)} == {}
+    assert {name: happened[name] for name in happened.keys() - list_kept(row, happened)} == {}
 
 
 # Words that contradict each other, and what the error names.
@@ -249,7 +249,7 @@ def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
     content = (root / path).read_bytes()
     at = data.draw(st.integers(0, len(content)))
     cut = data.draw(st.integers(0, 16))
-    middle = data.draw(st.one_of(st.binary(max_size=16), st.text(max_size=8).map(encoded)))
+    middle = data.draw(st.one_of(st.binary(max_size=16), st.text(max_size=8).map(encode)))
     (root / path).write_bytes(content[:at] + middle + content[at + cut :])
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
@@ -266,7 +266,7 @@ def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
         assert "Traceback" not in outcome.stderr
 
 
-def encoded(text: str) -> bytes:
+def encode(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
@@ -310,4 +310,4 @@ def test_right(command: str, whole: Path, tree: Path, monkeypatch: pytest.Monkey
     happened = differences(before, snapshot(tree.parent))
     assert outcome.code == 0, outcome
     assert outcome.begun == bool(row.work)
-    assert happened.keys() - declared(None, row, happened) == set()
+    assert happened.keys() - declare(None, row, happened) == set()

@@ -12,7 +12,7 @@ from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import THRESHOLDS
 from benchmark.tracks.difficulty import Difficulty, QueryRow
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 AT = THRESHOLDS[1]
 OVERLAP, SCALE, ANGLE, DAYS = AXES
@@ -58,7 +58,9 @@ def test_what_the_issue_of_size_asks_for() -> None:
 
 
 def answer(sigma: float | None, metres: float | None, status: Status | None = None) -> QueryResult:
-    return scored_query(f"{sigma}-{metres}-{id(object())}", metres, status=status, sigma_t_m=sigma)
+    return make_scored_query(
+        f"{sigma}-{metres}-{id(object())}", metres, status=status, sigma_t_m=sigma
+    )
 
 
 def test_the_surest_are_believed_until_one_in_a_hundred_is_wrong() -> None:

@@ -52,13 +52,13 @@ def aside(metres: float) -> Pose:
     return Pose(POSE.rotation, torch.tensor([[metres, 0, 0]], dtype=torch.float64))
 
 
-def told(made: Problem, pose: Pose = POSE) -> Evidence:
+def measure_evidence(made: Problem, pose: Pose = POSE) -> Evidence:
     return evidence(made, pose, 0.7)
 
 
 def test_a_right_pose_stands_out_and_halves_agree() -> None:
-    right = told(problem(texture(None), noise=0.2))
-    wrong = told(problem(texture(None), noise=0.2), aside(9.0))
+    right = measure_evidence(problem(texture(None), noise=0.2))
+    wrong = measure_evidence(problem(texture(None), noise=0.2), aside(9.0))
     assert right.height > 10 > 5 > wrong.height
     assert right.halves < 0.3
     assert right.curvature == 0.7
@@ -66,22 +66,25 @@ def test_a_right_pose_stands_out_and_halves_agree() -> None:
 
 def test_a_query_that_looks_other_still_stands_out() -> None:
     """Noise as strong as the features themselves makes the fit far worse."""
-    changed = told(problem(texture(None), noise=0.5))
+    changed = measure_evidence(problem(texture(None), noise=0.5))
     assert changed.height > 10
 
 
 def test_a_picture_that_repeats_itself_stands_out_less() -> None:
-    assert told(problem(texture(12))).height < 0.5 * told(problem(texture(None))).height
+    assert (
+        measure_evidence(problem(texture(12))).height
+        < 0.5 * measure_evidence(problem(texture(None))).height
+    )
 
 
 def test_halves_of_another_picture_lead_apart() -> None:
     other = problem(texture(None, seed=5))
     right = problem(texture(None))
     levels = [replace(each, reference=right.levels[0].reference) for each in other.levels]
-    assert told(replace(other, levels=levels)).halves > 1
+    assert measure_evidence(replace(other, levels=levels)).halves > 1
 
 
 @pytest.mark.parametrize("metres", [70.0, 1e4])
 def test_points_out_of_view_tell_nothing(metres: float) -> None:
-    nothing = told(problem(texture(None), points=60), aside(metres))
+    nothing = measure_evidence(problem(texture(None), points=60), aside(metres))
     assert nothing.height == 0.0

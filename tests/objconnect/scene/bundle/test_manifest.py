@@ -51,7 +51,7 @@ def test_round_trips(tmp_path: Path) -> None:
         assert read_json(tmp_path / "file.json", type(value), "file") == value
 
 
-def changed(tmp_path: Path, **update: Any) -> Path:
+def change(tmp_path: Path, **update: Any) -> Path:
     """A manifest file with some values replaced; None removes the key."""
     values = json.loads(MANIFEST.model_dump_json()) | update
     path = tmp_path / "scene.json"
@@ -77,14 +77,14 @@ def changed(tmp_path: Path, **update: Any) -> Path:
 )
 def test_bad_manifests(tmp_path: Path, update: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        read_json(changed(tmp_path, **update), Manifest, "scene manifest")
+        read_json(change(tmp_path, **update), Manifest, "scene manifest")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
 
 
 def test_a_missing_key_does_not_print_the_manifest(tmp_path: Path) -> None:
     sha256 = {f"sessions/a/images/{k:06d}.jpg": "0" * 64 for k in range(500)}
-    path = changed(tmp_path, seed=..., sha256=sha256)
+    path = change(tmp_path, seed=..., sha256=sha256)
     with pytest.raises(InputError) as caught:
         read_json(path, Manifest, "scene manifest")
     assert str(caught.value) == f"missing key 'seed' in {path}"
@@ -191,4 +191,4 @@ def test_invented_worlds_are_where_their_origin_says() -> None:
 )
 def test_a_bad_georeference_is_refused(tmp_path: Path, georeference: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="georeference"):
-        read_json(changed(tmp_path, georeference=georeference), Manifest, "scene manifest")
+        read_json(change(tmp_path, georeference=georeference), Manifest, "scene manifest")

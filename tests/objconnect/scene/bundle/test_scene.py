@@ -11,7 +11,7 @@ from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.digests import sha256_of
-from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
+from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, make_frames, make_layers
 
 SESSION = "summer-noon-nadir"
 
@@ -24,14 +24,14 @@ def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
     images.mkdir(parents=True)
     for k in range(2):
         (images / f"{k:06d}.jpg").write_bytes(bytes([k]))
-    layers = (made_layers(k) for k in range(2))
-    write_frames(images.parent / "frames.h5", made_frames(2), ALL, layers)
+    layers = (make_layers(k) for k in range(2))
+    write_frames(images.parent / "frames.h5", make_frames(2), ALL, layers)
     (path / "map").mkdir()
     options = pycolmap.SyntheticDatasetOptions()
     options.num_points3D = 10
     pycolmap.synthesize_dataset(options).write(path / "map")
     write_json(path / "objects.json", Objects(classes={}, objects=()))
-    names = made_frames(2).names
+    names = make_frames(2).names
     write_json(path / "splits.json", Splits(map=names[:1], queries={SESSION: names[1:]}))
     manifest = Manifest(
         versions={},
@@ -55,10 +55,10 @@ def test_everything_is_read_back(scene: Path) -> None:
     opened = Scene.open(scene)
     assert opened.name == "my scene"
     assert list(opened.sessions) == [SESSION]
-    assert_equal(opened.frames(SESSION), made_frames(2))
+    assert_equal(opened.frames(SESSION), make_frames(2))
     with opened.dense(SESSION) as dense:
-        assert (dense.read("depth", 1) == made_layers(1)["depth"]).all()
-    assert opened.splits.map == made_frames(1).names
+        assert (dense.read("depth", 1) == make_layers(1)["depth"]).all()
+    assert opened.splits.map == make_frames(1).names
     assert opened.objects.objects == ()
     assert len(opened.sparse_map().xyz) == 10
     assert all((opened.images_root / name).is_file() for name in opened.splits.map)

@@ -88,7 +88,7 @@ def hemisphere(made: Made, word: str) -> Field:
     return made.pick(raw.text(padded), raw.undefined(padded))
 
 
-def lettered(degrees: float, letters: str, made: Made) -> str:
+def letter_tags(degrees: float, letters: str, made: Made) -> str:
     letter, value = letters[degrees < 0], abs(degrees)
     whole, minutes = int(value), (value - int(value)) * 60
     if made.chance(0.5):
@@ -113,8 +113,8 @@ def put_position(made: Made) -> None:
         made.xmp["drone-dji:GpsLatitude"] = number(made, latitude, 8)
         made.xmp[f"drone-dji:{east}"] = number(made, longitude, 8)
     if made.chance(0.3):
-        made.xmp["exif:GPSLatitude"] = lettered(latitude, "NS", made)
-        made.xmp["exif:GPSLongitude"] = lettered(longitude, "EW", made)
+        made.xmp["exif:GPSLatitude"] = letter_tags(latitude, "NS", made)
+        made.xmp["exif:GPSLongitude"] = letter_tags(longitude, "EW", made)
 
 
 def put_altitude(made: Made) -> None:
