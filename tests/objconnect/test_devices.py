@@ -40,7 +40,7 @@ from tests.baselines.pixloc.made_map import (
 from tests.objconnect.learning.training.made_pairs import pairs
 from tests.objconnect.mapping.dense.made_views import REFERENCE, SOURCES, inverse_depth_at
 from tests.objconnect.mapping.dense.test_patchmatch import some_seeds
-from tests.objconnect.network import test_connect, test_landmarks
+from tests.objconnect.network import test_landmarks, test_object_matching
 from tests.second_device import second_device
 
 GATE = Path(__file__).parents[1] / "data" / "gate"
@@ -165,9 +165,14 @@ def test_objects_connect_as_on_the_processor() -> None:
     view = test_landmarks.photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.3), xyz, vectors)
 
     def run_connector(device: str) -> list[torch.Tensor]:
-        graph = test_connect.graph(layers=1).to(device)
+        graph = test_object_matching.graph(layers=1).to(device)
         connect = Connector(graph, landmarks, test_landmarks.GROUND)
-        asked = (test_landmarks.CAMERA, test_landmarks.DOWN, test_connect.HEADINGS, [60.0, 75.0])
+        asked = (
+            test_landmarks.CAMERA,
+            test_landmarks.DOWN,
+            test_object_matching.HEADINGS,
+            [60.0, 75.0],
+        )
         return [place.pose.matrix() for place in connect(view.found, *asked)]
 
     here = run_connector("cpu")

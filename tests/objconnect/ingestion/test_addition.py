@@ -31,7 +31,7 @@ from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.features import FeatureFile, Features, read_features, write_features
 from objconnect.scene.maps.sparse_map import SparseMap
-from tests.objconnect.ingestion.test_given import SESSION, geocentric, photographs_of
+from tests.objconnect.ingestion.test_imported_poses import SESSION, geocentric, photographs_of
 
 Ingested = tuple[Scene, IngestReport]
 OLD = 8

@@ -85,7 +85,7 @@ def hemisphere(made: Made, word: str) -> Field:
     forms = [word[0], word[0].lower(), word, word.upper(), f"{word[0]} ", f" {word[0]}", word[0]]
     said = made.pick(*forms)
     padded = said.encode() + b"\0" * int(made.rng.integers(3))
-    return made.pick(raw.text(padded), raw.undefined(padded))
+    return made.pick(raw.text(padded), raw.make_undefined(padded))
 
 
 def letter_tags(degrees: float, letters: str, made: Made) -> str:
@@ -126,7 +126,7 @@ def put_altitude(made: Made) -> None:
         made.gps["GPSAltitude"] = raw.rational(abs(metres) if kind == "whole" else None)
         digit = int(below) + made.pick(0, 2)
         if below or made.chance(0.8):
-            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), raw.undefined(bytes([digit])))
+            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), raw.make_undefined(bytes([digit])))
     if made.chance(0.5):
         made.xmp["drone-dji:AbsoluteAltitude"] = number(made, metres, 2)
     if made.chance(0.5):
