@@ -126,7 +126,8 @@ def put_altitude(made: Made) -> None:
         made.gps["GPSAltitude"] = raw.rational(abs(metres) if kind == "whole" else None)
         digit = int(below) + made.pick(0, 2)
         if below or made.chance(0.8):
-            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), raw.make_undefined(bytes([digit])))
+            undefined = raw.make_undefined(bytes([digit]))
+            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), undefined)
     if made.chance(0.5):
         made.xmp["drone-dji:AbsoluteAltitude"] = number(made, metres, 2)
     if made.chance(0.5):
