@@ -1,4 +1,4 @@
-"""Measure what each part of object-connect contributes.
+"""Ablation of object-connect: what each part of the network contributes.
 
 ``python -m experiments.ablation experiments/ablation.yaml DATASET... --data SCENE --out OUT``
 

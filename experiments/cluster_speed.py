@@ -1,9 +1,9 @@
-"""How much faster two workers render than one: `python -m experiments.cluster_speed`.
+"""Speed-up of rendering with two workers over one: `python -m experiments.cluster_speed`.
 
-A Ray cluster on this machine renders the same frames with one worker of one core and with two, in
-turns, after every worker has rendered a frame. The place is built anew for every share of frames,
-as in a real run. Blender's processor seconds say how much of a core a worker had: on a machine that
-does other things too, read the second ratio, of what two workers do in a second of both cores.
+A Ray cluster on this machine renders the same frames in turn with one worker of one core and with
+two, after every worker has rendered a frame. The site is built again for every share of frames, as
+in a real run. Blender's processor seconds show how much of a core a worker had: on a machine with
+other work, read the second ratio, of the frames that two workers render per second of both cores.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _SPENT = -1
 
 
 class Run(NamedTuple):
-    """Seconds by the clock, and of the processor, all workers together."""
+    """Wall-clock seconds, and processor seconds of all workers together."""
 
     seconds: float
     cpu: float
 
 
 def count_seconds(share: RenderJob) -> Iterator[tuple[int, bytes]]:
-    """Frames of a share, then the processor seconds they took."""
+    """Yield the frames of a share, then the processor seconds that they took."""
     before = _children()
     yield from frame_files(share)
     yield _SPENT, repr(_children() - before).encode()

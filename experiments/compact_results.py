@@ -1,9 +1,9 @@
-"""What compact results take: bytes a query, and seconds to read the results of a whole track.
+"""Cost of compact results: bytes per query, and seconds to read the results of a whole track.
 
     python -m experiments.compact_results [RESULTS...] [--files N]
 
-The first line is of a made data set of 320 queries with random numbers, which compress worst. The
-others are of results files. The last lines read N files of 320 queries, compact and plain in turns.
+The first line is an artificial data set of 320 queries with random numbers, which compress worst.
+The others are results files. The last lines read N files of 320 queries, compact and plain in turn.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def main() -> None:
     )
     parser.add_argument("results", nargs="*", type=Path)
     parser.add_argument("--files", type=int, default=150)
-    given = parser.parse_args()
+    args = parser.parse_args()
     rng = random.Random(0)
     whole = run_of([make(f"s{k // 40}/images/{k % 40:06d}.jpg", rng) for k in range(320)])
     runs = {"random numbers": whole}
-    runs |= {str(file): load(file) for path in given.results for file in results_files(path)}
+    runs |= {str(file): load(file) for path in args.results for file in results_files(path)}
     with tempfile.TemporaryDirectory() as folder:
         print("| results | queries | bytes a query | compact |\n|---|--:|--:|--:|")
         for name, run in runs.items():
@@ -40,12 +40,12 @@ def main() -> None:
             print(f"| {name} | {len(run.queries)} | {sizes[0]:.0f} | {sizes[1]:.0f} |")
         files = _write(whole, Path(folder))
         spent = [0.0, 0.0]
-        for _ in range(given.files):
+        for _ in range(args.files):
             for k, path in enumerate(files):
                 before = time.process_time()
                 load(path)
                 spent[k] += time.process_time() - before
-        print(f"{given.files} files: plain {spent[0]:.1f} s, compact {spent[1]:.1f} s")
+        print(f"{args.files} files: plain {spent[0]:.1f} s, compact {spent[1]:.1f} s")
 
 
 def _write(run: Results, folder: Path) -> tuple[Path, Path]:

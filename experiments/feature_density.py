@@ -1,10 +1,10 @@
-"""Whose features lie on small objects: places per 1000 pixels of a map's photographs, by method.
+"""Density of features on small objects: features per 1000 pixels of map photographs, by method.
 
-``python -m experiments.feature_density SCENE [CACHE]`` (a scene with a map and rendered
-objects; CACHE is that of an evaluation, to begin with). Counted are the places in the map's
-photographs that a method compares queries with: keypoints with a 3D point, or points aligned to.
-``objects`` is the object-connect network with all its blocks. Methods that weigh places by a
-confidence have a second line, in which each counts as much as that.
+``python -m experiments.feature_density SCENE [CACHE]`` (a scene with a map and rendered objects;
+CACHE is that of an evaluation). It counts the features in the map's photographs that a method
+compares queries with: keypoints with a 3D point, or points for alignment. ``objects`` is the
+object-connect network with all its blocks. Methods that weigh features by a confidence have a
+second line, weighted by it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SMALL = _KINDS.index("small")
 
 
 class _Places(NamedTuple):
-    """Of a photograph: world points (N, 3), and how much each counts (N,)."""
+    """World points (N, 3) of the features of a photograph, and their weights (N,)."""
 
     xyz: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -50,7 +50,7 @@ def _make(method: str) -> Localizer:
 
 
 def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
-    """All alike, then by confidence."""
+    """Yield the features with equal weights, then with their confidences."""
     if isinstance(localizer, StructureLocalizer):
         xyz = localizer._lifted(row).xyz
         yield _Places(xyz, np.ones(len(xyz)))
@@ -63,7 +63,7 @@ def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
 def _identify(
     image: MapImage, xyz: NDArray[np.float64], instance: NDArray[np.uint16]
 ) -> NDArray[np.uint16]:
-    """Identifiers (N,) of what lies at the pixels of points."""
+    """Return the identifiers (N,) of the objects at the pixels of points."""
     xy = image.camera.project(image.pose.transform(torch.from_numpy(xyz))).xy.numpy()
     columns, rows = np.floor(xy).astype(int).T
     height, width = instance.shape

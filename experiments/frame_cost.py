@@ -1,4 +1,4 @@
-"""What a frame costs, and what costs it: `python -m experiments.frame_cost`."""
+"""Cost of rendering a frame, by part: `python -m experiments.frame_cost`."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _KINDS = ("still", "flat", "raw", "bare", "ours")
 
 
 def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
-    """Processor seconds a frame of `config`'s first session, by part: medians over frames.
+    """Return the processor seconds of a frame of `config`'s first session by part, as medians.
 
-    All of them are rendered with some settings, so that Blender takes these in once.
+    All frames are rendered with the same settings, so that Blender reads them once.
     """
     job = nadir_job(config, _FRAMES)
     with tempfile.TemporaryDirectory() as scratch:
@@ -33,7 +33,7 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
         try:
             spent = {}
             for kind in _KINDS:
-                renderer.ask(kind, 0, *settings)  # takes in what differs from the kind before
+                renderer.ask(kind, 0, *settings)  # reads the settings that differ
                 asked = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
                 spent[kind] = float(np.median(asked))
         finally:
@@ -59,13 +59,13 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
 def try_settings(
     config: SimulateConfig, settings: Sequence[str], always: Sequence[str], paths: int
 ) -> Iterator[str]:
-    """Yield a line for each setting: seconds of the picture alone, and how it differs.
+    """Yield a line for each setting: seconds of the picture alone, and its difference.
 
     Args:
-        config: of the frames.
-        settings: each may consist of several, with blanks between them.
+        config: configuration of the frames.
+        settings: each may combine several, separated by blanks.
         always: settings of all pictures.
-        paths: per pixel of the picture to compare with, which is not denoised; 0 compares with the
+        paths: paths per pixel of the reference picture, which is not denoised; 0 compares with the
             picture without the setting.
     """
     job = nadir_job(config, _FRAMES)

@@ -1,13 +1,13 @@
-"""A flight followed as a sequence, beside the same without tracking, frame by frame in turn.
+"""Compare a flight localized as a sequence with and without tracking, frame by frame in turn.
 
     python -m experiments.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2] [--alone]
 
-PLACE is a simulated scene with a map and a session ``flight``, as of
-``experiments/tracked-place.yaml``, or its map alone where SCENE has the session. A frame is
-read from its JPEG and localized from what the frames before predict; the first is told its position
-to 3 m and its attitude to 3 degrees, the others nothing. Seconds are the medians of a frame, by the
-clock and of the processor; on a machine with other work read the ratio. ``--alone`` only follows
-the sequence: a query without tracking gives back memory, which the next frame must take again.
+PLACE is a simulated scene with a map and a session ``flight``, such as that of
+``experiments/tracked-place.yaml``, or its map alone if SCENE has the session. Each frame is read
+from its JPEG and localized with the prediction of the frames before. The first has a prior
+(position to 3 m, attitude to 3 degrees), the others have none. Seconds are medians per frame,
+wall-clock and of the processor; on a machine with other work, read the ratio. ``--alone`` runs only with
+tracking, because a query without it returns memory that the next frame must allocate again.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame of the flight: its file, its camera, its time, and where it was taken."""
+    """A frame of the flight: its file, camera, time and true pose."""
 
     path: Path
     camera: Camera
@@ -50,7 +50,7 @@ class Frame:
 
 @dataclass
 class Run:
-    """One way to follow the flight, and what it gave: errors, and seconds of each frame."""
+    """A tracker with the errors and the seconds of each frame."""
 
     name: str
     tracker: Tracker
@@ -73,7 +73,7 @@ class Run:
         self.errors.append(error)
 
     def figures(self, beside: Run) -> dict[str, Any]:
-        """Return what is to be said of the run, with ratios over another one's seconds."""
+        """Return the figures of the run, with ratios to the seconds of another one."""
         errors = np.array(self.errors)
         found = np.isfinite(errors[:, 0])
         false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
@@ -98,12 +98,12 @@ class Run:
 
 
 def ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
-    """Return the median over the frames of how long one took beside the other."""
+    """Return the median over the frames of the ratio of two lists of seconds."""
     return round(float(np.median(np.array(ours) / np.array(theirs))), 3)
 
 
 def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Frame]:
-    """Return every so many frames of a session that took so many a second."""
+    """Return every n-th frame of a session with a given frame rate."""
     frames = scene.frames(session)
     return [
         Frame(
@@ -117,7 +117,7 @@ def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Fr
 
 
 def prior_of(frame: Frame) -> Prior:
-    """Return what is told of the first frame: wrong by a standard deviation or so."""
+    """Return the prior of the first frame, with an error of about a standard deviation."""
     rng = np.random.default_rng(SEED)
     turn = Pose.exp(torch.from_numpy(np.append(np.radians(rng.normal(0, 3, 3)), np.zeros(3))))
     rotation = (turn.rotation @ frame.truth.rotation).numpy()
@@ -148,16 +148,16 @@ def main() -> None:
     parser.add_argument(
         "--set", action="append", default=[], help="KEY=VALUE of the method, for both runs"
     )
-    given = parser.parse_args()
-    torch.set_num_threads(given.threads)
-    place, scene = open_place(given.place), Scene.open(given.flight or given.place)
-    frames = frames_of(scene, given.session, given.every, given.rate)
-    both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
-    tracking = both | {"tracking": json.loads(given.tracking)}
-    runs = [create_run(place, given.cache, given.method, tracking, "tracked")]
-    if not given.alone:
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    place, scene = open_place(args.place), Scene.open(args.flight or args.place)
+    frames = frames_of(scene, args.session, args.every, args.rate)
+    both: dict[str, Any] = dict(each.split("=", 1) for each in args.set)
+    tracking = both | {"tracking": json.loads(args.tracking)}
+    runs = [create_run(place, args.cache, args.method, tracking, "tracked")]
+    if not args.alone:
         alone = both | {"tracking": None}
-        without = create_run(place, given.cache, given.method, alone, "without")
+        without = create_run(place, args.cache, args.method, alone, "without")
         runs.insert(0, without)
     for number, frame in enumerate(frames):
         told = prior_of(frame) if number == 0 else None
