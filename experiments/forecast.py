@@ -50,8 +50,8 @@ def write_plan(path: Path, each: int) -> None:
     items: list[dict[str, object]] = []
 
     def add(command: int, params: list[float | None], frame: int) -> None:
-        told = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
-        items.append({"type": "SimpleItem", "autoContinue": True, **told})
+        item = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
+        items.append({"type": "SimpleItem", "autoContinue": True, **item})
 
     east = 111320 * np.cos(np.radians(47.0)) * 1.0027
     for line, (north_m, height_m) in enumerate(

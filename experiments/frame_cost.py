@@ -34,8 +34,8 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
             spent = {}
             for kind in _KINDS:
                 renderer.ask(kind, 0, *settings)  # reads the settings that differ
-                asked = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
-                spent[kind] = float(np.median(asked))
+                seconds = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
+                spent[kind] = float(np.median(seconds))
         finally:
             renderer.stop()
         poses = np.array([job.poses[k] for k in range(_FRAMES)])
@@ -113,12 +113,12 @@ def main() -> None:
     words.add_argument("--with", action="append", default=[], help="settings of all parts")
     words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
     words.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
-    asked = vars(words.parse_args())
-    settings, always, paths = asked.pop("try"), asked.pop("with"), asked.pop("paths")
+    options = vars(words.parse_args())
+    settings, always, paths = options.pop("try"), options.pop("with"), options.pop("paths")
     session = {
-        "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
+        "condition": options.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
     }  # fmt: skip
-    config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
+    config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **options})
     if settings:
         print("| | cpu-seconds | difference |\n|---|--:|---|")
         for line in try_settings(config, settings, always, paths):

@@ -89,7 +89,7 @@ def main() -> None:
         finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
         taught = [lesson(Scene.open(path), finder) for path in args.scenes]
         scenes = [Scene.open(path) for path in args.report]
-        asked = [lesson(scene, finder) for scene in scenes]
+        tested = [lesson(scene, finder) for scene in scenes]
         for layers in (each for name, each in VARIANTS if name == kind):
             for seed in range(args.seeds):
                 assert network.detector is not None
@@ -97,10 +97,10 @@ def main() -> None:
                 graph = train_graph(
                     taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
                 ).eval()
-                ranks = np.concatenate([ranks_of(graph, of, args.session) for of in asked])
+                ranks = np.concatenate([ranks_of(graph, of, args.session) for of in tested])
                 starts = [
                     rank
-                    for scene, of in zip(scenes, asked, strict=True)
+                    for scene, of in zip(scenes, tested, strict=True)
                     for rank in _starts(finder, graph, scene, of, args.session)
                 ]
                 total, place = ranks[:, 0].sum(), np.array(starts)

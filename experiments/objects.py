@@ -152,11 +152,11 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
     in_b = Pose.from_matrix(b_from_a).transform(points)
     camera_b = frames_b.cameras[row_b]
     projected = camera_b.project(in_b)
-    there = projected.valid & camera_b.contains(projected.xy)
-    column, row = projected.xy[there].long().T
+    visible = projected.valid & camera_b.contains(projected.xy)
+    column, row = projected.xy[visible].long().T
     seen = torch.from_numpy(depth_b)[row, column]
-    same = (seen - in_b[there, 2]).abs() < SAME_DEPTH * in_b[there, 2]
-    return xy[there][same], projected.xy[there][same], (camera.height, camera.width)
+    same = (seen - in_b[visible, 2]).abs() < SAME_DEPTH * in_b[visible, 2]
+    return xy[visible][same], projected.xy[visible][same], (camera.height, camera.width)
 
 
 def segment_learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
@@ -249,15 +249,15 @@ def matching(
 ) -> None:
     """Print top-1 and top-5 of objects with and without neighbours, seed by seed, paired."""
     assert network.detector is not None
-    taught, asked = lessons_of(network, scenes), lessons_of(network, report)
+    trained, tested = lessons_of(network, scenes), lessons_of(network, report)
     for seed in range(seeds):
         shares = {}
         for layers in (0, 2):
             config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
             graph = train_graph(
-                taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
+                trained, config, ConstellationTraining(seed=seed), torch.device("cpu")
             )
-            ranks = np.concatenate([ranks_of(graph, of, session) for of in asked])
+            ranks = np.concatenate([ranks_of(graph, of, session) for of in tested])
             shares[layers] = ranks
         without, with_ = shares[0], shares[2]
         for layers, ranks in shares.items():

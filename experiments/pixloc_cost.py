@@ -207,15 +207,15 @@ def _authors(ground: Ground) -> Run:
     paths = SimpleNamespace(reference_images=ground.images, query_images=ground.images)
     peer = PoseRefiner(cpu, list(refiner.optimizer), model, extractor, paths, {})
     lens = Lens.from_colmap(camera)
-    asked = []
+    inputs = []
     for query in ground.queries:
         start = start_of(query)
         stance = Stance.from_Rt(start.rotation.numpy(), start.translation.numpy())
-        asked.append((query.name, lens, stance, see_from(query)))
+        inputs.append((query.name, lens, stance, see_from(query)))
 
     @torch.no_grad()
     def run() -> object:
-        answers = [peer.refine_query_pose(*each) for each in asked]
+        answers = [peer.refine_query_pose(*each) for each in inputs]
         assert all(answer["success"] for answer in answers)
         return answers
 

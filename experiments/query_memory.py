@@ -45,10 +45,10 @@ class _Heap(ctypes.Structure):
 
 def heap() -> tuple[float, float]:
     """Return the used and the free part of the heap, 1e6 bytes."""
-    asked = ctypes.CDLL(None).mallinfo2
-    asked.restype = _Heap
-    said = asked()
-    return (said.uordblks + said.hblkhd) / _MB, said.fordblks / _MB
+    mallinfo2 = ctypes.CDLL(None).mallinfo2
+    mallinfo2.restype = _Heap
+    usage = mallinfo2()
+    return (usage.uordblks + usage.hblkhd) / _MB, usage.fordblks / _MB
 
 
 def measure_caches() -> float:
@@ -72,10 +72,10 @@ def main() -> None:
     method = create(args.method, {})
     method.prepare(sparse_map, dataset.images, args.cache)
     load = start.loader(dataset, sparse_map, args.cache)
-    asked = dataset.queries[slice(*args.among)]
+    queries = dataset.queries[slice(*args.among)]
     print("query, MB: resident, most, heap in use, heap free, caches; stages", flush=True)
     for number in range(args.queries):
-        query = load(asked[number % len(asked)])
+        query = load(queries[number % len(queries)])
         reset_peak()
         found = method.localize(query)
         stages = " ".join(f"{stage} {seconds:.1f}" for stage, seconds in found.seconds.items())

@@ -161,7 +161,7 @@ def compare_classes(real: Scene, world: World) -> None:
 
 
 def compare_features(flight: Scene, twin: Scene) -> None:
-    """Print colours and SIFT features of a flight's queries and of a twin that was flown as it was.
+    """Print colours and SIFT features of a flight's queries and of its twin's same flight.
 
     A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
     get the size of the twin's.

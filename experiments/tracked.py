@@ -6,8 +6,9 @@ PLACE is a simulated scene with a map and a session ``flight``, such as that of
 ``experiments/tracked-place.yaml``, or its map alone if SCENE has the session. Each frame is read
 from its JPEG and localized with the prediction of the frames before. The first has a prior
 (position to 3 m, attitude to 3 degrees), the others have none. Seconds are medians per frame,
-wall-clock and of the processor; on a machine with other work, read the ratio. ``--alone`` runs only with
-tracking, because a query without it returns memory that the next frame must allocate again.
+wall-clock and of the processor; on a machine with other work, read the ratio. ``--alone`` runs
+only with tracking, because a query without it returns memory that the next frame must allocate
+again.
 """
 
 from __future__ import annotations
@@ -58,10 +59,10 @@ class Run:
     clock: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
 
-    def take(self, frame: Frame, told: Prior | None) -> None:
+    def take(self, frame: Frame, prior: Prior | None) -> None:
         """Localize the next frame."""
         clock, processor = time.perf_counter(), time.process_time()
-        query = Query(frame.path.name, read_rgb(frame.path), frame.camera, told)
+        query = Query(frame.path.name, read_rgb(frame.path), frame.camera, prior)
         estimate = self.tracker.localize(query, frame.seconds)
         self.tracker.take(estimate, frame.seconds)
         self.clock.append(time.perf_counter() - clock)
@@ -160,9 +161,9 @@ def main() -> None:
         without = create_run(place, args.cache, args.method, alone, "without")
         runs.insert(0, without)
     for number, frame in enumerate(frames):
-        told = prior_of(frame) if number == 0 else None
+        prior = prior_of(frame) if number == 0 else None
         for run in runs if number % 2 else runs[::-1]:
-            run.take(frame, told)
+            run.take(frame, prior)
     for run in runs:
         print(json.dumps(run.figures(runs[0])), flush=True)
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
