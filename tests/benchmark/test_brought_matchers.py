@@ -229,7 +229,7 @@ def test_a_query_without_pairs_says_why(tmp_path: Path) -> None:
     assert "pairs it with no photograph of the map" in estimate.reason
 
 
-def test_files_that_hloc_did_not_write(tmp_path: Path) -> None:
+def test_files_of_other_programs_are_refused(tmp_path: Path) -> None:
     paths = write_hloc(tmp_path)
     with h5py.File(paths["features"], "a") as file:
         del file[QUERY.name]

@@ -194,7 +194,9 @@ def gps_without_columns(flight: Path) -> str:
         gps_without_columns,
     ],
 )
-def test_broken_flight(flight: Path, tmp_path: Path, damage: Callable[[Path], str]) -> None:
+def test_a_broken_flight_is_one_error_line(
+    flight: Path, tmp_path: Path, damage: Callable[[Path], str]
+) -> None:
     message = damage(flight)
     result = invoke("evaluate", flight, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -218,7 +220,7 @@ def photograph_of_another_size(flight: Path) -> str:
 
 
 @pytest.mark.parametrize("damage", [truncate_photograph, photograph_of_another_size])
-def test_broken_photograph(
+def test_a_broken_photograph_is_one_error_line(
     flight: Path, tmp_path: Path, fake: FakeLocalizer, damage: Callable[[Path], str]
 ) -> None:
     message = damage(flight)
@@ -228,7 +230,7 @@ def test_broken_photograph(
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     nowhere = tmp_path / "nowhere"
     result = invoke("evaluate", nowhere, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -236,13 +238,13 @@ def test_missing_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_of_something_else(tmp_path: Path) -> None:
+def test_a_folder_without_a_data_set_is_refused(tmp_path: Path) -> None:
     result = invoke("evaluate", tmp_path, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "is not a data set" in error_line(result.stderr)
 
 
-def test_unknown_method(made_flight: Path, tmp_path: Path) -> None:
+def test_an_unknown_method_is_refused(made_flight: Path, tmp_path: Path) -> None:
     result = invoke("evaluate", made_flight, "--method", "magic", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "unknown method 'magic'" in error_line(result.stderr)
@@ -257,7 +259,9 @@ def test_unknown_method(made_flight: Path, tmp_path: Path) -> None:
         ("ratio=[", "is not a YAML value"),
     ],
 )
-def test_bad_setting(made_flight: Path, tmp_path: Path, setting: str, message: str) -> None:
+def test_a_bad_setting_is_refused(
+    made_flight: Path, tmp_path: Path, setting: str, message: str
+) -> None:
     out = tmp_path / "out"
     result = invoke("evaluate", made_flight, "--method", "sift", "--out", out, "--set", setting)
     assert result.exit_code == 2
@@ -272,7 +276,7 @@ def test_null_switches_an_option_off(option: str) -> None:
     assert getattr(create("objconnect", {}).config, option) is not None
 
 
-def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_two_data_sets_with_one_name_are_refused(tmp_path: Path, fake: FakeLocalizer) -> None:
     one, two = write_flight(tmp_path / "1" / "meadow"), write_flight(tmp_path / "2" / "meadow")
     result = invoke("evaluate", one, two, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -282,7 +286,9 @@ def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
     assert "is given 2 times" in error_line(result.stderr)
 
 
-def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_evaluate_writes_results_that_leaderboard_reads(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     out = tmp_path / "out"
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", out)
     assert result.exit_code == 0, result.output
@@ -293,7 +299,7 @@ def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeL
     assert board.stdout.startswith(result.stdout)
 
 
-def test_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_evaluate_prints_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     out = tmp_path / "out"
     words = ["evaluate", made_flight, "--method", "fake", "--out", out, "--start", "none", "--json"]
     summary = json.loads(invoke(*words).stdout)
@@ -304,7 +310,9 @@ def test_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     assert json.loads(invoke("leaderboard", out, "--json").stdout)["tables"] == summary["tables"]
 
 
-def test_basin(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_basin_writes_a_level_for_each_size(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     out = tmp_path / "out"
     words = ["basin", made_flight, "--method", "fake", "--out", out, "--errors", "0m/0deg,3m/5deg"]
     result = invoke(*words)
@@ -316,7 +324,9 @@ def test_basin(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     assert [level["queries"] for level in found["levels"]] == [3, 3]
 
 
-def test_basin_of_no_size(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_basin_refuses_a_malformed_size(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     words = ["basin", made_flight, "--method", "fake", "--out", tmp_path / "out"]
     result = invoke(*words, "--errors", "3m,5deg")
     assert result.exit_code == 2
@@ -324,7 +334,9 @@ def test_basin_of_no_size(made_flight: Path, tmp_path: Path, fake: FakeLocalizer
     assert not (tmp_path / "out").exists()
 
 
-def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_an_interrupt_ends_with_code_130(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     fake.answers = {"d.jpg": KeyboardInterrupt()}
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 130
@@ -332,7 +344,7 @@ def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> No
     assert not list((tmp_path / "out").rglob("*.json"))
 
 
-def test_leaderboard_of_nothing(tmp_path: Path) -> None:
+def test_leaderboard_refuses_a_folder_without_results(tmp_path: Path) -> None:
     result = invoke("leaderboard", tmp_path, "--out", tmp_path / "board")
     assert result.exit_code == 2
     assert "holds no results file" in error_line(result.stderr)
@@ -348,19 +360,17 @@ def test_help_is_complete(command: str) -> None:
     assert "--json" in result.stdout
 
 
-def test_version() -> None:
+def test_version_is_printed() -> None:
     result = invoke("--version")
     assert result.exit_code == 0
     assert result.stdout.startswith("objconnect")
 
 
-def test_unknown_option() -> None:
+def test_an_unknown_option_is_refused() -> None:
     assert invoke("evaluate", "--colour", "red").exit_code == 2
 
 
-def test_simulate_hands_over_what_was_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_simulate_passes_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[Any, ...]] = []
 
     def simulate(*call: Any) -> SimpleNamespace:
@@ -384,7 +394,7 @@ def test_simulate_hands_over_what_was_given(
     ]
 
 
-def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
+def test_simulate_refuses_an_export_folder_that_is_not_empty(tmp_path: Path) -> None:
     """And says so before it renders anything."""
     kept = tmp_path / "scene-cmu" / "mine.txt"
     kept.parent.mkdir()
@@ -400,7 +410,7 @@ def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words", [["--preset", "moon"], ["--session", "summer-noon"], ["--session", "rain:nadir"]]
 )
-def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]) -> None:
+def test_simulate_refuses_unknown_names(tmp_path: Path, words: list[str]) -> None:
     result = invoke("simulate", "--out", tmp_path / "scene", *words)
     assert result.exit_code == 2
     assert words[1].split(":")[0] in error_line(result.stderr)
@@ -408,14 +418,16 @@ def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]
 
 
 @pytest.mark.parametrize("command", ["map", "dense"])
-def test_there_is_no_scene(tmp_path: Path, command: str) -> None:
+def test_a_missing_scene_is_refused(tmp_path: Path, command: str) -> None:
     result = invoke(command, tmp_path)
     assert result.exit_code == 2
     assert "is not a finished scene" in error_line(result.stderr)
 
 
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 2)])
-def test_validate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int) -> None:
+def test_validate_exits_with_2_on_a_failed_check(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int
+) -> None:
     report = SimpleNamespace(ok=ok, text=lambda: "the findings", as_dict=lambda: {"ok": ok})
     module = SimpleNamespace(validate=lambda path, cache: report)
     monkeypatch.setitem(sys.modules, "benchmark.validation", module)
@@ -472,7 +484,7 @@ class Weather(BaseModel):
     rain: int = Field(2, description="Millimetres per hour.")
 
 
-def test_options_of_a_configuration() -> None:
+def test_fields_of_a_configuration_become_options() -> None:
     calls: list[tuple[Any, ...]] = []
     small = typer.Typer(rich_markup_mode=None)
 

@@ -159,7 +159,9 @@ def test_gains_pass(baseline: Path, tmp_path: Path) -> None:
         (lambda new: (new / "d" / "sift.json").write_text("{"), "is not valid JSON"),
     ],
 )
-def test_faults_are_the_inputs(baseline: Path, tmp_path: Path, fault: object, message: str) -> None:
+def test_errors_of_the_input_exit_with_2(
+    baseline: Path, tmp_path: Path, fault: object, message: str
+) -> None:
     write(tmp_path / "new", GOOD)
     fault(tmp_path / "new")  # type: ignore[operator]
     answer = regress(tmp_path / "new", baseline)
@@ -181,7 +183,7 @@ def test_update_records_the_baseline(baseline: Path, tmp_path: Path) -> None:
     assert (baseline / "d" / "sift.json").read_bytes() == before
 
 
-def test_known_values() -> None:
+def test_the_statistics_equal_known_values() -> None:
     """Ten queries, four lost and one won: P(X >= 4 of 5) = 6/32."""
     before = [True] * 8 + [False] * 2
     after = [False] * 4 + [True] * 4 + [True, False]
@@ -196,7 +198,7 @@ def test_known_values() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
-def test_properties(pairs: list[tuple[bool, bool]]) -> None:
+def test_the_statistics_have_their_properties(pairs: list[tuple[bool, bool]]) -> None:
     before, after = [b for b, _ in pairs], [a for _, a in pairs]
     there, back = compare(before, after), compare(after, before)
     assert there.change == -back.change

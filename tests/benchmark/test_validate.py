@@ -50,7 +50,7 @@ def centre(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def test_real_flight_holds(sparse: Path, cache: Path) -> None:
+def test_a_real_flight_passes(sparse: Path, cache: Path) -> None:
     report = validate(sparse, cache)
     assert report.ok, report.text()
     poses = next(check for check in report.checks if "photographs" in check.name)
@@ -66,7 +66,7 @@ def test_real_flight_holds(sparse: Path, cache: Path) -> None:
         (lambda matrix: np.diag([1.0, -1, -1, 1]) @ matrix, "camera axes are OpenGL's"),
     ],
 )
-def test_reference_poses_of_other_conventions(
+def test_other_conventions_of_reference_poses_are_named(
     flight_copy: Path,
     sparse: Path,
     cache: Path,
@@ -79,7 +79,9 @@ def test_reference_poses_of_other_conventions(
     assert fault in report.text()
 
 
-def test_query_cameras_half_a_pixel_off(flight_copy: Path, sparse: Path, cache: Path) -> None:
+def test_query_cameras_off_by_half_a_pixel_are_named(
+    flight_copy: Path, sparse: Path, cache: Path
+) -> None:
     path = flight_copy / "queries_sparse.txt"
     text = path.read_text()
     path.write_text(text.replace("512.000000 288.000000", "511.500000 287.500000"))

@@ -49,7 +49,7 @@ def test_journal_keeps_answers_that_replace_others(tmp_path: Path) -> None:
     assert run_queries({}) == {"a": 2.0, "b": 2.0, "c": 2.0}
 
 
-def test_scores_and_files(made_flight: Path) -> None:
+def test_evaluate_scores_queries_and_writes_files(made_flight: Path) -> None:
     covariance = np.diag([0, 0, 0, 0.01, 0.04, 0.04])
     answers = {
         "b.jpg": Estimate(
@@ -254,7 +254,7 @@ def test_jobs_change_nothing_but_seconds(rendered: Scene, tmp_path: Path) -> Non
     assert any(query.status is Status.OK for query in answers[0])
 
 
-def test_out_that_is_a_file(made_flight: Path) -> None:
+def test_an_output_path_that_is_a_file_is_refused(made_flight: Path) -> None:
     (made_flight.parent / "out").write_text("mine")
     with pytest.raises(InputError, match="it is not a folder"):
         run(made_flight, FakeLocalizer({}))

@@ -22,7 +22,7 @@ def line(name: str, pose: Pose) -> str:
     return " ".join([name, *(f"{x:.9f}" for x in numbers)]) + "\n"
 
 
-def test_scored_as_our_own(made_flight: Path, tmp_path: Path) -> None:
+def test_external_poses_are_scored_like_our_own(made_flight: Path, tmp_path: Path) -> None:
     poses = tmp_path / "hloc.txt"
     poses.write_text(line("b.jpg", move(pose_at(1), 0.1)) + line("d.jpg", move(pose_at(3), 0.3)))
     arguments = ("score", poses, "--reference", made_flight, "--out", tmp_path / "out")
@@ -40,7 +40,7 @@ def test_scored_as_our_own(made_flight: Path, tmp_path: Path) -> None:
     assert "hloc" in result.stdout
 
 
-def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: Path) -> None:
+def test_the_last_part_of_a_name_is_enough_if_unique(scene: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(scene)
     poses = tmp_path / "poses.txt"
     poses.write_text(line("000000.jpg", pose_at(1)))
@@ -62,7 +62,9 @@ def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: 
         ("b.jpg 1 0 0 0 0 0 nan\n", "not a finite number"),
     ],
 )
-def test_bad_poses(made_flight: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_bad_files_of_poses_are_refused(
+    made_flight: Path, tmp_path: Path, text: str, message: str
+) -> None:
     (tmp_path / "poses.txt").write_text(text)
     result = invoke(
         "score", tmp_path / "poses.txt", "--reference", made_flight, "--out", tmp_path / "out"

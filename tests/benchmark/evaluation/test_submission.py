@@ -31,7 +31,7 @@ def tilt() -> Pose:
     return Pose(turn @ pose_at(4).rotation, turn @ pose_at(4).translation)
 
 
-def test_lines(one: Path, tmp_path: Path) -> None:
+def test_a_submission_has_a_line_per_localized_image(one: Path, tmp_path: Path) -> None:
     answers = {
         SNOW: Estimate(Status.OK, tilt()),
         AUTUMN: Estimate(Status.FALLBACK, pose_at(2), reason="prior"),
@@ -83,14 +83,14 @@ def test_names_must_be_unique(cmu: Path, tmp_path: Path) -> None:  # noqa: F811
         submit(cmu, FakeLocalizer({}), tmp_path / "out")
 
 
-def test_not_the_data_set(made_flight: Path, tmp_path: Path) -> None:
+def test_another_data_set_is_refused(made_flight: Path, tmp_path: Path) -> None:
     result = invoke("submit", made_flight, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "is not Extended CMU Seasons" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_sift_end_to_end(one: Path, tmp_path: Path) -> None:
+def test_sift_writes_a_submission_end_to_end(one: Path, tmp_path: Path) -> None:
     """Noise finds nothing, and says so."""
     result = invoke("submit", one, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr

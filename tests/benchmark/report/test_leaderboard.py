@@ -35,7 +35,7 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
 
 
-def test_markdown(scene: Path, tmp_path: Path) -> None:
+def test_the_markdown_has_a_row_for_each_method(scene: Path, tmp_path: Path) -> None:
     run(scene, tmp_path / "out", "sift")
     text = leaderboard([tmp_path / "out"], tmp_path / "board")
     assert (tmp_path / "board" / "leaderboard.md").read_text() == text
@@ -80,7 +80,7 @@ def test_false_fixes_stand_beside_recall(scene: Path, tmp_path: Path) -> None:
     assert "16.7_{[3.0" in (tmp_path / "board" / "leaderboard.tex").read_text()
 
 
-def test_results_of_before_false_fixes_were_counted_are_read(scene: Path, tmp_path: Path) -> None:
+def test_results_without_false_fixes_are_read(scene: Path, tmp_path: Path) -> None:
     file = run(scene, tmp_path / "out", "sift")
     text = leaderboard([file])
     stored = json.loads(file.read_text())
@@ -148,7 +148,7 @@ def test_changed_file_is_named(scene: Path, tmp_path: Path) -> None:
         leaderboard([tmp_path / "out"])
 
 
-def test_nothing_to_compare(tmp_path: Path) -> None:
+def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no results file"):
         leaderboard([tmp_path])
     with pytest.raises(InputError, match="do not exist"):

@@ -13,7 +13,7 @@ from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import make_scored_query, move, pose_at
 
 
-def test_median_query() -> None:
+def test_the_median_query_has_the_median_error() -> None:
     queries = [
         make_scored_query("a", 3),
         make_scored_query("b", 1),
@@ -35,7 +35,7 @@ def test_overlay_shows_both_poses(made_flight: Path, tmp_path: Path) -> None:
         assert (np.abs(pixels - colour).max(-1) < 8).sum() > 20
 
 
-def test_overlay_at_a_hopeless_pose(made_flight: Path, tmp_path: Path) -> None:
+def test_an_overlay_is_drawn_at_a_pose_that_sees_nothing(made_flight: Path, tmp_path: Path) -> None:
     """Every point behind the camera or out of sight is no reason to fail."""
     (dataset,) = open_datasets(made_flight)
     path = tmp_path / "picture.png"

@@ -31,14 +31,14 @@ def results() -> Results:
     )
 
 
-def test_round_trip(results: Results, tmp_path: Path) -> None:
+def test_results_survive_writing_and_reading(results: Results, tmp_path: Path) -> None:
     path = tmp_path / "fake.json"
     results.write(path)
     assert load(path) == results
     assert rescore(results) == results
 
 
-def test_layout(results: Results, tmp_path: Path) -> None:
+def test_the_file_has_its_documented_layout(results: Results, tmp_path: Path) -> None:
     results.write(tmp_path / "fake.json")
     stored = json.loads((tmp_path / "fake.json").read_text())
     assert stored["schema"] == 1
@@ -113,7 +113,9 @@ def test_changed_figures_are_noticed(
         ('"schema"', "schema", "is not valid JSON"),
     ],
 )
-def test_damaged_files(results: Results, tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_damaged_files_are_refused(
+    results: Results, tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = tmp_path / "fake.json"
     results.write(path)
     text = path.read_text()

@@ -49,11 +49,11 @@ def test_an_honest_covariance_has_its_expectation() -> None:
     assert np.mean(np.array(values) <= _CHI2_95) == pytest.approx(0.95, abs=0.015)
 
 
-def test_a_boastful_covariance_shows() -> None:
+def test_an_overconfident_covariance_is_noticed() -> None:
     assert np.mean(draw_errors(0.25)) == pytest.approx(24, rel=0.06)
 
 
-def test_quantile() -> None:
+def test_the_chi_square_quantile_is_scipys() -> None:
     assert pytest.approx(chi2.ppf(0.95, 6)) == _CHI2_95
 
 
@@ -67,7 +67,7 @@ def test_quantile() -> None:
         np.diag([1, 1, 1, 1, 1, np.inf]),
     ],
 )
-def test_no_covariance_no_figure(covariance: np.ndarray | None) -> None:
+def test_there_is_no_figure_without_covariances(covariance: np.ndarray | None) -> None:
     assert compute_nees(pose_at(1), pose_at(2), covariance) is None
 
 
@@ -142,7 +142,7 @@ def make_answers(
         CovarianceNumbers.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
     ],
 )
-def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
+def test_calibration_recovers_known_constants(planted: CovarianceNumbers) -> None:
     found = calibrate(make_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
@@ -152,7 +152,7 @@ def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
     assert found.changed_fit == pytest.approx(planted.changed_fit, abs=0.05)
 
 
-def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
+def test_calibrated_covariances_hold_on_unseen_scenes() -> None:
     planted = CovarianceNumbers.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1))
     found = calibrate(make_answers(planted, seed=1, freedom=20))
     unseen = make_answers(planted, seed=2, freedom=20)

@@ -65,7 +65,7 @@ def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> 
     assert report.text() == f"town-11: 7 queries, data set {place.sha256[:12]}, not recorded yet"
 
 
-def test_what_is_recorded(out: Path, board: Path) -> None:
+def test_update_records_renders_and_queries(out: Path, board: Path) -> None:
     report = track("tiny", out, board=board, update=True)
     table = board / "tiny" / "queries" / "town-11.csv"
     render = board / "tiny" / "renders" / "town-11.json.xz"
@@ -188,7 +188,7 @@ def test_every_place_is_rendered_and_mapped(tmp_path: Path, asked: list[tuple[An
     assert one.dataset == "town-2"
 
 
-def test_a_folder_of_something_else_is_told_first(
+def test_a_wrong_folder_is_refused_before_rendering(
     tmp_path: Path, asked: list[tuple[Any, ...]]
 ) -> None:
     board = write_board(tmp_path, seeds=(1, 2))

@@ -81,7 +81,7 @@ def figures(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
         yield where, value
 
 
-def test_it_is_small_and_says_the_same(results: Results, tmp_path: Path) -> None:
+def test_a_compact_file_is_small_and_has_the_same_figures(results: Results, tmp_path: Path) -> None:
     path = tmp_path / "sift.json.xz"
     write_compact(path, results)
     assert path.stat().st_size < 120 * len(results.queries)
@@ -99,7 +99,7 @@ def test_it_is_small_and_says_the_same(results: Results, tmp_path: Path) -> None
                 assert after[where] == value, where
 
 
-def test_what_is_rounded(results: Results) -> None:
+def test_numbers_are_rounded_as_documented(results: Results) -> None:
     for query, short in zip(results.queries, compact(results).queries, strict=True):
         rest = {"t_err_m", "r_err_deg", "sigma_t_m", "nees", "altitude_m", "cam_from_world"}
         assert query.model_dump(exclude=rest | {"seconds"}) == short.model_dump(
@@ -202,7 +202,9 @@ def test_commands_read_both_forms(run: Path, track: Path, tmp_path: Path) -> Non
     assert update(compacted, baseline), "a baseline is replaced"
 
 
-def test_what_is_not_stored(run: Path, track: Path, results: Results, tmp_path: Path) -> None:
+def test_results_of_other_data_are_not_stored(
+    run: Path, track: Path, results: Results, tmp_path: Path
+) -> None:
     other = results.dataset.model_copy(update={"sha256": "cd" * 32})
     results.model_copy(update={"dataset": other}).write(tmp_path / "other" / "park-1" / "sift.json")
     with pytest.raises(InputError, match=r"another park-1 \(cdcdcdcdcdcd\) than the track parks"):
@@ -239,7 +241,7 @@ def test_what_is_not_stored(run: Path, track: Path, results: Results, tmp_path: 
     ],
     ids=["empty", "plain", "zeroed", "cut", "two", "no text", "no JSON", "bomb", "no keys"],
 )
-def test_a_damaged_file(content: bytes, says: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
     path = tmp_path / "sift.json.xz"
     path.write_bytes(content)
     with pytest.raises(InputError, match=says):

@@ -25,7 +25,7 @@ TRACK = Track(
 )
 
 
-def test_which_there_are() -> None:
+def test_the_project_has_its_tracks() -> None:
     assert TRACKS == ["street-seasons", "uav-seasons", "uav-small"]
 
 
@@ -57,7 +57,7 @@ def test_the_headline_cells_are_large_enough() -> None:
         assert min(asked.values()) >= least, asked
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_a_description_survives_writing_and_reading(tmp_path: Path) -> None:
     recorded = TRACK.with_renders({"park-1": ("0" * 63 + "a", "b" * 64)})
     assert [len(place.renders) for place in recorded.places] == [2, 0]
     for track in (TRACK, recorded):
@@ -75,7 +75,7 @@ def test_digests_of_digits_are_words(tmp_path: Path) -> None:
         assert load_track("tiny", tmp_path).places[0].renders == (digest,)
 
 
-def test_places_by_name() -> None:
+def test_sites_are_selected_by_name() -> None:
     assert TRACK.select() == TRACK.places
     assert TRACK.select(("b", "park-1")) == TRACK.places, "in the track's order"
     assert TRACK.select(("b",)) == TRACK.places[1:]
@@ -95,7 +95,7 @@ def test_places_by_name() -> None:
         ("title: Two parks", "", "missing key 'title'"),
     ],
 )
-def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> None:
+def test_a_wrong_description_is_refused(old: str, new: str, says: str, tmp_path: Path) -> None:
     write_track(TRACK, tmp_path)
     path = tmp_path / "tiny" / "track.yaml"
     text = path.read_text()
@@ -105,7 +105,7 @@ def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> N
         load_track("tiny", tmp_path)
 
 
-def test_an_unknown_track(tmp_path: Path) -> None:
+def test_an_unknown_track_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
         match="no track called 'uav'; there are street-seasons, uav-seasons, uav-small",

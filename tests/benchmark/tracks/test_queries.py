@@ -17,7 +17,7 @@ ROWS = [
 ]
 
 
-def test_what_was_written_is_read(tmp_path: Path) -> None:
+def test_a_list_survives_writing_and_reading(tmp_path: Path) -> None:
     write_queries(tmp_path / "q.csv", ROWS)
     assert list(read_queries(tmp_path / "q.csv")) == ROWS
 
@@ -39,7 +39,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
         ("b,snow,f,park,0.5,1,1,1", "query b is listed twice"),
     ],
 )
-def test_the_line_is_named(line: str, says: str, tmp_path: Path) -> None:
+def test_errors_name_the_line(line: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "q.csv"
     path.write_text(f"{HEAD}b,snow,f,park,0.5,1,1,1\n{line}\n")
     with pytest.raises(InputError, match=r"q\.csv:3: ") as raised:
@@ -47,7 +47,7 @@ def test_the_line_is_named(line: str, says: str, tmp_path: Path) -> None:
     assert says in str(raised.value)
 
 
-def test_no_query_and_no_column(tmp_path: Path) -> None:
+def test_a_list_without_queries_or_columns_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "q.csv"
     path.write_text(HEAD)
     with pytest.raises(InputError, match="lists no query"):

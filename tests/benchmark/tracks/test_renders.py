@@ -58,7 +58,7 @@ def test_blocks_are_means(rendered: Scene, render: Render) -> None:
     np.testing.assert_allclose(np.reshape(frame.blocks, (8, 8)), means, atol=0.051)
 
 
-def test_round_trip(render: Render, tmp_path: Path) -> None:
+def test_a_record_survives_writing_and_reading(render: Render, tmp_path: Path) -> None:
     path = tmp_path / "renders" / "town-11.json.xz"
     write_render(path, render)
     assert read_render(path) == render
@@ -78,7 +78,7 @@ def test_rounding_is_alike(render: Render) -> None:
     assert difference(render, render.model_copy(update={"map_points": points})) == ""
 
 
-def test_what_differs_is_named(render: Render) -> None:
+def test_differences_are_named(render: Render) -> None:
     name = render.frames[2].name
     said = difference(render, brighter(render, 2, 5, -0.7))
     assert said == f"{name} differs by 0.7 grey levels"

@@ -62,7 +62,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt((values**2).sum(-1).mean()))
 
 
-def test_good_gps(shore: tuple[SparseMap, Fixes]) -> None:
+def test_good_gps_is_fitted(shore: tuple[SparseMap, Fixes]) -> None:
     model, fixes = shore
     placed = georegister(lose(model), fixes)
     assert placed.level == "gps"

@@ -226,7 +226,9 @@ def _move(path: Path, out: Path) -> Path:
     return out
 
 
-def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+def test_the_command_maps_an_orthophoto(
+    files: dict[str, tuple[Path, Path]], tmp_path: Path
+) -> None:
     ortho, dsm = files[SYSTEMS[0]]
     words = ["map", "--ortho", ortho, "--dsm", dsm, "--out", tmp_path / "out", "--json"]
     words += ["--altitude", "34", "--overlap", "0.4", "--georeference", "0.25"]

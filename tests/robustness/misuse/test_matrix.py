@@ -32,7 +32,9 @@ from tests.robustness.misuse.harness import COMMAND, differences, run, snapshot
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.id for case in CASES])
-def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_misuse_is_one_line_and_changes_nothing(
+    case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     row = COMMANDS[case.command]
     lay_out(whole, row, tree)
     if case.fault.spoil is not None:
@@ -156,7 +158,7 @@ CONTRADICTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", CONTRADICTIONS)
-def test_contradiction(name: str, whole: Path, tree: Path) -> None:
+def test_contradicting_options_are_refused(name: str, whole: Path, tree: Path) -> None:
     words, says = CONTRADICTIONS[name]
     folders = {entry.name for entry in whole.iterdir()}
     world.copy(whole, folders, tree)
@@ -181,7 +183,7 @@ def usage() -> Iterator[tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("words", list(usage()), ids=" ".join)
-def test_usage(words: tuple[str, ...], tree: Path) -> None:
+def test_wrong_usage_is_one_line(words: tuple[str, ...], tree: Path) -> None:
     check_refused(words, (), tree)
 
 
@@ -202,7 +204,7 @@ QUICK = ("score", "leaderboard", "regress", "export", "train", "calibrate", "ing
 @settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
-def test_any_words(whole: Path, tree: Path, data: st.DataObject) -> None:
+def test_random_words_never_crash_a_command(whole: Path, tree: Path, data: st.DataObject) -> None:
     """One argument is whatever it is: the command works, or says in one line why not."""
     command = data.draw(st.sampled_from(QUICK))
     row = COMMANDS[command]
@@ -234,7 +236,9 @@ def test_any_words(whole: Path, tree: Path, data: st.DataObject) -> None:
 @settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
-def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
+def test_random_bytes_in_a_file_never_crash_a_command(
+    whole: Path, tree: Path, data: st.DataObject
+) -> None:
     """One file has whatever bytes in its middle."""
     command = data.draw(st.sampled_from(QUICK))
     row = COMMANDS[command]
@@ -270,14 +274,14 @@ def encode(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
-def test_every_command_has_joined() -> None:
+def test_every_command_and_option_has_a_row() -> None:
     """A new command, or a new option of one, gets a line in ``commands``."""
     assert {name.partition(":")[0] for name in COMMANDS} == set(COMMAND.commands)
     for name, row in COMMANDS.items():
         assert set(row.arguments) == set(parameters(name)), name
 
 
-def test_every_option_is_spoiled() -> None:
+def test_every_option_gets_a_wrong_value() -> None:
     """What takes a value takes a wrong one somewhere."""
     for command in COMMAND.commands:
         rows = [row for name, row in COMMANDS.items() if name.partition(":")[0] == command]
@@ -286,7 +290,7 @@ def test_every_option_is_spoiled() -> None:
                 assert any(row.arguments[name].faults for row in rows), f"{command} {name}"
 
 
-def test_every_reader_has_joined() -> None:
+def test_every_reader_has_a_damaged_file() -> None:
     """A new reader of files gets a file of the tree that is spoiled."""
     assert set(READ) == set(READERS)
     spoiled = {f.at for row in COMMANDS.values() for a in row.arguments.values()
@@ -294,13 +298,15 @@ def test_every_reader_has_joined() -> None:
     assert {path for path in READ.values() if path} <= spoiled
 
 
-def test_there_are_many() -> None:
+def test_there_are_at_least_500_cases() -> None:
     assert len(CASES) >= 500
     assert len({case.id for case in CASES}) == len(CASES)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_right(command: str, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_works_without_a_fault(
+    command: str, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a fault the same words work, or come to the work, and write what they say."""
     row = COMMANDS[command]
     lay_out(whole, row, tree)

@@ -166,7 +166,9 @@ def test_what_an_added_photograph_does_not_change_is_copied(
     assert len(asked) >= 2 * len(whole.names) - 4
 
 
-def test_damaged_cache(made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path) -> None:
+def test_a_damaged_cache_is_computed_again(
+    made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
+) -> None:
     read(made, extract, tmp_path)
     (path,) = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:500])
@@ -186,7 +188,7 @@ def test_cache_that_leads_elsewhere(
         read(made, extract, tmp_path)[0]
 
 
-def test_missing_photograph(
+def test_a_missing_photograph_is_an_error(
     made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="does not exist"):

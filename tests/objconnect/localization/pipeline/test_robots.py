@@ -86,7 +86,7 @@ def messages(path: Path) -> list[Any]:
     return found
 
 
-def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_mavlink_logs_hold_the_answers(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (path,) = write(tmp_path, Geography(UNDULATION, None, EXACT), "tlog")
     assert "1 of 3 photographs have no time" in caplog.text
     text, before, _, position, odometry = messages(path)
@@ -169,7 +169,7 @@ def test_without_the_geoid_mavlink_has_the_ellipsoid_alone(tmp_path: Path) -> No
     assert math.isnan(position.alt)
 
 
-def test_ros(tmp_path: Path) -> None:
+def test_ros_bags_hold_the_answers(tmp_path: Path) -> None:
     (path,) = write(tmp_path, Geography(UNDULATION, None, EXACT), "mcap")
     read: dict[str, list[tuple[int, Any]]] = {}
     with highlevel.AnyReader([path]) as reader:

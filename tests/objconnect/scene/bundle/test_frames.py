@@ -70,7 +70,7 @@ def assert_equal(a: Frames, b: Frames) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 5])
-def test_round_trip(tmp_path: Path, n: int) -> None:
+def test_frames_survive_writing_and_reading(tmp_path: Path, n: int) -> None:
     frames = make_frames(n)
     write_frames(tmp_path / "frames.h5", frames, (), iter([{}] * n))
     again = read_frames(tmp_path / "frames.h5")
@@ -134,7 +134,7 @@ def test_a_session_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"frames\.h5 does not exist"):
         read_frames(tmp_path / "frames.h5")
     with (
@@ -144,14 +144,16 @@ def test_missing_file(tmp_path: Path) -> None:
         pytest.fail("the block must not start")
 
 
-def test_not_hdf5(tmp_path: Path) -> None:
+def test_a_file_that_is_not_hdf5_is_refused(tmp_path: Path) -> None:
     (tmp_path / "frames.h5").write_text("poses")
     with pytest.raises(InputError, match="damaged or not an HDF5 file"):
         read_frames(tmp_path / "frames.h5")
 
 
 @given(st.floats(0, 1, exclude_max=True))
-def test_truncated_file(tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+def test_a_truncated_file_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
     path = tmp_path_factory.getbasetemp() / "truncated.h5"
     write_frames(path, make_frames(2), ALL, (make_layers(k) for k in range(2)))
     whole = path.read_bytes()
@@ -233,7 +235,7 @@ def test_wrong_shapes_and_kinds(path: Path, key: str, value: object) -> None:
 
 
 @pytest.mark.parametrize("key", ["names", "cameras", "cam_from_world", "camera_index", "gps_sigma"])
-def test_missing_parts(path: Path, key: str) -> None:
+def test_a_file_with_missing_parts_is_refused(path: Path, key: str) -> None:
     with h5py.File(path, "r+") as file:
         del file[key]
     with pytest.raises(InputError, match="damaged or incomplete"):
@@ -241,7 +243,7 @@ def test_missing_parts(path: Path, key: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"", b"\xff\xfe", b"PINHOLE 1", b"PINHOLE 8 6 x 7 4 3"])
-def test_bad_cameras(path: Path, text: bytes) -> None:
+def test_bad_cameras_are_refused(path: Path, text: bytes) -> None:
     with h5py.File(path, "r+") as file:
         count = len(file["cameras"])
         del file["cameras"]

@@ -93,17 +93,17 @@ def test_pictures_for_people_and_hidden_files_are_no_data(scene: Path) -> None:
     assert Scene.open(scene).find_changed_files() == []
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="scene folder .*nowhere does not exist"):
         Scene.open(tmp_path / "nowhere")
 
 
-def test_unfinished_scene(unfinished: tuple[Path, Manifest]) -> None:
+def test_an_unfinished_scene_is_refused(unfinished: tuple[Path, Manifest]) -> None:
     with pytest.raises(InputError, match=r"not a finished scene: it has no scene\.json"):
         Scene.open(unfinished[0])
 
 
-def test_damaged_manifest(scene: Path) -> None:
+def test_a_damaged_manifest_is_refused(scene: Path) -> None:
     text = (scene / "scene.json").read_text()
     (scene / "scene.json").write_text(text[: len(text) // 2])
     with pytest.raises(InputError, match=r"scene manifest .*scene\.json is not valid JSON"):

@@ -55,7 +55,7 @@ def fill(disk: Path, left: int = 0) -> Path:
     return path
 
 
-def test_a_file(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_file(disk: Path) -> None:
     path = disk / "result"
     path.write_text("old")
     with pytest.raises(WriteError, match="No space left"), atomic_write(path) as partial:
@@ -64,7 +64,7 @@ def test_a_file(disk: Path) -> None:
     assert [p.name for p in disk.iterdir()] == ["result"]
 
 
-def test_a_folder(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_folder(disk: Path) -> None:
     with pytest.raises(WriteError, match="No space left"), atomic_folder(disk / "m") as out:
         (out / "a").write_bytes(bytes(3_000_000))
     assert not list(disk.iterdir())
@@ -223,7 +223,7 @@ def test_localize_ends_with_one_line(
     assert filling.is_file()
 
 
-def test_a_checkpoint(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_checkpoint(disk: Path) -> None:
     """Torch writes files without Python, and reports a full disk by a RuntimeError."""
     path = disk / "checkpoint.pt"
     torch.save({"done": 1}, path)
@@ -238,7 +238,7 @@ def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> 
         raise RuntimeError("mine")
 
 
-def test_a_journal(disk: Path) -> None:
+def test_a_journal_survives_a_full_disk(disk: Path) -> None:
     """Queries written to the journal are kept until there is space again."""
     filling = fill(disk, 4096)
     noted = []

@@ -203,7 +203,7 @@ def expect_error(path: Path, camera: Camera | None = None) -> str:
     return message
 
 
-def test_missing_image(tmp_path: Path) -> None:
+def test_a_missing_image_is_refused(tmp_path: Path) -> None:
     assert "does not exist" in expect_error(tmp_path / "missing.jpg")
     with pytest.raises(InputError, match=r"missing\.jpg does not exist"):
         read_exif(tmp_path / "missing.jpg")
@@ -218,13 +218,13 @@ def test_not_an_image(tmp_path: Path) -> None:
             read_exif(tmp_path / name)
 
 
-def test_truncated_jpeg(jpeg: Path) -> None:
+def test_a_truncated_jpeg_is_refused(jpeg: Path) -> None:
     whole = jpeg.read_bytes()
     jpeg.write_bytes(whole[: len(whole) * 2 // 3])
     assert "damaged" in expect_error(jpeg)
 
 
-def test_truncated_png(tmp_path: Path) -> None:
+def test_a_truncated_png_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "photo.png"
     Image.fromarray(picture()).save(path)
     whole = path.read_bytes()
@@ -238,7 +238,7 @@ def test_a_folder_is_no_image(tmp_path: Path) -> None:
     expect_error(tmp_path / "folder.jpg")
 
 
-def test_wrong_size(jpeg: Path) -> None:
+def test_an_image_of_a_wrong_size_is_refused(jpeg: Path) -> None:
     camera = Camera("PINHOLE", 128, 96, (50.0, 50.0, 32.0, 24.0))
     assert "is 64 x 48 pixels but its camera is 128 x 96" in expect_error(jpeg, camera)
 
