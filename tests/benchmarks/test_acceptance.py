@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.acceptance import Record, AlignedPose, _plain, fit, read
+from experiments.acceptance import AlignedPose, Record, _plain, fit, read
 from objconnect.localization.featuremetric.acceptance import (
     AcceptanceModel,
     log_odds_of,
