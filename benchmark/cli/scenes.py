@@ -121,8 +121,7 @@ def ingest(
         typer.Option(help="Structure from motion: one photograph after another, or all at once."),
     ] = MapperName.INCREMENTAL,
     split: Annotated[
-        SplitBy,
-        typer.Option(help="What becomes queries: single photographs, flight lines or nothing."),
+        SplitBy, typer.Option(help="What becomes queries: photographs, flight lines or nothing.")
     ] = SplitBy.PHOTO,
     every: Annotated[
         int,
