@@ -36,26 +36,26 @@ torch.set_num_threads(1)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """The order of the tests is random: say first what brings it back, also where -q is brief."""
+    """Print the seed of the random order of the tests, even with -q."""
     seed = session.config.getoption("randomly_seed", None)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if seed is not None and reporter is not None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
-# Variables that pytest and libraries set by themselves, these when they are first used.
+# Environment variables that pytest and libraries set.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
-# Torch watches over the processes of its first loader of data by a handler that stays.
+# Torch installs a handler for the processes of its first data loader.
 _TAKEN_BY_LIBRARIES = {getattr(signal, "SIGCHLD", None)}
 
 
 def state() -> dict[str, Any]:
-    """What tests share because it is of the whole process."""
+    """Return the state of the process that a test could leave changed."""
     variables = {k: v for k, v in os.environ.items() if not k.startswith(_SET_BY_LIBRARIES)}
     return {
         "working folder": Path.cwd(),
         **{f"${name}": value for name, value in variables.items()},
-        # Ray adds a folder of its own when it is first imported.
+        # Ray adds its own folder at its first import.
         "sys.path": [path for path in sys.path if not path.endswith("thirdparty_files")],
         **{str(n): signal.getsignal(n) for n in signal.valid_signals() - _TAKEN_BY_LIBRARIES},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
@@ -67,9 +67,8 @@ def state() -> dict[str, Any]:
 
 
 @pytest.fixture(autouse=True)
-def _alike_before_and_after() -> Iterator[None]:
-    """Every test holds after any other: it begins with the same random numbers, and leaves the
-    process as it found it."""
+def _require_unchanged_process() -> Iterator[None]:
+    """Seed random numbers before each test, and require that it leaves the process unchanged."""
     torch.manual_seed(0)
     cv2.setRNGSeed(0)
     before = state()
@@ -80,15 +79,15 @@ def _alike_before_and_after() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _tuned() -> Iterator[None]:
-    """The process of the tests is as that of the command line: it makes many localizers."""
+def _tune_process() -> Iterator[None]:
+    """Tune the process as the command line does."""
     with ProcessTuning():
         yield
 
 
 @pytest.fixture(scope="session", autouse=True)
 def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Digests of files are remembered in a folder of the tests, never in the user's."""
+    """Cache digests of files in a folder of the tests instead of the user's."""
     folder = tmp_path_factory.mktemp("digests")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(folder))
@@ -96,8 +95,8 @@ def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _rendering_is_an_extra() -> Iterator[None]:
-    """Where Blender's module is not installed, tests that render are skipped when they begin to."""
+def _skip_rendering_without_blender() -> Iterator[None]:
+    """Skip tests that render if Blender's module is not installed."""
     if has_blender():
         yield
         return
@@ -108,7 +107,7 @@ def _rendering_is_an_extra() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def flights() -> Path:
-    """The folder of real flights; tests that need it say so when they skip."""
+    """Return the folder of real flights; tests that need it are skipped without it."""
     folder = os.environ.get("OBJCONNECT_FLIGHTS")
     if not folder:
         pytest.skip("OBJCONNECT_FLIGHTS is not set to a folder of real flights")
@@ -142,7 +141,7 @@ RENDERED = SimulateConfig.model_validate(
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
+    """Return a rendered scene with its map; tests that change it use ``rendered_copy``."""
     require_blender()
     require_libraries()
 
@@ -155,13 +154,13 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 @pytest.fixture
 def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
-    """A copy of the rendered scene to break."""
+    """Return a copy of the rendered scene that a test may change."""
     return Path(shutil.copytree(rendered.path, tmp_path / "copy"))
 
 
 @pytest.fixture(scope="module")
 def two_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
-    """A Ray cluster on this machine, which holds one at a time."""
+    """Start a Ray cluster on this machine, one at a time."""
     with alone(tmp_path_factory, "cluster"):
         nodes = TwoNodes()
         try:

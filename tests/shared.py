@@ -1,4 +1,4 @@
-"""Folders that are made once in a run of the tests, also where several processes share it."""
+"""Folders that are built once per run of the tests, even if several processes share it."""
 
 from __future__ import annotations
 

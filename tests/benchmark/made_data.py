@@ -1,4 +1,4 @@
-"""Small data sets made on the spot, and a localizer that answers what it is told."""
+"""Small artificial data sets, and a localizer with predetermined answers."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ def test_files_of_other_programs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no matches of the keypoints in .*out of bounds"):
         ready(create("hloc", paths)).localize(QUERY)
     paths["matches"].write_bytes(paths["matches"].read_bytes()[:600])
-    with pytest.raises(InputError, match="is no HDF5 file, or damaged"):
+    with pytest.raises(InputError, match="is not an HDF5 file, or is damaged"):
         ready(create("hloc", paths))
     with pytest.raises(InputError, match="matches"):
         create("hloc", {"features": paths["features"]})

@@ -1,4 +1,4 @@
-"""The command line, above all what it says when the input is at fault."""
+"""The command line, mainly its error messages for faulty input."""
 
 from __future__ import annotations
 

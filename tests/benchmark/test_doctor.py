@@ -1,4 +1,4 @@
-"""The doctor: what it says where things are really missing."""
+"""The doctor reports what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of the methods, changed for the worse: do the tests notice?
+"""Mutation tests: changes of single lines of the methods that the tests must notice.
 
     python -m tests.robustness.mutants [NAME...]
 

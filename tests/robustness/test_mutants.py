@@ -1,4 +1,4 @@
-"""Changed lines are noticed: see ``tests.robustness.mutants``."""
+"""Tests fail on mutants; see ``tests.robustness.mutants``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Honesty of covariances, held against scipy and against poses drawn from them."""
+"""Consistency of covariances, against scipy and poses drawn from them."""
 
 from __future__ import annotations
 

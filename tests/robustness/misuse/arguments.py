@@ -1,4 +1,4 @@
-"""What can be given to a command, by kind, and what can be wrong with it."""
+"""Kinds of arguments of commands, and the faults of each kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to spoil a file or a folder, by its format. Each takes the path of what is there."""
+"""Faults of files and folders, by format. Each takes the path of an existing one."""
 
 from __future__ import annotations
 

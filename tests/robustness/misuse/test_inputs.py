@@ -1,4 +1,4 @@
-"""Files that are not what they should be, folders that hold more than ours, disks with no room."""
+"""Unexpected files, folders with other files, and full disks."""
 
 from __future__ import annotations
 

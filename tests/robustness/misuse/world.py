@@ -1,4 +1,4 @@
-"""The small tree that commands are misused in: whole files of every kind, made once."""
+"""The small folder tree of the misuse tests: intact files of every kind, built once."""
 
 from __future__ import annotations
 
