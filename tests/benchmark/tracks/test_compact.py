@@ -214,7 +214,7 @@ def test_results_of_other_data_are_not_stored(
     with pytest.raises(InputError, match="no site '../../park-2'"):
         targets_of([tmp_path / "x"], track)
     run_of([make_scored_query("a", 0.1)]).write(tmp_path / "again" / "park-1" / "sift.json")
-    with pytest.raises(InputError, match="other results of sift on park-1 from none"):
+    with pytest.raises(InputError, match="has results of sift on park-1 from start none"):
         targets_of([run, tmp_path / "again"], track)
     with pytest.raises(InputError, match="none is not the folder of a track"):
         targets_of([run], track.with_name("none"))
