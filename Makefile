@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 DEMO := runs/demo
 # Processes that share the tests; auto: one a core.
 WORKERS ?= auto
+TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 DOCS := runs/docs-venv
 
 .PHONY: demo test test-rest test-all lint bench bench-check install clean weights
@@ -50,9 +51,9 @@ leaderboard: install
 browser: install
 	@$(BIN)/python -m tests.browser
 
-# What a contributor runs before a commit: minutes, on all cores.
-test: libraries browser lint
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope
+# What a contributor runs before a commit: minutes, on all cores. Linters run beside the tests.
+test: libraries browser
+	@$(MAKE) -s lint & lint=$$!; $(TESTS); tests=$$?; wait $$lint && exit $$tests
 
 # Programs of others that read our exports, outside the environment.
 .PHONY: peers
@@ -61,12 +62,12 @@ peers: install
 
 # What CI runs besides: the site, kills, clusters, wheels, damaged files.
 test-rest: libraries browser peers docs
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m thorough
+	$(TESTS) -m thorough
 	$(BIN)/python -m tests.robustness.fuzz --inputs 2000
 
 # Ten random moments of every kill, every camera, every mutant; tens of minutes more.
 test-all: test test-rest
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m slow
+	$(TESTS) -m slow
 
 # The site of the documents, runs/site, in an environment of its own, with the page of all tracks.
 .PHONY: docs

@@ -1,16 +1,39 @@
-"""Make CONTRIBUTING.md and the leaderboard pages of the site, and read docstrings as plain text."""
+"""Show files of the root and the leaderboard on the site, and read docstrings as plain text.
+
+The build fails where a document states other figures than the stored results.
+"""
 
 import logging
 import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
 BOARD = ROOT / "runs" / "leaderboard" / "leaderboard.html"
+# Pages of the site that are files of the repository's root.
+FILES = {
+    "index.md": "README.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+}
+PYTHON = ROOT / ".venv" / "bin" / "python"
+
+log = logging.getLogger("mkdocs.hooks")
 
 
 def on_pre_build(**_: Any) -> None:
-    """Let brackets side by side in a docstring be text, not a link that leads nowhere."""
+    """Compare figures with the stored results, and let brackets in a docstring be text.
+
+    The site's own environment lacks the project: figures are compared by that of ``make install``.
+    """
+    if PYTHON.is_file():
+        command = [PYTHON, "-m", "experiments.figures"]
+        found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        if found.returncode:
+            log.warning("%s", found.stdout + found.stderr.splitlines()[-1])
+    else:
+        log.info("figures are not compared with the stored results: there is no %s", PYTHON)
     for handler in logging.getLogger("mkdocs").handlers:
         handler.addFilter(
             lambda record: (
@@ -20,10 +43,13 @@ def on_pre_build(**_: Any) -> None:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Replace the page contributing.md by CONTRIBUTING.md, with its links seen from docs/."""
-    if page.file.src_uri != "contributing.md":
+    """Show a file of the root in place of its page, with links as seen from docs/."""
+    if page.file.src_uri not in FILES:
         return markdown
-    return (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    text = (ROOT / FILES[page.file.src_uri]).read_text(encoding="utf-8").replace("](docs/", "](")
+    for shown, file in FILES.items():
+        text = text.replace(f"]({file})", f"]({shown})")
+    return text
 
 
 def on_post_build(*, config: Any, **_: Any) -> None:
@@ -31,4 +57,4 @@ def on_post_build(*, config: Any, **_: Any) -> None:
     if BOARD.is_file():
         shutil.copyfile(BOARD, Path(config["site_dir"]) / "board.html")
     else:
-        logging.getLogger("mkdocs.hooks").warning("there is no %s: run make leaderboard", BOARD)
+        log.warning("there is no %s: run make leaderboard", BOARD)

@@ -39,6 +39,7 @@ from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.calibration import (
     CovarianceNumbers,
     calibrate_covariance,
+    scales,
 )
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.methods import create
@@ -117,16 +118,19 @@ def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDAr
 
 def calibrate(answers: Answers) -> CovarianceNumbers:
     """Return the constants that fit the errors best."""
+    measured, squares = _along_axes(answers)
+    groups = [answers.conditions == condition for condition in np.unique(answers.conditions)]
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
         numbers = CovarianceNumbers.of(np.exp(logarithms).tolist())
-        volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
-        nees = answers.nees(numbers)
+        factor, added = scales(answers.around, answers.fit, numbers)
+        variances = factor[:, None] * measured + added[:, :1]
+        volume = np.log(variances).sum() / 2
+        nees = (squares / variances).sum(1)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
         bounded, inside = np.minimum(nees, _SURE_AND_WRONG), expit(np.log(_CHI2_95 / nees) / _SOFT)
         off = 0.0
-        for condition in np.unique(answers.conditions):
-            own = answers.conditions == condition
+        for own in groups:
             off += own.sum() * (bounded[own].mean() - _MEAN) ** 2 / (2 * _VARIANCE)
             off += own.sum() * (inside[own].mean() - _INSIDE) ** 2 / (2 * _INSIDE * (1 - _INSIDE))
         return float(volume + tail + _OF_CONDITIONS * off)
@@ -140,6 +144,21 @@ def calibrate(answers: Answers) -> CovarianceNumbers:
         tried.append(found)
     best = np.exp(min(tried, key=lambda found: float(found.fun)).x)
     return CovarianceNumbers.of([float(f"{number:.3g}") for number in best])
+
+
+def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return measured variances (N, 6) and squared errors (N, 6) along axes that numbers leave.
+
+    In units of radians, and of metres per metre of depth, a calibrated covariance is a multiple of
+    the measured one and a multiple of the identity, so that both have the same axes.
+    """
+    depth = answers.around.depth.double().numpy()
+    units = np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
+    measured, axes = np.linalg.eigh(
+        answers.around.covariance.numpy() / (units[:, :, None] * units[:, None])
+    )
+    along = ((answers.errors / units)[:, None] @ axes)[:, 0]
+    return measured, along**2
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@
     python -m experiments.forecast measure FOLDER... --base RATE [--out JPG]
 
 Each FOLDER holds ``forecast.json`` of a town, and ``truth.json``: results that ``evaluate`` wrote
-of the same plan flown in the town's true seasons. ``docs/evidence/forecast.md`` has the commands.
+of the same plan flown in the town's true seasons. ``docs/evidence/site.md`` has the commands.
 """
 
 from __future__ import annotations

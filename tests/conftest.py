@@ -43,6 +43,25 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
+# Modules that take a minute or more. They run first, so that no process waits for the last one.
+_LONGEST = {
+    "test_gate",
+    "test_reproduced",
+    "test_planted",
+    "test_matrix",
+    "test_mutants",
+    "test_cluster",
+    "test_packaging",
+    "test_calibration",
+    "test_loop",
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run the longest modules first, the others in their random order."""
+    items.sort(key=lambda item: item.path.stem not in _LONGEST)
+
+
 # Environment variables that pytest and libraries set.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
 # Torch installs a handler for the processes of its first data loader.

@@ -285,14 +285,14 @@ def _pairs_note(group: Group) -> str:
     several = "flight" if len(flights) == 1 else "flights"
     if len(flights) >= MIN_CLUSTERS:
         return (
-            f"Intervals are of a bootstrap that draws whole flights, {len(flights)} here, and p of "
-            f"a test that exchanges the methods flight by flight; where fewer than {MIN_CLUSTERS} "
-            "flights are left they are Bonett and Price's and McNemar's."
+            f"Intervals are from a bootstrap over whole flights ({len(flights)} here), and p is "
+            f"from a permutation test over flights. With fewer than {MIN_CLUSTERS} flights they "
+            "are Bonett and Price's and McNemar's."
         )
     return (
-        f"Intervals are Bonett and Price's and p is McNemar's, which take queries for independent: "
-        f"these come from {len(flights)} {several}, too few to draw whole flights, so the true "
-        "intervals are wider and the true p larger."
+        "Intervals are Bonett and Price's and p is McNemar's. Both assume independent queries. "
+        f"These come from {len(flights)} {several}, so the true intervals are wider and the true p "
+        "is larger."
     )
 
 

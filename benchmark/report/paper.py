@@ -72,11 +72,11 @@ def columns() -> tuple[str, ...]:
 def note() -> str:
     """Return what a reader has to know before comparing."""
     return (
-        f"Recall in % at {_THRESHOLD}. The upper lines stand as the paper reports them, for all of "
-        "its methods; they are not measurements of this project. Ours pool all queries of the data "
-        "sets given here. On CMU those are the queries whose poses are public, a part of the "
-        "paper's. The simulated flights of the paper are not public: ours are other flights, and "
-        "that column compares nothing across the two halves."
+        f"Recall in % at {_THRESHOLD}. The upper lines are the paper's own figures for all of its "
+        "methods; this project has not measured them. The lower lines pool all queries of the "
+        "data sets given here. On CMU those are the queries whose poses are public, a part of the "
+        "paper's. The simulated flights of the paper are not public and ours are others, so do not "
+        "compare that column across the two halves."
     )
 
 

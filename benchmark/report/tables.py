@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,9 @@ _STARTS: Final = {
     "gravity": "roll and pitch alone, wrong by {}",
     "gps": "the position alone, wrong by {}",
 }
+# Starts whose value is the size of an error, as "3m,5deg".
+_OF_SIZES: Final = frozenset(("error", "gravity", "gps"))
+_METRES: Final = re.compile(r"(?<=\d)m\b")
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,8 @@ class Table:
         if self.declared:
             start += f" ({AS_DECLARED} for {', '.join(self.declared)})"
         return (
-            f"Start: {start}. Map: {', '.join(self.map_conditions)}. Data set {self.sha256[:12]}."
+            f"Start: {start}. Map: {', '.join(self.map_conditions)}. "
+            f"Data set {self.sha256[:12]} (first digits of its SHA-256 digest)."
         )
 
 
@@ -138,6 +143,8 @@ def tables(results: Sequence[Path]) -> list[Table]:
 def start_in_words(start: str) -> str:
     """Return a description of what the methods were told about each query."""
     kind, _, value = start.partition("=")
+    if kind in _OF_SIZES:
+        value = _METRES.sub(" m", value).replace("deg", "°").replace(",", " and ")
     return _STARTS.get(kind, start).format(value)
 
 
@@ -211,7 +218,7 @@ def _name_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
         if len(digests) > 1:
             log.warning(
                 "results are of %d data sets called %s (%s): each has tables of its own; if it is "
-                "one data set that was changed, leave out the results of before",
+                "one data set that was changed, leave out the earlier results",
                 len(digests),
                 name,
                 ", ".join(digests),

@@ -24,9 +24,11 @@ WARM: Final = 30
 FLAT_MB: Final = 4.0
 
 
+# Of the default part is ``test_a_query_leaves_no_tensor_behind``.
+@pytest.mark.thorough
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heap is told by glibc")
 def test_memory_is_flat_over_64_queries_told_nothing(tmp_path: Path) -> None:
-    """See docs/evidence/localize.md, where 64 queries are 32 of the demo asked twice."""
+    """See docs/evidence/robustness.md, where 64 queries are 32 of the demo asked twice."""
     command = [sys.executable, "-m", "experiments.query_memory", "tests/data/gate"]
     command += ["--cache", str(tmp_path), "--queries", str(QUERIES)]
     command += ["--among", str(FIRST), str(LAST)]

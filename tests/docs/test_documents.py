@@ -20,8 +20,8 @@ from tests.docs.documents import DOCUMENTS, GUIDES, ROOT
 COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
 
 MOST_WORDS = 1000
-# Made by `objconnect gallery`, and a page that the site replaces.
-GENERATED = {"docs/gallery.md", "docs/contributing.md"}
+# Made by `python -m experiments.gallery`.
+GENERATED = {"docs/gallery.md"}
 TOP = {path.name for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")}
 # Folders that runs make, not the repository.
 MADE = {"runs", "build", "dist"}
@@ -127,6 +127,14 @@ def test_python_of_guides_runs(
 def test_guides_are_short(path: Path) -> None:
     if documents.name(path) not in GENERATED:
         assert len(documents.prose(path).split()) <= MOST_WORDS
+
+
+def test_the_first_pages_are_short() -> None:
+    """README is two minutes aloud without its tables, and CONTRIBUTING is a page."""
+    text = re.sub(r"<!--.*?-->", "", documents.prose(ROOT / "README.md"))
+    lines = [line for line in text.splitlines() if not line.startswith("|")]
+    assert len(" ".join(lines).split()) <= 700
+    assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 60
 
 
 def test_every_command_is_in_a_guide() -> None:

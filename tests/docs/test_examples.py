@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-import subprocess
+import runpy
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import matplotlib.pyplot as plt
 import pytest
 
+from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.runtime.script import run_script
+from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import require_blender
 
@@ -33,14 +35,9 @@ def load(name: str) -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene that 00_simulate.py renders and 01_map.py maps."""
-    require_blender()
-    require_libraries()
-    path = tmp_path_factory.mktemp("examples") / "scene"
-    load("00_simulate").main(path)
-    load("01_map").main(path)
-    return path
+def scene(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene with its map as the first two examples make one."""
+    return Path(shutil.copytree(rendered.path, tmp_path_factory.mktemp("examples") / "scene"))
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +62,41 @@ def test_the_page_includes_every_example() -> None:
         assert f'--8<-- "examples/{path.name}"' in page
 
 
-def test_a_scene_with_its_map(scene: Path) -> None:
-    assert (scene / "scene.json").is_file()
-    assert (scene / "map" / "points3D.bin").is_file()
+def test_a_scene_is_asked_for(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the rendering: the configuration is one, and what was rendered is read."""
+    asked: list[SimulateConfig] = []
+
+    def rendered_before(config: SimulateConfig, out: Path) -> Scene:
+        asked.append(config)
+        return Scene.open(out)
+
+    monkeypatch.setattr("simulate.simulate", rendered_before)
+    load("00_simulate").main(scene)
+    assert [session.role for session in asked[0].sessions] == ["map", "query", "query"]
+    assert "summer-noon-nadir-map: 12 frames" in capsys.readouterr().out
+
+
+@pytest.mark.thorough
+def test_a_scene_with_its_map(tmp_path: Path) -> None:
+    require_blender()
+    require_libraries()
+    load("00_simulate").main(tmp_path)
+    load("01_map").main(tmp_path)
+    assert (tmp_path / "scene.json").is_file()
+    assert (tmp_path / "map" / "points3D.bin").is_file()
+
+
+def test_a_map_is_read(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the building."""
+    built = SimpleNamespace(text=lambda: "built")
+    monkeypatch.setattr("objconnect.build_map", lambda path: built)
+    load("01_map").main(scene)
+    said = capsys.readouterr().out
+    assert said.startswith("built") and "12 photographs" in said
 
 
 def test_one_image_is_found(scene: Path) -> None:
@@ -131,22 +160,22 @@ def test_the_notebook(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem[:2])
-def test_a_fault_of_the_user_is_one_line(path: Path, tmp_path: Path) -> None:
+def test_a_fault_of_the_user_is_one_line(
+    path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     if path.stem.startswith("07"):
         pytest.importorskip("pandas", exc_type=ImportError)
     if path.stem.startswith("00"):
         (tmp_path / "no").write_text("a file, where a folder is asked for")
-    ended = subprocess.run(
-        [sys.executable, str(path), "no/such/place"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(EXAMPLES.parent)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ended.returncode == 2, ended.stderr
-    assert ended.stderr.splitlines()[-1].startswith("error: ")
-    assert "Traceback" not in ended.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path), "no/such/place"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(path), run_name="__main__")
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
 
 
 def test_scripts_say_which_paths_they_take(capsys: pytest.CaptureFixture[str]) -> None:

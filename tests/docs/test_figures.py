@@ -1,4 +1,4 @@
-"""README's figures of ``make demo`` are those of a run, and say of which."""
+"""The demo's figures in the documents are those of a run, and say of which."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.benchmark.made_data import write_flight
 from tests.benchmark.test_cli import invoke
 from tests.docs.documents import ROOT
 
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "demo.md"
 RUN = ROOT / "runs" / "demo" / "leaderboard" / "leaderboard.md"
 # Medians of 16 errors that are centimetres; another processor rounds otherwise.
 TOLERANCE = 0.3
@@ -31,7 +31,7 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def of_readme(text: str) -> dict[tuple[str, str], Figures]:
+def of_page(text: str) -> dict[tuple[str, str], Figures]:
     """Return the figures by method and condition, as ``winter-dusk``."""
     block = text.split(_BEGIN)[1].split(_END)[0]
     found = {}
@@ -64,9 +64,9 @@ def dataset_of(text: str) -> str:
     return found[1]
 
 
-def differences(readme: str, run: str) -> list[str]:
-    """Return where README differs from a run: recalls must be equal, medians much the same."""
-    stated, measured = of_readme(readme), of_run(run)
+def differences(page: str, run: str) -> list[str]:
+    """Return where the page differs from a run: recalls must be equal, medians much the same."""
+    stated, measured = of_page(page), of_run(run)
     wrong = []
     for key, figures in stated.items():
         if key not in measured:
@@ -83,14 +83,14 @@ def differences(readme: str, run: str) -> list[str]:
 def test_the_figures_are_those_of_the_run() -> None:
     if not RUN.is_file():
         pytest.skip("make demo was not run in this checkout")
-    readme, run = README.read_text(encoding="utf-8"), RUN.read_text(encoding="utf-8")
-    if dataset_of(readme) != dataset_of(run):
-        pytest.skip("this machine renders another data set than that of README's figures")
-    assert not differences(readme, run)
+    page, run = PAGE.read_text(encoding="utf-8"), RUN.read_text(encoding="utf-8")
+    if dataset_of(page) != dataset_of(run):
+        pytest.skip("this machine renders another data set than that of the page's figures")
+    assert not differences(page, run)
 
 
 def test_the_figures_name_machine_and_commit() -> None:
-    text = README.read_text(encoding="utf-8").split(_BEGIN)[0].split("## What it measures")[1]
+    text = PAGE.read_text(encoding="utf-8").split(_BEGIN)[0].split("## What it measures")[1]
     assert "`make demo`" in text
     assert re.search(r"commit [0-9a-f]{7}\b", text)
     assert re.search(r"cores of an? [A-Z]", text)
@@ -98,7 +98,7 @@ def test_the_figures_name_machine_and_commit() -> None:
 
 
 def test_every_row_of_the_demo_is_read() -> None:
-    stated = of_readme(README.read_text(encoding="utf-8"))
+    stated = of_page(PAGE.read_text(encoding="utf-8"))
     assert list(stated) == [
         ("sift", "summer-noon"),
         ("sift", "winter-dusk"),
@@ -107,13 +107,13 @@ def test_every_row_of_the_demo_is_read() -> None:
     ]
 
 
-def leaderboard(readme: str) -> str:
-    """Return the leaderboard of a run that measured what README says."""
+def leaderboard(page: str) -> str:
+    """Return the leaderboard of a run that measured what the page says."""
     head = "| method | condition | queries | 0.25 m 2° (%) | 0.5 m 5° (%) | median m | median ° |"
     rows = [
         f"| {method} | {condition} | 16 | {f.recall[0]} | {f.recall[1]} | {f.median[0]} | "
         f"{f.median[1]} |"
-        for (method, condition), f in of_readme(readme).items()
+        for (method, condition), f in of_page(page).items()
     ]
     return "\n".join(["# Leaderboard", "", "## uav-sim: scene", "", head, "| --- |", *rows])
 
@@ -128,11 +128,11 @@ def leaderboard(readme: str) -> str:
     ],
 )
 def test_another_figure_is_noticed(before: str, after: str) -> None:
-    readme = README.read_text(encoding="utf-8")
-    run = leaderboard(readme)
-    assert not differences(readme, run)
+    page = PAGE.read_text(encoding="utf-8")
+    run = leaderboard(page)
+    assert not differences(page, run)
     assert before in run
-    assert len(differences(readme, run.replace(before, after, 1))) == 1
+    assert len(differences(page, run.replace(before, after, 1))) == 1
 
 
 def test_a_table_that_is_printed_today_is_read(tmp_path: Path) -> None:

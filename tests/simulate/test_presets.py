@@ -171,7 +171,13 @@ def test_an_impossible_area_is_refused(name, area):
         preset(name)(1, area)
 
 
-@pytest.mark.parametrize("name", sorted(set(PRESETS) - {"town"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name == "park" else pytest.param(name, marks=pytest.mark.thorough)
+        for name in sorted(set(PRESETS) - {"town"})  # which other tests render
+    ],
+)
 def test_a_place_renders(name, tmp_path: Path):
     area = max(120.0, PRESETS[name].least_m)
     world = preset(name)(1, area)

@@ -27,10 +27,10 @@ def columns() -> tuple[str, ...]:
 def note() -> str:
     """Return what a reader has to know before comparing."""
     return (
-        "Recall in % at 0.5 m 5°. The upper lines stand as the paper reports them, on its own "
-        "data; they are not measurements of this project. The lower lines are ours on simulated "
-        "places of the same kind, under changed conditions: other data, so that a column shows "
-        "which range each reaches and ranks nobody across the two halves."
+        "Recall in % at 0.5 m 5°. The upper lines are the paper's own figures on its own data; "
+        "this project has not measured them. The lower lines are ours on simulated sites of the "
+        "same kind, under changed conditions. The data differ, so do not compare across the two "
+        "halves."
     )
 
 

@@ -80,7 +80,7 @@
           const value = figures.summary.recall[state.threshold], part = figures.summary.queries;
           return el("td", { class: "cell", "aria-current": String(c === cell()), css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * value[0] / 100).toFixed(3)})` } },
             el("button", { type: "button", title: `${labelOf(run)}, ${seasonName(c.season)}, ${partName(c.part)}: ${percent(value)} % ${interval(value)} of ${figures.summary.queries}; shows the cell`,
-              onclick: () => choose({ season: c.season, part: c.part }) }, value[0].toFixed(1), part === c.queries ? null : el("small", {}, `of ${part}`)));
+              onclick: () => choose({ season: c.season, part: c.part }) }, percent(value), part === c.queries ? null : el("small", {}, `of ${part}`)));
         }))))));
   };
 
@@ -206,26 +206,26 @@
     const legendOf = (lines) => legend(labelOf, runs, lines);
     main.replaceChildren(
       el("section", { class: "card" }, el("h2", { id: "where" }, `${track().name}: ${where()}`),
-        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${c.flights} flights: at a recall of 90 % the interval reaches ${c.half.toFixed(1)} points to either side.`),
+        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${c.flights} flights. At a recall of 90 % the 95 % interval is ±${c.half.toFixed(1)} points.`),
         headline(),
-        el("p", { class: "quiet" }, `Surest: answers are believed in the order of the probability that the method predicts, else of its sigma, as long as fewer than 1 % of them are wrong at ${threshold()}; the share of all queries that are believed and right.`)),
+        el("p", { class: "quiet" }, `Surest: accept answers from the highest predicted probability down (or from the smallest sigma up) while fewer than 1 % of them are wrong at ${threshold()}. The figure is the share of all queries that are accepted and right.`)),
       el("div", { class: "grid" },
-        card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the queries, and how far the 95 % interval reaches to either side at a recall of 90 %. A figure shows its cell.`, overview()),
+        card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the number of queries, and half the width of the 95 % interval at a recall of 90 %. Click a figure to show its cell above.`, overview()),
         runs.length > 1 ? el("section", { class: "card", id: "pairs" }, el("h3", {}, "Paired comparison"),
           el("p", { class: "quiet" }, `Change of recall in points at ${threshold()}, ${where()}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. `
-            + (pairs.length && pairs.every((p) => p.clustered) ? `Intervals are of a bootstrap that draws whole flights, ${pairedFlights(pairs)} here, and p of a test that exchanges the methods flight by flight.` : "Where fewer than five flights are left, intervals are Bonett and Price's and p is McNemar's, which take queries for independent: the true intervals are wider and the true p larger.")),
+            + (pairs.length && pairs.every((p) => p.clustered) ? `Intervals are from a bootstrap over whole flights (${pairedFlights(pairs)} here), and p is from a permutation test over flights.` : "With fewer than five flights, intervals are Bonett and Price's and p is McNemar's. Both assume independent queries, so the true intervals are wider and the true p is larger.")),
           pairedTable(everyRun().map(labelOf), (a, b) => pairs.find((p) => p.a === a && p.b === b))) : null,
         el("section", { class: "card", id: "difficulty" }, el("h3", {}, "Difficulty"),
           el("p", { class: "quiet" }, `Recall (%) at ${threshold()}, ${where()}, with its interval. Overlap, scale and angle are of the map photograph that sees most of the query; n counts queries.`),
           el("div", { class: "grid" }, data.axes.map((axis, k) => el("div", {}, el("h4", {}, axis.short), el("p", { class: "quiet" }, axis.title), difficulty(k)))), legendOf(true),
           el("details", {}, el("summary", {}, "As a table"), difficultyTable(runs))),
-        card("surest", "Surest first", `Percent right at ${threshold()} when only the queries that the method is surest of are believed; methods that do not say so are left out.`,
+        card("surest", "Surest first", `Percent right at ${threshold()} among the answers with the highest predicted probability or the smallest sigma. Methods that predict neither are left out.`,
           surestChart(labelOf, sure, (run) => c.runs[run].surest[state.threshold]), legend(labelOf, sure, true)),
-        card("bounded", "Recall at bounded risk", `Percent of all queries found at each threshold by answers of which fewer than 1 % are wrong; ${where()}.`, scroll("Recall at bounded risk", el("table", {},
+        card("bounded", "Recall at bounded risk", `Percent of all queries accepted and right at each threshold, while fewer than 1 % of the accepted answers are wrong; ${where()}.`, scroll("Recall at bounded risk", el("table", {},
           el("thead", {}, el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), data.thresholds.map((t) => el("th", { scope: "col" }, t.text)))),
           el("tbody", {}, runs.map((run) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(run), labelOf(run)), c.runs[run].bounded.map(plainCell))))))),
-        card("consistency", "Integrity", "Normalised error squared (NEES: 6 in the mean and 5.35 in the median when covariances are right), errors inside the 95 % ellipsoid, and false fixes, over all places. Coloured: a mean from 4.5 to 8, 93 to 97 % inside, at most 1 % false fixes.", consistency()),
-        card("worst", "Worst queries", `${where()}: answers called right first, the farthest off on top; then fallback poses, then failures. Beside them what the other methods found.`, el("div", { id: "worst-queries" }))));
+        card("consistency", "Integrity", "NEES (squared error normalized by the covariance: 6 in the mean and 5.35 in the median if covariances are right), errors inside the 95 % ellipsoid, and false fixes, over all places. Coloured: a mean from 4.5 to 8, 93 to 97 % inside, at most 1 % false fixes.", consistency()),
+        card("worst", "Worst queries", `${where()}. First answers with status ok, the largest error on top; then fallback poses, then failures. The last columns show the errors of the other methods.`, el("div", { id: "worst-queries" }))));
     paintWorst();
   };
   const choose = (change) => {
@@ -258,7 +258,7 @@
       t.starts.length ? el("div", { class: "controls", id: "controls" }) : el("p", { class: "note" }, "Nothing is measured on this track yet."),
       el("div", { id: "cell" }),
       t.missing.length ? el("details", {}, el("summary", {}, `Missing results: ${t.missing.length}`), el("ul", {}, t.missing.map((text) => el("li", {}, text)))) : null,
-      el("details", {}, el("summary", {}, "Data sets and their digests"), el("pre", {}, t.datasets.map(([name, digest]) => `${name} ${digest || "not rendered yet"}`).join("\n"))),
+      el("details", {}, el("summary", {}, "Data sets and the SHA-256 digests of their files"), el("pre", {}, t.datasets.map(([name, digest]) => `${name} ${digest || "not rendered yet"}`).join("\n"))),
     ].filter(Boolean));
     if (t.starts.length) choose({});
     document.querySelectorAll("#tracks button").forEach((button, k) => button.setAttribute("aria-current", String(k === state.track)));

@@ -80,6 +80,8 @@
     const right = b.runs[run].surest[state.threshold];
     return right.map((share, k) => [(100 * (k + 1)) / right.length, share]);
   });
+  // Text between backticks is code.
+  const coded = (text) => text.split("`").map((part, k) => (k % 2 ? el("code", {}, part) : part));
   const honesty = (run) => `${run.label}: ${run.nees
     ? `${neesText(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
     : "no covariance"}`;
@@ -127,7 +129,7 @@
         const recall = s.recall[state.threshold];
         return el("td", { class: "cell", css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * recall[0] / 100).toFixed(3)})` } },
           el("button", { type: "button", title: `${run.label}, ${condition}: ${percent(recall)} % ${interval(recall)} of ${s.queries}; opens its worst query`,
-            onclick: () => open(k, condition, "worst") }, recall[0].toFixed(0)));
+            onclick: () => open(k, condition, "worst") }, percent(recall)));
       }))))));
 
   const pairTable = (b) => pairedTable(b.runs.map((run) => run.label),
@@ -261,17 +263,17 @@
     const runs = everyRun(b), withBasin = runs.filter((run) => b.runs[run].basin);
     forgetCharts(holder);
     holder.replaceChildren(
-      card("curves", "Error curves", `Percent of ${where} localized below an error. Dotted lines: the thresholds, of which recall asks both. Failures and fallback poses never arrive.`,
+      card("curves", "Error curves", `Percent of ${where} localized below an error. Dotted lines are the thresholds; recall applies those of position and rotation together. Failures and fallback poses never count.`,
         group("error", "error", [["t", "position"], ["r", "rotation"]], state.error, (value) => { state.error = value; paintCharts(); focusOn("error", value); }),
         curves(b), legend(labelOf(b), runs, true)),
-      card("speed", "Accuracy against seconds", `Recall (%) at ${threshold}, ${where}, with its interval; one mark a method.`, speed(b), legend(labelOf(b), runs)),
+      card("speed", "Accuracy against seconds", `Recall (%) at ${threshold}, ${where}, with its interval. Each mark is a method.`, speed(b), legend(labelOf(b), runs)),
       card("basin", "Basin of convergence", withBasin.length
-        ? `Recall (%) at ${threshold} of all queries, when the prior is wrong by exactly so much; each method hears the same priors.`
-        : "Recall against the error of the prior. Nothing measured yet: objconnect basin DATASET --method M --out RESULTS.",
+        ? `Recall (%) at ${threshold} of all queries, when the prior has exactly this error; each method gets the same priors.`
+        : coded("Recall against the error of the prior. Nothing is measured yet. Run `objconnect basin DATASET --method METHOD --out RESULTS`."),
       ...(withBasin.length ? [basin(b, withBasin), legend(labelOf(b), withBasin, true)] : [])),
-      card("surest", "Surest first", `Percent right at ${threshold} when only the queries that the method is surest of are believed; failed ones come last.`,
+      card("surest", "Surest first", `Percent right at ${threshold} among the answers with the highest predicted probability or the smallest sigma. Failed queries come last.`,
         surest(b), legend(labelOf(b), runs, true),
-        el("p", { class: "quiet" }, `Normalised error squared (6 when covariances are honest) and share inside the 95 % ellipsoid: ${b.runs.map(honesty).join("; ")}.`)),
+        el("p", { class: "quiet" }, `NEES (6 in the mean if covariances are right) and share of errors inside the 95 % ellipsoid: ${b.runs.map(honesty).join("; ")}.`)),
       card("heat", "Conditions", `Recall (%) at ${threshold}; a cell opens its worst query.`, heatMap(b)),
       ...(b.runs.length > 1 ? [card("pairs", "Paired comparison", `Change of recall in points at ${threshold}, ${where}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. ${b.pairs_note}`, pairTable(b))] : []));
   };
@@ -289,7 +291,7 @@
     Object.assign(state, { condition: ALL, sort: null, run: 0, place: Infinity });
     main.replaceChildren(
       el("section", { class: "card" }, el("h2", {}, `${b.track}: ${b.dataset}`), el("p", { class: "quiet" }, b.facts),
-        b.note ? el("p", { class: "note" }, b.note) : null, mainTable(b),
+        b.note ? el("p", { class: "note" }, coded(b.note)) : null, mainTable(b),
         el("details", {}, el("summary", {}, "What was run"), b.runs.map((run) => el("pre", {}, `${run.label}\nconfiguration ${run.config}\nweights ${run.weights || "none"}\n${Object.entries(run.environment).map((pair) => pair.join(" ")).join(", ")}\npeak memory ${run.summaries[ALL].memory === null ? "unknown" : `${run.summaries[ALL].memory} MB`}`)))),
       el("div", { class: "controls" },
         group("threshold", "recall at", data.thresholds.map((t, k) => [k, t.text]), state.threshold, (value) => { state.threshold = value; press("threshold", value); paintCharts(); }),

@@ -26,9 +26,14 @@ const digits = (value) => {
   const size = Math.abs(value);
   return size >= 100 ? value.toFixed(0) : size >= 10 ? value.toFixed(1) : size >= 1 ? value.toFixed(2) : value.toFixed(3);
 };
-const percent = (recall) => recall[0].toFixed(1);
-const interval = (recall) => `[${recall[1].toFixed(1)}, ${recall[2].toFixed(1)}]`;
-const signed = (value) => (value > 0 ? "+" : value < 0 ? "−" : "±") + Math.abs(value).toFixed(1);
+// One decimal, ties to the even digit, as in leaderboard.md. Only odd quarters are ties in binary.
+const tenths = (value) => {
+  const below = Math.floor(10 * value);
+  return (Math.abs((4 * value) % 2) === 1 ? (below + Math.abs(below % 2)) / 10 : value).toFixed(1);
+};
+const percent = (recall) => tenths(recall[0]);
+const interval = (recall) => `[${tenths(recall[1])}, ${tenths(recall[2])}]`;
+const signed = (value) => (value > 0 ? "+" : value < 0 ? "−" : "±") + tenths(Math.abs(value));
 const probability = (p) => (p < 0.001 ? "p < 0.001" : `p = ${p.toFixed(p < 0.1 ? 3 : 2)}`);
 
 const colour = (run) => `var(--m${run % 8})`;

@@ -8,6 +8,10 @@ const canvas = document.getElementById("space");
 const context = canvas.getContext("2d", { willReadFrequently: true });
 const COLOURS = { has: "#37e05b", none: "#ff453a", truth: "#f5f5f7", map: "#7ab8f5", query: "#ffb340" };
 const ADDED = [255, 60, 230];
+// Colours of estimated poses: the error in metres that each stays below.
+const ERRORS = [[0.25, "#37e05b", "less than 0.25 m off"], [0.5, "#a6e22e", "less than 0.5 m off"],
+  [5, "#ffb340", "less than 5 m off"], [Infinity, "#ff453a", "5 m off or more"]];
+const NO_POSE = "#8e8e93";
 const FOCAL = 1.1; // of the screen's shorter side
 const NEAR = 0.2;
 const TURN = 0.006;
@@ -169,10 +173,8 @@ function drawQueries(v) {
 }
 
 function errorColour(query) {
-  if (query.error === null) return "#8e8e93";
-  if (query.error < 0.25) return "#37e05b";
-  if (query.error < 0.5) return "#a6e22e";
-  return query.error < 5 ? "#ffb340" : "#ff453a";
+  if (query.error === null) return NO_POSE;
+  return ERRORS.find(([most]) => query.error < most)[1];
 }
 
 function ask() {
@@ -183,17 +185,31 @@ function ask() {
 
 /* --- panel ---------------------------------------------------------------------------------- */
 
+function swatchOf(colour) {
+  const swatch = document.createElement("span");
+  swatch.className = "swatch";
+  swatch.style.background = colour;
+  return swatch;
+}
+
+/* What colours mean: entries of a colour and its text. */
+function key(id, parent, entries) {
+  const list = document.createElement("ul");
+  Object.assign(list, { id, className: "key" });
+  for (const [colour, text] of entries) {
+    const item = document.createElement("li");
+    item.append(swatchOf(colour), text);
+    list.append(item);
+  }
+  document.getElementById(parent).append(list);
+}
+
 function row(parent, kind, name, text, count, colour, checked, change) {
   const label = document.createElement("label"), input = document.createElement("input");
   Object.assign(input, { type: kind, name, checked, value: text });
   input.addEventListener("change", () => { change(input.checked); figures(); ask(); });
   label.append(input);
-  if (colour) {
-    const swatch = document.createElement("span");
-    swatch.className = "swatch";
-    swatch.style.background = colour;
-    label.append(swatch);
-  }
+  if (colour) label.append(swatchOf(colour));
   const words = document.createElement("span"), number = document.createElement("span");
   words.textContent = text;
   number.textContent = count;
@@ -219,8 +235,10 @@ function panel() {
   for (const cloud of clouds)
     layer(cloud.layer, texts[cloud.layer], cloud.total, colourOf(cloud), cloud.layer !== "dense");
   const small = data.objects.filter(object => object.size === "small").length;
-  layer("objects", "small objects", small, COLOURS.has, true);
+  layer("objects", "small objects", small, null, true);
   layer("larger", "larger objects too", data.objects.length - small, null, false);
+  if (data.objects.length)
+    key("object-key", "layers", [[COLOURS.has, "object with a point of the map"], [COLOURS.none, "object without one"]]);
   const count = role => data.cameras.filter(camera => camera.role === role).length;
   layer("cameras", "photographs of the map", count("map"), COLOURS.map, true);
   layer("queries", "queries", count("query"), COLOURS.query, false);
@@ -229,9 +247,11 @@ function panel() {
   for (const [text, value] of [["before", false], ["after", true]])
     row(states, "radio", "state", text, "", null, value, () => { after = value; });
   methods.hidden = data.methods.length === 0;
-  row(methods, "radio", "method", "none", "", null, true, () => { method = null; });
+  row(methods, "radio", "method", "no method", "", null, true, () => { method = null; });
   for (const found of data.methods)
     row(methods, "radio", "method", found.name, found.queries.filter(query => query.found).length, null, false, () => { method = found; });
+  key("error-key", "methods", [...ERRORS.map(([, colour, text]) => [colour, text]), [NO_POSE, "no pose"],
+    [COLOURS.truth, "line: true path of the camera"]]);
   const thinned = clouds.filter(cloud => cloud.xyz.length / 3 < cloud.total)
     .map(cloud => `${(cloud.xyz.length / 3).toLocaleString("en")} of ${cloud.total.toLocaleString("en")} ${texts[cloud.layer]} are drawn, chosen at random.`);
   document.getElementById("bounds").textContent = thinned.join(" ");
@@ -247,6 +267,7 @@ function figures() {
     lines.push(`${method.name}: ${errors.length} of ${method.queries.length} queries have a pose` +
       (errors.length ? `, median ${errors[errors.length >> 1].toFixed(2)} m off` : ""));
   }
+  document.getElementById("error-key").hidden = method === null;
   document.getElementById("figures").textContent = lines.join("\n");
 }
 
@@ -349,4 +370,6 @@ document.getElementById("through").addEventListener("click", () => stand(chosen)
 window.addEventListener("resize", ask);
 
 panel();
+// On a phone the panel would cover the scene.
+if (matchMedia("(max-width: 600px)").matches) document.getElementById("panel").open = false;
 ask();

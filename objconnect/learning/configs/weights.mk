@@ -3,7 +3,7 @@
 #   make equal         pixloc, d2net and objconnect on the same places over the year
 #   make further       what the project ships as objconnect; for a GPU, like the next two
 #   make further-pixloc, make full-width
-#                      what docs/evidence/further.md compares with it
+#                      what docs/evidence/results.md compares with it
 # PHOTOS, if given, is a folder of plain aerial photographs.
 W := runs/weights
 .PHONY: weights equal further further-pixloc full-width

@@ -65,7 +65,22 @@ class CovarianceNumbers(BesideWeights):
 def calibrate_covariance(
     around: Spread, fit: float | NDArray[np.float64], by: CovarianceNumbers
 ) -> NDArray[np.float64]:
-    """Return the covariances (B, 6, 6) of aligned poses.
+    """Return the covariances (B, 6, 6) of aligned poses: what alignments measure, made right.
+
+    Args:
+        around: how far the poses may be off as far as their queries tell; finite.
+        fit: (B,) cost as a share of the cost by chance.
+        by: how to calibrate.
+    """
+    factor, added = scales(around, fit, by)
+    alike = added[:, :, None] * np.eye(6)
+    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
+
+
+def scales(
+    around: Spread, fit: float | NDArray[np.float64], by: CovarianceNumbers
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors (B,) on measured covariances, and the variances (B, 6) that are added.
 
     The fit of the points by how much they tell of the pose is compared with that of a query in the
     light and season of the map, which is worse the more the query's view differs from those of the
@@ -83,6 +98,10 @@ def calibrate_covariance(
         around: how far the poses may be off as far as their queries tell; finite.
         fit: (B,) cost as a share of the cost by chance.
         by: how to calibrate.
+
+    Returns:
+        The added variances are those of the rotation (rad^2), equal about all axes, and of the
+        translation (m^2), which are larger by the square of the depth of the points.
     """
     patches, level, equal_patches = _arrays(around.patches, around.level, around.equal_patches)
     depth, view_cosine, cost = _arrays(around.depth, around.view_cosine, around.informative_cost)
@@ -93,8 +112,7 @@ def calibrate_covariance(
     factor *= (equal_patches + by.level_patches * general) / (equal_patches + by.level_patches)
     change = np.clip((ratio - 1) / by.changed_fit, 0, 1)
     deviation = by.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
-    alike = (change[:, None] * deviation**2)[:, :, None] * np.eye(6)
-    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
+    return factor, change[:, None] * deviation**2
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[np.float64]]:

@@ -20,8 +20,8 @@ from objconnect.scene.storage.images import Exif
 # Focal lengths that are tried where nothing is known, in longest sides of the picture: from 90 to
 # 37 degrees of view.
 _TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
-# Standard deviation of an estimated focal length, as a share of it: that of a pinhole, which was
-# measured (docs/evidence/localize.md), and that of a camera of the map.
+# Standard deviation of an estimated focal length, as a share of it: that of a pinhole
+# (docs/evidence/robustness.md has an example), and that of a camera of the map.
 _FOCAL_SHARE: Final = 0.06
 _MAP_SHARE: Final = 0.005
 # Most points of a map from which the distance of the ground is taken.

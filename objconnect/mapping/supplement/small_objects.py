@@ -30,7 +30,8 @@ from objconnect.scene.storage.images import read_rgb
 # ones do not stand on it alone.
 _ABOVE_M: Final = 0.1
 _BELOW_M: Final = 3.2
-# Least probability of being on an object, by the classifier; docs/supplement.md has its precision.
+# Least probability of being on an object, by the classifier. docs/evidence/mapping.md has its
+# precision.
 _LIKELY: Final = 0.8
 # Least distance (m) of a place from the map's own points, which are on an object already.
 _APART_M: Final = 0.5

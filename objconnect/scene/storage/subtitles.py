@@ -20,6 +20,8 @@ from objconnect.scene.storage.files import require_readable
 
 # An hour of one subtitle for each of 60 frames a second has 100 MB; what is larger is none.
 _LARGEST = 1 << 29
+# The parser takes cubic time in the digits of a number. Longer ones, which no value has, are cut.
+_MOST_DIGITS: Final = re.compile(r"([0-9]{100})[0-9]+")
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     # Those of UTF-32 begin as those of UTF-16.
@@ -75,6 +77,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     except OSError as error:
         raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None
     text = data.decode(_encoding(data), errors="replace")
+    text = _MOST_DIGITS.sub(r"\1", text)
     try:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)

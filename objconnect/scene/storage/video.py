@@ -190,11 +190,8 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
         raise InputError(f"{path} is no video that can be read: {_reason(error)}") from None
     with container:
         stream = _film(container, path)
-        context = stream.codec_context
-        if context is None or context.width * context.height > _MOST_PIXELS:
-            raise InputError(
-                f"{path} cannot be decoded: its codec is unknown or its frames too large"
-            )
+        if stream.width * stream.height > _MOST_PIXELS:
+            raise InputError(f"{path} cannot be decoded: its frames are too large")
         yield container, stream
 
 
@@ -212,6 +209,9 @@ def _film(container: Any, path: Path) -> Any:
     films = [stream for stream in container.streams.video if not _is_still(container, stream)]
     if not films:
         raise InputError(f"{path} has a picture and no film: give the video that the drone wrote")
+    films = [stream for stream in films if stream.codec_context is not None]
+    if not films:
+        raise InputError(f"{path} cannot be decoded: its codec is unknown")
     longest = max(_seconds(stream) for stream in films)
     film = max(
         films,

@@ -42,9 +42,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path]:
 
 
 @pytest.fixture(scope="module")
-def localizer(weights: Path, made: tuple[SparseMap, Path]) -> PixlocLocalizer:
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map is nearly always the same."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def localizer(weights: Path, made: tuple[SparseMap, Path], cache: Path) -> PixlocLocalizer:
     localizer = PixlocLocalizer(PixlocConfig(weights=weights))
-    localizer.prepare(*made)
+    localizer.prepare(*made, cache)
     return localizer
 
 
@@ -109,12 +115,14 @@ def test_references_of_the_query(localizer: PixlocLocalizer) -> None:
         localizer.localize(replace(QUERY, references=("9.png",)))
 
 
-def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) -> None:
+def test_many_starts_reach_further(
+    weights: Path, made: tuple[SparseMap, Path], cache: Path
+) -> None:
     far = replace(QUERY, prior=prior(looking_down(15.0, 3.6, (7.0, -6.0, 10.0))))
     found = {}
     for many in (False, True):
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many))
-        localizer.prepare(*made)
+        localizer.prepare(*made, cache)
         found[many] = errors(localizer.localize(far))[0]
     assert found[False] > 1
     assert found[True] < 0.2
@@ -129,7 +137,7 @@ NEVER = AcceptanceModel.model_validate(
 
 
 def test_where_no_answer_is_believed_is_searched_again(
-    weights: Path, made: tuple[SparseMap, Path]
+    weights: Path, made: tuple[SparseMap, Path], cache: Path
 ) -> None:
     found = {}
     for name, search in {
@@ -139,7 +147,7 @@ def test_where_no_answer_is_believed_is_searched_again(
         "any": SearchOptions(acceptance=NEVER, risk=1),
     }.items():
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, search=search))
-        localizer.prepare(*made)
+        localizer.prepare(*made, cache)
         found[name] = localizer.localize(QUERY)
     assert found["refused"].iterations > 1.5 * found["refused once"].iterations
     assert found["believed"].iterations == found["refused once"].iterations
@@ -151,7 +159,7 @@ def test_where_no_answer_is_believed_is_searched_again(
 
 
 def test_a_search_that_references_begin_ends_with_the_nearest_ones(
-    weights: Path, made: tuple[SparseMap, Path], monkeypatch: pytest.MonkeyPatch
+    weights: Path, made: tuple[SparseMap, Path], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Photographs 0 and 3 are named; the query was taken between 1 and 2."""
     chosen = []
@@ -164,7 +172,7 @@ def test_a_search_that_references_begin_ends_with_the_nearest_ones(
     monkeypatch.setattr(Refiner, "photographs", photographs)
     named = replace(QUERY, prior=None, references=("0.png", "3.png"))
     localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, references=2))
-    localizer.prepare(*made)
+    localizer.prepare(*made, cache)
     estimate = localizer.localize(named)
     assert errors(estimate)[0] < 0.2
     assert chosen[0] == [0, 3] and set(chosen[-1]) == {1, 2}
@@ -172,7 +180,7 @@ def test_a_search_that_references_begin_ends_with_the_nearest_ones(
 
 @pytest.mark.thorough
 def test_an_altitude_nobody_knows_is_that_of_the_flight(
-    weights: Path, made: tuple[SparseMap, Path]
+    weights: Path, made: tuple[SparseMap, Path], cache: Path
 ) -> None:
     """Below the ground, and known to no better than 60 m; nor how the camera is turned.
 
@@ -188,7 +196,7 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
     for many in (False, True):
         place = PlaceOptions(candidates=5 if many else 0)
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many, place=place))
-        localizer.prepare(*made)
+        localizer.prepare(*made, cache)
         found[many] = errors(localizer.localize(replace(QUERY, prior=unknown)))[0]
         misled[many] = localizer.localize(replace(QUERY, prior=sure))
         if not many:
@@ -199,7 +207,7 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
 
 
 def test_beside_photographs_is_looked_where_the_position_is_poor(
-    weights: Path, made: tuple[SparseMap, Path]
+    weights: Path, made: tuple[SparseMap, Path], cache: Path
 ) -> None:
     """By the place search: above ground that the map does not have, turned by a right angle."""
     turned = with_heading(TRUTH, math.radians(100))
@@ -208,7 +216,7 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     localizer = PixlocLocalizer(
         PixlocConfig(weights=weights, multistart=True, place=PlaceOptions())
     )
-    localizer.prepare(*made)
+    localizer.prepare(*made, cache)
     estimate = localizer.localize(query)
     assert estimate.status is Status.OK, estimate.reason
     assert estimate.cam_from_world is not None

@@ -137,6 +137,7 @@ def test_clean_originals_have_no_fault(name: str, rendered: Scene, tmp_path: Pat
     assert found.ok, found.text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["brighton_beach", "caliterra"])
 def test_real_flights_have_no_fault(name: str, flights: Path, tmp_path: Path) -> None:
     for found in audit(flights / name, out=tmp_path / "page.html"):

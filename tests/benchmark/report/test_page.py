@@ -92,7 +92,9 @@ def test_it_opens_as_a_file_and_asks_for_nothing(page: Path, browser: Browser) -
     ]
     choose_board(browser, 2)
     assert browser.texts("h2") == ["uav-sim: hamlet"]
-    assert "Saturated: under" in browser.texts(".note")[0]
+    assert browser.texts(".note")[0].startswith("Saturated: under summer-noon, the map")
+    assert browser.texts(".note code") == ["summer-noon"]
+    assert "(first digits of its SHA-256 digest)" in browser.texts(".card > .quiet")[0]
     for card in ("curves", "speed", "basin"):
         browser.wait(f"document.querySelectorAll('#{card} svg.chart path').length > 1")
     assert is_clean(browser)
@@ -110,9 +112,9 @@ def test_figures_are_those_of_the_results(out: Path, page: Path, browser: Browse
     matrix = browser.texts("#pairs td")
     assert [cell.split("\n")[0] for cell in matrix] == ["", "+16.7", "−16.7", ""]
     assert "p = 1.00" in matrix[1]
-    assert browser.texts("#heat td") == ["100", "0", "67", "0"]
+    assert browser.texts("#heat td") == ["100.0", "0.0", "66.7", "0.0"]
     browser.click("[data-of=threshold][data-value='2']")
-    assert browser.texts("#heat td") == ["100", "33", "67", "33"]
+    assert browser.texts("#heat td") == ["100.0", "33.3", "66.7", "33.3"]
     browser.run("document.querySelector('#condition').value = 1")
     browser.run("document.querySelector('#condition').dispatchEvent(new Event('change'))")
     assert browser.texts("#pairs td")[1].startswith("±0.0")
@@ -326,7 +328,7 @@ def test_results_without_an_album_are_shown(out: Path, tmp_path: Path, browser: 
     leaderboard([tmp_path / "sift.json"], tmp_path)
     browser.open(tmp_path / "leaderboard.html")
     assert "No album lies beside these results" in browser.texts("#query-picture")[0]
-    assert "Nothing measured yet" in browser.texts("#basin")[0]
+    assert "Nothing is measured yet" in browser.texts("#basin")[0]
     assert browser.run("document.querySelector('#pairs')") is None
     assert "null" not in browser.texts("#charts")[0]
     assert is_clean(browser)
@@ -403,6 +405,6 @@ def test_a_large_page_stays_small_and_quick(out: Path, tmp_path: Path, browser: 
     assert browser.texts("#query .facts dd")[0] == worst.name
     assert browser.run("document.querySelectorAll('#query image').length") == 2
     assert browser.texts("#query .place") == ["500 of 500, best first"]
-    assert "draws whole flights, 9 here" in browser.texts("#pairs .quiet")[0]
+    assert "over whole flights (9 here)" in browser.texts("#pairs .quiet")[0]
     assert browser.run("document.documentElement.scrollWidth") == PHONE
     assert is_clean(browser)

@@ -126,12 +126,34 @@ def test_queries_stand_where_the_method_found_them(page: Browser) -> None:
     assert pixels_of(page, green) == pixels_of(page, amber) == 0
     # Three queries 0.1 m off and one 1 m off are found, and two without a pose are not.
     assert page.texts("#methods label")[-1].split("\n")[-1] == "4"
+    assert not page.run("document.getElementById('error-key').offsetParent")
     page.click("#methods input[value=zzz]")
+    assert page.texts("#error-key li")[-2] == "no pose"
     # Three queries 0.1 m off, one 1 m off, two without a pose.
     assert page.texts("#figures")[0].endswith("zzz: 4 of 6 queries have a pose, median 0.10 m off")
     assert pixels_of(page, green) > 20
     assert pixels_of(page, amber) > 20
     assert is_clean(page)
+
+
+def test_colours_are_explained(page: Browser) -> None:
+    assert page.texts("#object-key li") == [
+        "object with a point of the map",
+        "object without one",
+    ]
+
+
+def test_on_a_phone_the_panel_opens_on_demand(written: SceneView, browser: Browser) -> None:
+    browser.open(written.page, width=390, height=844)
+    assert browser.texts("h1") == ["hamlet"]
+    assert not browser.run("document.getElementById('layers').offsetParent")
+    browser.click("summary")
+    low, height = browser.run(
+        "[document.querySelector('aside').getBoundingClientRect().bottom, innerHeight]"
+    )
+    assert low < height
+    assert browser.run("document.getElementById('layers').offsetParent !== null")
+    assert is_clean(browser)
 
 
 def click_at(browser: Browser, x: float, y: float) -> None:

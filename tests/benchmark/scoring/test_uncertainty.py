@@ -34,10 +34,11 @@ def draw_errors(claimed: float) -> list[float]:
     mixed = spread @ (np.eye(6) + 0.3 * rng.standard_normal((6, 6)))
     covariance = mixed @ mixed.T
     reference = pose_at(2)
+    errors = rng.multivariate_normal(np.zeros(6), covariance, 3000)
+    estimates = Pose.exp(torch.from_numpy(-errors)) @ reference
     values = []
-    for error in rng.multivariate_normal(np.zeros(6), covariance, 3000):
-        estimate = Pose.exp(torch.from_numpy(-error)) @ reference
-        value = compute_nees(estimate, reference, claimed * covariance)
+    for rotation, translation in zip(estimates.rotation, estimates.translation, strict=True):
+        value = compute_nees(Pose(rotation, translation), reference, claimed * covariance)
         assert value is not None
         values.append(value)
     return values

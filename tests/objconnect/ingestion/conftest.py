@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from objconnect.ingestion.command import ingest
-from objconnect.ingestion.report import IngestReport
+from objconnect.ingestion.report import REPORT, IngestReport
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.images import resize_file
 from tests.shared import make_once
@@ -31,6 +31,8 @@ def ingested(
     photographs: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scene, IngestReport]:
     """The scene of them. Tests that change it take a copy."""
-    out = tmp_path_factory.mktemp("ingested") / "shore"
-    report = ingest(photographs, out)
-    return Scene.open(out), report
+    made = make_once(
+        tmp_path_factory, "ingested", lambda folder: ingest(photographs, folder / "shore")
+    )
+    out = made / "shore"
+    return Scene.open(out), IngestReport.model_validate_json((out / REPORT).read_text())

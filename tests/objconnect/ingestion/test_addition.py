@@ -379,6 +379,7 @@ def align(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[st
     return dict(zip(names, np.linalg.norm(scale * a @ u @ v - b, axis=1), strict=True))
 
 
+@pytest.mark.thorough
 def test_a_real_flight_in_two_parts(photographs: Path, ingested: Ingested, tmp_path: Path) -> None:
     """Photographs of a flight's end are added to a scene of its beginning, and stand where they
     stand in a scene of the whole, to centimetres where the two overlap. The pilot turned some of

@@ -199,7 +199,7 @@ def test_levels_of_any_size_are_joined() -> None:
 
 def test_training_changes_the_detector_alone(rendered: Scene) -> None:
     options = PairOptions(objects=True, heading_deg=180, max_turn_deg=180)
-    source = RenderedPairs([rendered], 128, 64, 0.0, options)
+    source = RenderedPairs([rendered], 96, 64, 0.0, options)
     batch = collate([source.draw(np.random.default_rng(seed)) for seed in range(2)])
     network = {"detector": {"size": 16, "vector": 8}}
     training = ObjectTraining(TrainConfig(network=network))
@@ -207,8 +207,8 @@ def test_training_changes_the_detector_alone(rendered: Scene) -> None:
     # At 1e-2 all cells of so small a detector may die in the first steps, by rounding.
     optimizer = torch.optim.Adam(training.groups(2e-3)[0]["params"], 2e-3)
     losses = []
-    for step in range(40):
-        loss, figures = training.loss(batch, step / 40)
+    for step in range(20):
+        loss, figures = training.loss(batch, step / 20)
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         optimizer.zero_grad()

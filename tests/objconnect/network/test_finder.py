@@ -75,6 +75,22 @@ def landmarks_in(path: Path) -> Landmarks:
     return Store(path).make(0, Landmarks.ARRAYS, Landmarks.of)
 
 
+@pytest.fixture(scope="module")
+def seen(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The cache of a finder that has looked at the rendered scene."""
+    cache = tmp_path_factory.mktemp("seen")
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, cache))
+    return cache
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What localizers keep of the rendered scene."""
+    return tmp_path_factory.mktemp("cache")
+
+
 def test_objects_are_found_in_the_feature_maps_of_references(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,11 +172,8 @@ def test_a_map_seen_along_the_ground_has_no_objects(
     assert finder.find(Query("query", image, camera, None)) == []
 
 
-def test_landmarks_lie_where_objects_are(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
-) -> None:
-    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, tmp_path))
-    landmarks = landmarks_in(next(tmp_path.glob("objects-*.h5")))
+def test_landmarks_lie_where_objects_are(rendered: Scene, seen: Path) -> None:
+    landmarks = landmarks_in(next(seen.glob("objects-*.h5")))
     true = np.array([item.centre for item in rendered.objects.objects])[:, :2]
     found = landmarks.xyz[:, :2].astype(np.float64)
     anywhere = np.random.default_rng(0).uniform(found.min(0), found.max(0), (2000, 2))
@@ -174,11 +187,11 @@ def test_landmarks_lie_where_objects_are(
 
 
 def test_the_place_of_a_query_is_among_those_found(
-    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+    finder: ObjectPlaceFinder, rendered: Scene, seen: Path
 ) -> None:
     """In the map's own season, told nothing."""
     (dataset,) = open_datasets(rendered.path)
-    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, tmp_path))
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, seen))
     right = []
     for query in dataset.queries:
         if "summer" in query.name:
@@ -199,13 +212,13 @@ def test_objects_are_switched_off_by_name() -> None:
 
 @pytest.mark.parametrize(("most", "asked"), [(5000, True), (0, False)])
 def test_in_large_maps_the_search_is_asked_first(
-    rendered: Scene, tmp_path: Path, most: int, asked: bool
+    rendered: Scene, cache: Path, most: int, asked: bool
 ) -> None:
     """Of a query that the search finds by itself."""
     options = ObjectPlaceOptions(most_landmarks=most)
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
-    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    localizer.prepare(dataset.load_map(), dataset.images, cache)
     other = localizer._other
     assert isinstance(other, ObjectPlaceFinder)
     assert other.is_first is asked
@@ -222,7 +235,7 @@ def test_in_large_maps_the_search_is_asked_first(
 )
 def test_objects_are_asked_where_the_search_fails(
     rendered: Scene,
-    tmp_path: Path,
+    cache: Path,
     monkeypatch: pytest.MonkeyPatch,
     away: float | None,
     sigma: float,
@@ -232,7 +245,7 @@ def test_objects_are_asked_where_the_search_fails(
     options = ObjectPlaceOptions(most_landmarks=0)
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
-    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    localizer.prepare(dataset.load_map(), dataset.images, cache)
     monkeypatch.setattr(GlobalSearch, "_find_candidates", lambda *_: [])
     query = next(query for query in dataset.queries if "summer" in query.name)
     calls: list[str] = []

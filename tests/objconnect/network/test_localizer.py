@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
@@ -48,6 +50,22 @@ def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None
     """A third of the altitude aside and ten degrees off: found from many starts alone."""
     metres, degrees = find_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
     assert metres < 0.2 and degrees < 0.5
+
+
+def test_a_query_leaves_no_tensor_behind(localizer: FeaturemetricLocalizer) -> None:
+    """Bounded caches hold what they will hold once a query has been asked."""
+
+    def held() -> int:
+        gc.unfreeze()  # what is frozen is not listed
+        gc.collect()
+        return sum(each.nbytes for each in gc.get_objects() if type(each) is torch.Tensor)
+
+    start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+    find_from(localizer, start)
+    before = held()
+    for _ in range(2):
+        find_from(localizer, start)
+    assert held() == before
 
 
 def something_else() -> Query:

@@ -189,7 +189,14 @@ def test_objects_that_are_kept_together() -> None:
     assert sure < unsure
 
 
-@pytest.mark.parametrize("segmentation", ["slic", "grid", "none"])
+@pytest.mark.parametrize(
+    "segmentation",
+    [
+        "slic",
+        pytest.param("grid", marks=pytest.mark.thorough),
+        pytest.param("none", marks=pytest.mark.thorough),
+    ],
+)
 def test_some_steps_lower_the_loss(segmentation: str) -> None:
     off = dict.fromkeys(("attention", "object_graph", "scene_graph"), segmentation != "none")
     training = make(segmentation=segmentation, **off)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.robustness.misuse import world
+from tests.robustness.misuse.harness import memory
 
 
 @pytest.fixture(scope="session")
@@ -21,7 +22,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def tree(whole: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder for the tree, where commands run, and beside it the system's temporary files."""
-    with tempfile.TemporaryDirectory(dir=whole.parent) as folder:
+    with tempfile.TemporaryDirectory(dir=memory() or whole.parent) as folder:
         root = Path(folder) / "tree"
         temporary = Path(folder) / "tmp"
         root.mkdir()

@@ -51,7 +51,7 @@ def run(words: Sequence[str]) -> Outcome:
     """Run ``objconnect`` with these words; what libraries write by themselves is caught, too."""
     with ExitStack() as stack:
         # Beside the tests' own streams, and not among the temporary files that are watched.
-        files = [stack.enter_context(tempfile.TemporaryFile(dir=_memory())) for _ in range(2)]
+        files = [stack.enter_context(tempfile.TemporaryFile(dir=memory())) for _ in range(2)]
         begun = False
         with _streams(files), _fresh_logging(), _limits():
             try:
@@ -105,7 +105,8 @@ def differences(before: dict[str, str], after: dict[str, str]) -> dict[str, str]
     return happened
 
 
-def _memory() -> str | None:
+def memory() -> str | None:
+    """A folder in memory, where thousands of small trees are made and removed in no time."""
     return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 

@@ -196,10 +196,15 @@ def at_work(
             process.kill()
 
 
-SIGNALS = [(signal.SIGTERM, "terminated"), (signal.SIGHUP, "terminated")]
+# Of each command one in the default part.
+SIGNALS = [
+    (signal.SIGTERM, "terminated"),
+    pytest.param(signal.SIGHUP, "terminated", marks=pytest.mark.thorough),
+]
+BY_HAND = pytest.param(signal.SIGINT, "interrupted", marks=pytest.mark.thorough)
 
 
-@pytest.mark.parametrize(("number", "word"), [*SIGNALS, (signal.SIGINT, "interrupted")])
+@pytest.mark.parametrize(("number", "word"), [*SIGNALS, BY_HAND])
 def test_a_signal_during_evaluate(number: int, word: str, tmp_path: Path) -> None:
     flight, out = write_flight(tmp_path / "meadow"), tmp_path / "out"
     words = ["evaluate", flight, "--method", "fake", "--out", out]

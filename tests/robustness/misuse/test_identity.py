@@ -270,7 +270,10 @@ def content(cache: Path) -> Content:
 
 
 # Smaller pictures, where a network looks at them.
-QUICK = {"d2net": {"max_edge": 128}, "pixloc": {"longest": 128}, "objconnect": {"longest": 128}}
+QUICK = {
+    "d2net": {"max_edge": 128},
+    **{name: {"longest": 128} for name in ("pixloc", "pixloc-search", "objconnect")},
+}
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
@@ -31,7 +32,16 @@ from tests.robustness.misuse.commands import COMMANDS, READ
 from tests.robustness.misuse.harness import COMMAND, differences, run, snapshot
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.id for case in CASES])
+def mark_thorough() -> Iterator[Any]:
+    """Mark a fault of an argument thorough if another command has it already."""
+    seen: set[tuple[str, str]] = set()
+    for case in CASES:
+        marks = pytest.mark.thorough if (case.argument, case.name) in seen else ()
+        seen.add((case.argument, case.name))
+        yield pytest.param(case, id=case.id, marks=marks)
+
+
+@pytest.mark.parametrize("case", mark_thorough())
 def test_every_misuse_is_one_line_and_changes_nothing(
     case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

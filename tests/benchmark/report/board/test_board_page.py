@@ -109,7 +109,7 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     assert tuple(cells[2].split()) == shown
     assert cells[0] == "48"
     assert "48 queries of 6 flights" in page.texts("#facts")[0]
-    assert f"reaches {pixloc.half_width:.1f} points" in page.texts("#facts")[0]
+    assert f"±{pixloc.half_width:.1f} points" in page.texts("#facts")[0]
     assert page.texts("#bounded tbody tr:nth-child(2) td")[1].split("\n")[0] == (
         f"{pixloc.surest.value:.1f}"
     )
@@ -120,6 +120,12 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     )
     texts = page.run("[1000, 1000.1, 1e100, null].map(neesText)")
     assert texts == ["1000", "> 1000", "> 1000", "–"]
+
+
+def test_figures_are_rounded_as_in_the_table(page: Browser) -> None:
+    """Ties go to the even digit in Python; JavaScript alone would round them up."""
+    values = [81.25, 91.75, 42.75, 0.35, 100.0, 0.25]
+    assert page.run(f"{values}.map(tenths)") == [f"{value:.1f}" for value in values]
 
 
 def test_a_method_that_was_asked_a_part_of_the_queries_says_so(
@@ -137,7 +143,7 @@ def test_a_method_that_was_asked_a_part_of_the_queries_says_so(
 
 
 def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
-    for start, words in (("none", "no prior"), ("error=3m,5deg", "a prior wrong by 3m,5deg")):
+    for start, words in (("none", "no prior"), ("error=3m,5deg", "a prior wrong by 3 m and 5°")):
         choose(page, "start", words)
         for season, part, named in (
             ("changed", "town", ("changed", "town")),
@@ -187,7 +193,7 @@ def test_the_paired_comparison_is_shown(page: Browser, report: BoardReport) -> N
     assert cell[-1] == ("p < 0.001" if p < 0.001 else f"p = {p:.{3 if p < 0.1 else 2}f}")
     title = page.run("document.querySelector('#pairs tbody tr:nth-child(3) td').title")
     assert title == f"right where the other is wrong: {won}; wrong where it is right: {lost}"
-    assert "draws whole flights, 6 here" in page.texts("#pairs .quiet")[0]
+    assert "over whole flights (6 here)" in page.texts("#pairs .quiet")[0]
 
 
 def test_a_cell_of_the_overview_is_shown(page: Browser) -> None:
@@ -335,7 +341,7 @@ def test_a_large_board_stays_small_and_quick(tmp_path: Path, browser: Browser) -
     browser.open(path, PHONE)
     assert browser.texts("#tracks button small") == ["3210 queries, 8 methods, 4 starts"]
     assert len(methods) == len(browser.texts("#rows tr"))
-    choose(browser, "start", "the position alone, wrong by 50m")
+    choose(browser, "start", "the position alone, wrong by 50 m")
     choose(browser, "part", "farmland")
     assert browser.texts("#rows td:nth-child(2)") == ["428"] * 8
     assert browser.run("document.documentElement.scrollWidth") == PHONE

@@ -40,6 +40,12 @@ TINY = TrainConfig(
 )
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Curves are drawn at every checkpoint, which takes as long as these few steps."""
+    monkeypatch.setattr("objconnect.learning.training.loop.draw_curves", lambda *_: None)
+
+
 class Killed(BaseException):
     """Stands for a signal that no handler catches."""
 
@@ -57,7 +63,12 @@ class KilledAt(PixlocTraining):
         return super().loss(batch, progress)
 
 
-@pytest.mark.parametrize("method", TRAINABLE)
+THOROUGH = {"objects": pytest.mark.thorough}  # ``test_detector`` takes its steps every time
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=THOROUGH.get(name, ())) for name in TRAINABLE]
+)
 def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     method: str, rendered: Scene, tmp_path: Path
 ) -> None:
@@ -65,7 +76,7 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     # The detector of objects learns on the network that comes with the project.
     on_shipped = method == "objects"
     known = {"pairs": PairOptions(objects=True)} if on_shipped else {}
-    tiny = TINY.model_copy(update=known)
+    tiny = TINY.model_copy(update={"save_every": TINY.steps, **known})
     weights = train(method, trainable(method), [rendered.path], out, tiny, [rendered.path])
     assert weights == out / WEIGHTS
     found = read_weights(weights)
@@ -82,6 +93,7 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     assert ("what blocks add at the end" in card) == (method == "objconnect")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_killed_run_resumes_to_the_same_weights(rendered: Scene, tmp_path: Path) -> None:
     whole = train("pixloc", PixlocTraining, [rendered.path], tmp_path / "whole", TINY)
     broken = tmp_path / "broken"
@@ -106,6 +118,7 @@ class _Bereaved(PixlocTraining):
         return super().loss(batch, progress)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.thorough
 def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) -> None:
     """At step 4, when pairs of the next two are made or on their way: those of the last are not."""
@@ -124,6 +137,7 @@ def test_two_trainings_do_not_write_one_folder(rendered: Scene, tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -> None:
     short = TINY.model_copy(update={"steps": 1})
     train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
@@ -131,6 +145,7 @@ def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -
         train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_other_pictures_of_the_same_seed_are_refused(
     rendered: Scene, rendered_copy: Path, tmp_path: Path
 ) -> None:
@@ -144,6 +159,17 @@ def test_other_pictures_of_the_same_seed_are_refused(
         train("pixloc", PixlocTraining, [rendered_copy], tmp_path, TINY)
 
 
+def test_other_workers_are_the_same_run(tmp_path: Path) -> None:
+    other = TINY.model_copy(update={"workers": 1, "save_every": 3})
+    for config in (TINY, other):
+        _claim(tmp_path, {"config": config.model_dump(mode="json")}, 0)
+    with pytest.raises(InputError, match="another config"):
+        changed = TINY.model_copy(update={"batch": 3})
+        _claim(tmp_path, {"config": changed.model_dump(mode="json")}, 0)
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.thorough
 def test_a_run_goes_on_with_other_workers(rendered: Scene, tmp_path: Path) -> None:
     with pytest.raises(Killed):
         train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, TINY)
@@ -151,6 +177,7 @@ def test_a_run_goes_on_with_other_workers(rendered: Scene, tmp_path: Path) -> No
     assert train("pixloc", PixlocTraining, [rendered.path], tmp_path, other).is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_damaged_checkpoint_is_named(rendered: Scene, tmp_path: Path) -> None:
     short = TINY.model_copy(update={"steps": 1})
     train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)

@@ -29,12 +29,16 @@ PRIORS = {
 }
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map is always the same."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture(scope="module", params=SETTINGS)
-def localizer(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Localizer:
+def localizer(request: pytest.FixtureRequest, cache: Path) -> Localizer:
     made = create("objconnect", SETTINGS[request.param])
-    made.prepare(WHOLE, DATASET.images, tmp_path_factory.mktemp("cache"))
+    made.prepare(WHOLE, DATASET.images, cache)
     return made
 
 
@@ -61,14 +65,14 @@ MATCHED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("case", MATCHED)
 def test_poses_of_matches_are_answered_unless_an_aligned_one_is_believed(
-    case: str, tmp_path: Path
+    case: str, cache: Path
 ) -> None:
     search = dict(MATCHED[case])
     if "acceptance" in search:
         search["acceptance"] |= {"matched": MODEL.matched.model_dump()}
     sift, localizer = create("sift", {}), create("objconnect", {"search": search})
     for each in (sift, localizer):
-        each.prepare(WHOLE, DATASET.images, tmp_path)
+        each.prepare(WHOLE, DATASET.images, cache)
     query = replace(QUERY, prior=None)
     matched, answer = sift.localize(query), localizer.localize(query)
     assert matched.inliers >= 30 and matched.cam_from_world is not None
@@ -85,6 +89,8 @@ def test_a_picture_upside_down_is_found(localizer: Localizer) -> None:
     assert_right(answer, view.pose(TRUTH))
 
 
+# In the default part every method is asked about noise (``test_hostile``).
+@pytest.mark.thorough
 def test_what_no_place_fits_is_no_answer(localizer: Localizer) -> None:
     nothing = replace(QUERY, image=noise(QUERY.image.shape), prior=None)
     answer = localizer.localize(nothing)

@@ -45,7 +45,7 @@ def digests(scene: Path) -> dict[str, bytes]:
 
 
 def test_depth_is_right(scene_and_report: tuple[Scene, DenseReport]) -> None:
-    """Pixels of 1 m and photographs far apart: the full size is measured in docs/dense.md."""
+    """Pixels of 1 m and photographs far apart: docs/evidence/mapping.md measures the full size."""
     _, report = scene_and_report
     assert report.maps == report.photographs == 12
     found = report.accuracy["all"]

@@ -141,8 +141,11 @@ def test_a_copy_names_what_is_written(disk: Path, tmp_path: Path) -> None:
     "words",
     [
         ("leaderboard", str(GATE.with_name("gate-baseline")), "--out"),
-        ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
-        ("audit", "places.csv", "--out"),
+        pytest.param(
+            ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(("audit", "places.csv", "--out"), marks=pytest.mark.thorough),
     ],
     ids=lambda words: words[0],
 )

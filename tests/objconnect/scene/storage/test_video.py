@@ -113,6 +113,14 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> 
     assert "\n" not in str(refused.value)
 
 
+def test_an_unknown_codec_is_refused_in_one_line(flight: Path) -> None:
+    whole = flight.read_bytes()
+    assert whole.count(b"avc1") == 2
+    flight.write_bytes(whole.replace(b"avc1", b"zzzz"))
+    with pytest.raises(InputError, match="its codec is unknown"):
+        read_video(flight)
+
+
 def test_a_video_without_its_index_is_refused_in_one_line(flight: Path) -> None:
     """The index of an MP4 file comes last: a card that was pulled out leaves none."""
     flight.write_bytes(flight.read_bytes()[:900])
