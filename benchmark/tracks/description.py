@@ -85,7 +85,7 @@ class Track(Record):
         for name in names:
             if name not in known:
                 raise InputError(
-                    f"the track {self.name} has no site {name!r}; it has {', '.join(known)}"
+                    f"the track {self.name} has no place {name!r}; it has {', '.join(known)}"
                 )
         return tuple(place for place in self.places if not names or place.dataset in names)
 
@@ -112,7 +112,7 @@ def load_track(name: str, board: Path = BOARD) -> Track:
     known = [path.parent.name for path in files if path.name == DESCRIPTION]
     if name not in known:
         existing = f"; there are {', '.join(known)}" if known else ""
-        raise InputError(f"{board} has no track called {name!r}{existing}")
+        raise InputError(f"{board} has no track named {name!r}{existing}")
     path = board / name / DESCRIPTION
     track = load_config(Track, path, {})
     if track.name != name:

@@ -211,7 +211,7 @@ def test_results_of_other_data_are_not_stored(
         targets_of([tmp_path / "other"], track)
     unknown = results.dataset.model_copy(update={"name": "../../park-2"})
     results.model_copy(update={"dataset": unknown}).write(tmp_path / "x" / "a" / "sift.json")
-    with pytest.raises(InputError, match="no site '../../park-2'"):
+    with pytest.raises(InputError, match="no place '../../park-2'"):
         targets_of([tmp_path / "x"], track)
     run_of([make_scored_query("a", 0.1)]).write(tmp_path / "again" / "park-1" / "sift.json")
     with pytest.raises(InputError, match="has results of sift on park-1 from start none"):

@@ -79,7 +79,7 @@ def test_sites_are_selected_by_name() -> None:
     assert TRACK.select() == TRACK.places
     assert TRACK.select(("b", "park-1")) == TRACK.places, "in the track's order"
     assert TRACK.select(("b",)) == TRACK.places[1:]
-    with pytest.raises(InputError, match="no site 'c'; it has park-1, b"):
+    with pytest.raises(InputError, match="no place 'c'; it has park-1, b"):
         TRACK.select(("b", "c"))
 
 
@@ -108,9 +108,9 @@ def test_a_wrong_description_is_refused(old: str, new: str, says: str, tmp_path:
 def test_an_unknown_track_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match="no track called 'uav'; there are street-seasons, uav-seasons, uav-small",
+        match="no track named 'uav'; there are street-seasons, uav-seasons, uav-small",
     ):
         load_track("uav")
     for name in ("tiny", "", "..", "../tracks/tiny"):
-        with pytest.raises(InputError, match=f"has no track called '{name}'$"):
+        with pytest.raises(InputError, match=f"has no track named '{name}'$"):
             load_track(name, tmp_path)

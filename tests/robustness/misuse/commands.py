@@ -217,7 +217,7 @@ FORECAST = Row(
 )
 LOCALIZE = Row(
     {
-        "place": folder(
+        "source": folder(
             "meadow",
             part("meadow/origin.json", "json"),
             part("meadow/images/c.jpg", "photograph"),
@@ -348,9 +348,9 @@ COMMANDS: dict[str, Row] = {
         }
     ),
     "localize": LOCALIZE,
-    "localize:scene": LOCALIZE.instead(place=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
+    "localize:scene": LOCALIZE.instead(source=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
     "localize:video": LOCALIZE.instead(
-        place=folder("hamlet").sound(),
+        source=folder("hamlet").sound(),
         images=FLAG,
         priors=FLAG,
         video=file("film/flight.mp4", "bytes"),

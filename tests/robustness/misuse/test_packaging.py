@@ -207,7 +207,7 @@ def test_the_wheel_finds_tracks_by_name(from_wheel: Environment, tmp_path: Path)
     words = ["track", "uav-seasons", "--place", "nowhere", "--out", "out"]
     answer = from_wheel.run([*from_wheel.script("objconnect"), *words], tmp_path)
     assert answer.returncode == 2
-    assert "the track uav-seasons has no site 'nowhere'; it has town-1, " in answer.stderr
+    assert "the track uav-seasons has no place 'nowhere'; it has town-1, " in answer.stderr
 
 
 # ----------------------------------------------------------- the plugin of pytest
