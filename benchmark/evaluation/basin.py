@@ -135,10 +135,12 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
         size = Size(float(match.group(1)), float(match.group(2)))
         if size.metres > FARTHEST_M:
             raise InputError(
-                f"a position error is at most {FARTHEST_M:g} metres; got {size.metres:g}"
+                f"a position error is at most {FARTHEST_M:g} metres; got {size.metres:g} metres"
             )
         if size.degrees > 180:
-            raise InputError(f"an attitude error is at most 180 degrees; got {size.degrees:g}")
+            raise InputError(
+                f"an attitude error is at most 180 degrees; got {size.degrees:g} degrees"
+            )
         if size in sizes:
             raise InputError(f"the error {size} is listed twice")
         sizes.append(size)
