@@ -587,9 +587,9 @@ def test_no_condition_is_called_all(scored: Path, tmp_path: Path) -> None:
     manifest = scene / "scene.json"
     manifest.write_text(manifest.read_text().replace("winter-dusk", "all"))
     line = expect_error(tmp_path, "evaluate", scene, "--method", "prior", "--out", tmp_path / "out")
-    assert "the condition 'all' is a reserved name" in line
+    assert "no condition can be called 'all'" in line
     scored.write_text(scored.read_text().replace("same-flight", "all"))
-    assert "the condition 'all' is a reserved name" in expect_error(tmp_path, "leaderboard", scored)
+    assert "no condition can be called 'all'" in expect_error(tmp_path, "leaderboard", scored)
 
 
 HOSTILE = "\x1b[31m<b>|*x*|\n# forged\u202e $y$ `z`"
