@@ -1,7 +1,7 @@
-"""Data sets, localizers run on them, scores, boards, and the command line.
+"""Benchmark of localizers: data sets, evaluation, scores, leaderboards, and the command line.
 
-Every call of everyday use is an attribute of this package, loaded when it is first used, such as
-``benchmark.evaluate`` and ``benchmark.leaderboard``.
+The functions of everyday use, such as ``benchmark.evaluate`` and ``benchmark.leaderboard``, are
+attributes of this package and are imported at their first use.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _TARGETS = {
     "leaderboard": "benchmark.report.leaderboard",
     "regress": "benchmark.regression",
     "view": "benchmark.report.view",
-    # Look ahead.
+    # Plan flights.
     "forecast": "benchmark.forecasting.command",
     "ForecastConfig": "benchmark.forecasting.config",
 }

@@ -1,10 +1,10 @@
-"""The command ``doctor``, which checks the installation and prints the command that mends a fault.
+"""The command ``doctor``, which checks the installation and prints commands that repair it.
 
 It checks the machine, the versions of packages, the libraries of the system and the weights. It
-needs nothing but Python itself, so that it runs as ``python -m benchmark.doctor`` or ``python
-benchmark/doctor.py`` where the command line cannot start, even on a Python that is too old for the
-rest. It uses no network. Every package is loaded in a process of its own, because loading a broken
-one may crash the process.
+needs only Python itself, so that it also runs as ``python -m benchmark.doctor`` or ``python
+benchmark/doctor.py`` if the command line cannot start, even on a Python that is too old for the
+other modules. It uses no network. Each package is imported in its own process, because importing a
+broken one may crash the process.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _MODULES: Final = {
     "pillow": "PIL",
     "rerun-sdk": "rerun",
 }
-# Extras that bring one ability each: a package of theirs, and what is impossible without it.
+# Extras, one of the packages of each, and what is impossible without it.
 _EXTRAS: Final = {
     "simulate": ("bpy", "rendering"),
     "cluster": ("ray", "--cluster"),
@@ -55,8 +55,8 @@ _EXTRAS: Final = {
     "rerun": ("rerun-sdk", "export to rerun"),
 }
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
-# Loading torch takes long on a busy machine.
-_PATIENCE_S: Final = 300
+# Importing torch takes long on a busy machine.
+_TIMEOUT_S: Final = 300
 # Free bytes below which no scene or result fits on a disk.
 _LEAST_FREE: Final = 1e9
 # Program that prints the names of the GPUs that torch can use.
@@ -77,7 +77,7 @@ class Check:
         state: "ok", "absent" for a part that only some commands need, or "missing" for a part that
             must be installed.
         found: what is installed, or what is wrong with it.
-        fix: command that mends the fault; empty where there is none.
+        fix: command that repairs it; empty if there is none.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """Return whether nothing is missing that is needed."""
+        """Whether nothing required is missing."""
         return all(check.state != "missing" for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class Diagnosis:
         return {"ok": self.ok, "checks": [asdict(check) for check in self.checks]}
 
     def text(self) -> str:
-        """Return one line for each check, and one for each command that mends a fault."""
+        """Return one line for each check, and one for each command that repairs something."""
         lines = []
         width = max(len(check.name) for check in self.checks)
         for check in self.checks:
@@ -143,7 +143,7 @@ class _Loaded(NamedTuple):
 def doctor() -> Diagnosis:
     """Check the machine, the packages, the libraries that rendering needs, and the weights.
 
-    On a Python that is too old only Python itself is checked.
+    A Python that is too old is the only thing checked.
     """
     if sys.version_info < _PYTHON:
         return Diagnosis((_python(),))
@@ -211,7 +211,7 @@ def _numbers(version: str) -> list[int]:
 
 
 def _load(module: str) -> _Loaded:
-    """Load a module in a process of its own and return its output or its error."""
+    """Import a module in its own process and return the output or the error."""
     code = _TORCH if module == "torch" else f"import {module}"
     try:
         answer = subprocess.run(
@@ -220,10 +220,10 @@ def _load(module: str) -> _Loaded:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_PATIENCE_S,
+            timeout=_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
-        return _Loaded("", f"does not load within {_PATIENCE_S} s")
+        return _Loaded("", f"does not load within {_TIMEOUT_S} s")
     if answer.returncode == 0:
         return _Loaded(answer.stdout, "")
     errors = answer.stderr.strip().splitlines()
@@ -311,7 +311,7 @@ def _package(requirement: _Requirement, loaded: _Loaded) -> Check:
 
 
 def _rendering(installed: bool) -> Iterator[Check]:
-    """Check what simulate, calibrate and gallery need; without bpy nothing counts as missing."""
+    """Check the requirements of rendering; without bpy none of them counts as missing."""
     packages = missing_packages()
     if not installed:
         fix = f"{sys.executable} -m pip install 'objconnect[simulate]'"
@@ -319,16 +319,16 @@ def _rendering(installed: bool) -> Iterator[Check]:
             fix = f"with Python 3.11, for which alone it is made: {fix}"
         yield Check("bpy", "absent", "not installed: rendering is not possible", fix)
     if packages:
-        lacking = f"without {', '.join(packages)}"
+        missing = f"without {', '.join(packages)}"
         yield Check(
-            "Blender's libraries", "missing" if installed else "absent", lacking, _apt(packages)
+            "Blender's libraries", "missing" if installed else "absent", missing, _apt(packages)
         )
     else:
         yield Check("Blender's libraries", "ok", "all there")
 
 
 def _optional(present: set[str]) -> Iterator[Check]:
-    """Check the extras besides rendering's, which never count as missing."""
+    """Check the extras other than rendering, which never count as missing."""
     for extra, (package, ability) in _EXTRAS.items():
         if extra not in {"simulate", *present}:
             fix = f"{sys.executable} -m pip install 'objconnect[{extra}]'"
@@ -336,15 +336,15 @@ def _optional(present: set[str]) -> Iterator[Check]:
 
 
 def _testing(requirements: list[_Requirement]) -> Iterator[Check]:
-    """Check what developers need, which never counts as missing."""
-    lacking = [
+    """Check the packages of developers, which never count as missing."""
+    missing = [
         requirement
         for requirement in requirements
         if not _fits(_version(requirement.package) or "0", requirement.versions or ">=0.0.1")
     ]
-    if lacking:
-        fix = f"{sys.executable} -m pip install {' '.join(repr(str(r)) for r in lacking)}"
-        yield Check("tests", "absent", f"without {', '.join(r.package for r in lacking)}", fix)
+    if missing:
+        fix = f"{sys.executable} -m pip install {' '.join(repr(str(r)) for r in missing)}"
+        yield Check("tests", "absent", f"without {', '.join(r.package for r in missing)}", fix)
     else:
         yield Check("tests", "ok", "all packages there")
     browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)

@@ -38,7 +38,7 @@ class Comparison:
         change: change of recall, paired by query.
         vanished: number of baseline queries that the results lack; they count as wrong.
         dropped: whether recall fell by more than chance explains, or a query vanished.
-        can_drop: whether the loss of every query that was right would count as a drop.
+        can_drop: whether losing every correct query would count as a drop.
     """
 
     method: str
@@ -63,11 +63,11 @@ class Comparison:
         )
 
     def doubt(self) -> str:
-        """Return the line that warns of a baseline which cannot drop."""
+        """Return the warning for a baseline that is too small for any loss to be significant."""
         return for_terminal(
             f"{self.method} on {self.dataset} ({self.track}), {self.condition}, {self.threshold}: "
-            "no loss could be told from chance, as too few of the baseline's "
-            f"{self.change.queries} queries are right: record more queries, or easier ones"
+            "no loss could be significant, because too few of the baseline's "
+            f"{self.change.queries} queries are correct: record more queries, or easier ones"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,8 +78,8 @@ class Comparison:
 def regress(results: Path, baseline: Path) -> list[Comparison]:
     """Compare every results file of a baseline with the file of the same name in ``results``.
 
-    A query that the new results lack counts as wrong. Where so few queries of the baseline are
-    right that even the loss of all could be chance, a warning names the comparison.
+    A query that the new results lack counts as wrong. A warning names each comparison in which so
+    few queries of the baseline are correct that even losing all of them would not be significant.
 
     Args:
         results: folder that ``evaluate`` wrote.
@@ -133,13 +133,13 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
     if before.dataset.sha256 != after.dataset.sha256:
         raise InputError(
             f"{name}: the results are of data set {after.dataset.sha256[:12]}, the baseline of "
-            f"{before.dataset.sha256[:12]}: where photographs, map or poses changed, recall cannot "
-            "be compared; if the change was meant, record it again with --update"
+            f"{before.dataset.sha256[:12]}: recall cannot be compared after photographs, map or "
+            "poses changed; if the change is intended, record it again with --update"
         )
     if before.start != after.start:
         raise InputError(
-            f"{name}: the results start from {after.start}, the baseline from {before.start}; "
-            "evaluate from the same, or record it again with --update"
+            f"{name}: the results are of start {after.start}, the baseline of {before.start}; "
+            "evaluate with the same start, or record it again with --update"
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)

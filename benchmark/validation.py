@@ -1,4 +1,4 @@
-"""The command ``validate``, which checks scenes and flights of real photographs."""
+"""The command ``validate``, which checks the conventions of scenes and flights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PROBES = 5
 
 
 def validate(path: Path, cache: Path | None = None) -> Report:
-    """Check the conventions of a scene or of a flight, and name what is wrong.
+    """Check the conventions of a scene or a flight.
 
     Args:
         path: folder of the scene or flight.
@@ -58,15 +58,15 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
     localizer = create("sift", {})
     localizer.prepare(sparse_map, dataset.images, cache)
     chosen = np.linspace(0, len(dataset.queries) - 1, min(_PROBES, len(dataset.queries)))
-    localized, written = [], []
+    localized, stated = [], []
     for query in (dataset.queries[int(k)] for k in chosen):
         pose = localizer.localize(query.load()).cam_from_world
         if pose is not None:
             localized.append(pose)
-            written.append(query.reference.matrix().numpy())
+            stated.append(query.reference.matrix().numpy())
     if not localized:
         return Check(name, True, "not decided: SIFT localizes none of the queries tried")
-    matrices = np.stack(written)
+    matrices = np.stack(stated)
     metres, degrees = _difference(localized, matrices, OURS)
     figures = {"median_m": metres, "median_deg": degrees, "queries": float(len(localized))}
     # The rotation of a camera that looks straight down is nearly its own transpose, so that several
@@ -83,16 +83,16 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
 
 
 def _difference(
-    localized: Sequence[Pose], written: NDArray[np.float64], reading: Reading
+    localized: Sequence[Pose], stated: NDArray[np.float64], reading: Reading
 ) -> tuple[float, float]:
     """Return the median distance (m) and angle (deg) between two lists of poses.
 
     Args:
         localized: poses ``cam_from_world`` that SIFT found.
-        written: (N, 4, 4) matrices of the data set.
+        stated: (N, 4, 4) matrices of the data set.
         reading: convention by which the matrices are read.
     """
-    read = [Pose.from_matrix(matrix) for matrix in reading.poses(written)]
+    read = [Pose.from_matrix(matrix) for matrix in reading.poses(stated)]
     errors = [pose.error_to(other) for pose, other in zip(localized, read, strict=True)]
     metres, degrees = np.median(np.array([[float(m), float(d)] for m, d in errors]), axis=0)
     return float(metres), float(degrees)

@@ -1,1 +1,1 @@
-"""Scripts that measure: ours beside peers, ablations, numbers that were chosen. Not installed."""
+"""Measuring scripts, which are not installed: costs, ablations, comparisons, fits of constants."""

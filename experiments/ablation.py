@@ -1,4 +1,4 @@
-"""Measure what each part of object-connect contributes.
+"""Ablation of object-connect: what each part of the network contributes.
 
 ``python -m experiments.ablation experiments/ablation.yaml DATASET... --data SCENE --out OUT``
 
@@ -130,7 +130,7 @@ def ablate(
         if weights is None:
             weights = _train(plan.training, variant, data, validation, folder)
             trained.append((variant.network, weights))
-        localizer = create(METHOD, {**_given_values(variant.method), "weights": weights})
+        localizer = create(METHOD, {**_collect_explicit(variant.method), "weights": weights})
         runs = []
         for dataset in datasets:
             path = results_path(folder, dataset, localizer)
@@ -154,12 +154,12 @@ def _train(
 ) -> Path:
     weights = training.weights or shipped_path(SHIPPED)
     config = training.model_copy(
-        update={"network": _given_values(variant.network), "weights": weights}
+        update={"network": _collect_explicit(variant.network), "weights": weights}
     )
     return train(METHOD, trainable(METHOD), data, folder / "training", config, validation)
 
 
-def _given_values(config: Config) -> dict[str, Any]:
+def _collect_explicit(config: Config) -> dict[str, Any]:
     """Return the values of a configuration that were given, without its defaults."""
     return config.model_dump(exclude_unset=True)
 

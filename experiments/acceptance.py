@@ -1,4 +1,4 @@
-"""When poses by alignment are believed: the numbers of the model, and what they are worth.
+"""Fit and check the model that accepts or rejects poses from alignment.
 
     python -m experiments.acceptance record RECORDS DATASET [DATASET ...] [--map DATASET]
         [--method objconnect] [--start none] [--every N] [--set key=value] [--cache CACHE]
@@ -6,11 +6,12 @@
     python -m experiments.acceptance check RECORDS [RECORDS ...] [--model FILE] [--risk 0.05]
         [--picture FILE]
 
-``record`` localizes queries, believes nothing, and writes what each alignment and the matches told
-beside how wrong they were. With ``--map`` the queries are looked for in the map of another place,
-where all poses are wrong. ``fit`` prints the model, chosen without regard to one file of records at
-a time. ``check`` prints what a model is worth on each file, and draws its reliability. Give scenes
-of seeds 100 to 999 to ``fit``, and others, or other cameras and seasons, to ``check``.
+``record`` localizes queries, accepts no pose, and writes the evidence of every alignment and of the
+matches with the errors of their poses. With ``--map`` the queries are localized in the map of
+another site, where all poses are wrong. ``fit`` prints the model, with a ridge chosen by
+leave-one-file-out cross-validation. ``check`` prints figures of a model on each file, and draws its
+reliability. Give scenes of seeds 100 to 999 to ``fit``, and others, or other cameras and seasons,
+to ``check``.
 """
 
 from __future__ import annotations
@@ -59,25 +60,25 @@ from objconnect.scene.runtime.progress import progress_bar
 
 Array = NDArray[np.float64]
 
-# Believed by nobody, so that a search tries all that it has.
+# A risk at which no pose is accepted, so that a search tries all candidates.
 _NEVER: Final = 1e-30
-# Weights of the squared coefficients among which leaving one file out chooses.
+# Weights of the squared coefficients that cross-validation chooses from.
 _RIDGES: Final = (0.0001, 0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
-# Hardly any pose by matches is wrong, so that leaving files out does not tell the ridge of these.
+# Hardly any pose from matches is wrong, so that cross-validation cannot choose their ridge.
 _MATCHED_RIDGE: Final = 0.01
 _BINS: Final = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
 _NEAR_M, _NEAR_DEG = 1.0, 5.0
 _EXACT_M: Final = 0.5
 
 
-class Told(NamedTuple):
-    """What an alignment told of one pose.
+class AlignedPose(NamedTuple):
+    """A pose from an alignment, with its evidence and its error.
 
     Attributes:
-        evidence: what tells whether it is right.
+        evidence: evidence of whether it is right.
         pose: ``cam_from_world`` as qw qx qy qz tx ty tz.
-        metres: how far it is off; infinite in the map of another place.
-        degrees: by how much it is turned.
+        metres: position error; infinite in the map of another site.
+        degrees: rotation error.
         sigma_m: predicted standard deviation of its position, metres.
     """
 
@@ -89,111 +90,111 @@ class Told(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether the pose is right, and exact enough to be no chance."""
+        """Whether the pose is right, and too exact to be right by chance."""
         return self.metres < _NEAR_M and self.degrees < _NEAR_DEG
 
     @property
     def false(self) -> bool:
-        """Whether the pose is wrong by far."""
+        """Whether the pose is a false fix."""
         return self.metres > RIGHT_M or self.degrees > RIGHT_DEG
 
     @property
-    def pose_of(self) -> Pose:
-        """Return the pose."""
+    def cam_from_world(self) -> Pose:
+        """The pose."""
         return Pose.from_quaternion(self.pose[:4], self.pose[4:])
 
 
 class Record(NamedTuple):
-    """What was told of one query.
+    """The poses of one query.
 
     Attributes:
         query: its name.
-        aligned: poses by alignment in the order in which they were tried.
-        inliers: of the pose by matches; 0 without one.
-        matched_right: whether the pose by matches is right.
+        aligned: poses from alignment in the order of their attempts.
+        inliers: number of inliers of the pose from matches; 0 without one.
+        matched_right: whether the pose from matches is right.
     """
 
     query: str
-    aligned: list[Told]
+    aligned: list[AlignedPose]
     inliers: int
     matched_right: bool
 
 
-def record(given: argparse.Namespace) -> None:
-    """Localize queries, and write what was told of their poses."""
-    settings = {"search": {"risk": _NEVER}, "tracking": None} | parse_settings(given.set)
-    cache = given.cache or Path(tempfile.mkdtemp())
-    given.records.parent.mkdir(parents=True, exist_ok=True)
-    with given.records.open("w") as file:
-        for path in given.datasets:
+def record(args: argparse.Namespace) -> None:
+    """Localize queries, and write their poses with evidence and errors."""
+    settings = {"search": {"risk": _NEVER}, "tracking": None} | parse_settings(args.set)
+    cache = args.cache or Path(tempfile.mkdtemp())
+    args.records.parent.mkdir(parents=True, exist_ok=True)
+    with args.records.open("w") as file:
+        for path in args.datasets:
             for dataset in open_datasets(path)[:1]:
-                other = open_datasets(given.map)[0] if given.map else None
-                for each in _recorded(dataset, other, given, settings, cache):
+                other = open_datasets(args.map)[0] if args.map else None
+                for each in _localize_queries(dataset, other, args, settings, cache):
                     file.write(json.dumps(_plain(each)) + "\n")
                     file.flush()
 
 
-def _recorded(
+def _localize_queries(
     dataset: Dataset,
     other: Dataset | None,
-    given: argparse.Namespace,
+    args: argparse.Namespace,
     settings: dict[str, Any],
     cache: Path,
 ) -> Iterator[Record]:
-    """Yield what is told of the queries of a data set, in its map or in another's."""
-    localizer = create(given.method, settings)
+    """Yield the records of the queries of a data set, in its map or in that of ``other``."""
+    localizer = create(args.method, settings)
     assert isinstance(localizer, FeaturemetricLocalizer)
-    there = other or dataset
-    localizer.prepare(there.load_map(), there.images, cache)
-    start: Start = given.start
+    mapped = other or dataset
+    localizer.prepare(mapped.load_map(), mapped.images, cache)
+    start: Start = args.start
     load = start.loader(dataset, dataset.load_map(), cache)
-    told: list[Attempt] = []
+    tried: list[Attempt] = []
     matched: list[Estimate] = []
 
-    def judged(*arguments: Any) -> Attempt:
-        told.append(judge(*arguments))
-        return told[-1]
+    def evaluate_and_keep(*arguments: Any) -> Attempt:
+        tried.append(evaluate(*arguments))
+        return tried[-1]
 
     def is_answer(estimate: Estimate, _: object) -> bool:
         matched.append(estimate)
         return False
 
-    judge = attempts.evaluate_alignment
-    queries = dataset.queries[:: given.every]
+    evaluate = attempts.evaluate_alignment
+    queries = dataset.queries[:: args.every]
     with (
-        patch.object(refiners, "judged", judged),
+        patch.object(refiners, "evaluate_alignment", evaluate_and_keep),
         patch.object(localizers, "is_answer", is_answer),
-        progress_bar(f"{dataset.name} in {there.name}", len(queries)) as advance,
+        progress_bar(f"{dataset.name} in {mapped.name}", len(queries)) as advance,
     ):
         for done, query in enumerate(queries, 1):
-            told.clear()
+            tried.clear()
             matched.clear()
             localizer.localize(load(query))
-            sigmas = [sigma_m(each, localizer.config.search) for each in told]
-            yield _record(query, told, sigmas, matched, other is None)
+            sigmas = [sigma_m(attempt, localizer.config.search) for attempt in tried]
+            yield _record(query, tried, sigmas, matched, other is None)
             advance(done)
 
 
 def _record(
     query: BenchmarkQuery,
-    told: Sequence[Attempt],
+    tried: Sequence[Attempt],
     sigmas: Sequence[float],
     matched: Sequence[Estimate],
-    here: bool,
+    in_own_map: bool,
 ) -> Record:
     aligned = []
-    for each, sigma in zip(told, sigmas, strict=True):
-        if each.evidence is None:
+    for attempt, sigma in zip(tried, sigmas, strict=True):
+        if attempt.evidence is None:
             continue
-        metres, degrees = (float(part) for part in each.pose.error_to(query.reference))
-        numbers = (*each.pose.quaternion().tolist(), *each.pose.translation.tolist())
-        off = metres if here else math.inf
-        aligned.append(Told(each.evidence, numbers, off, degrees, sigma))
+        metres, degrees = (float(part) for part in attempt.pose.error_to(query.reference))
+        numbers = (*attempt.pose.quaternion().tolist(), *attempt.pose.translation.tolist())
+        error = metres if in_own_map else math.inf
+        aligned.append(AlignedPose(attempt.evidence, numbers, error, degrees, sigma))
     best = matched[0] if matched and matched[0].probability is not None else None
     if best is None or best.cam_from_world is None:
         return Record(query.name, aligned, 0, False)
     metres, degrees = (float(part) for part in best.cam_from_world.error_to(query.reference))
-    right = here and metres < RIGHT_M and degrees < RIGHT_DEG
+    right = in_own_map and metres < RIGHT_M and degrees < RIGHT_DEG
     return Record(query.name, aligned, best.inliers, right)
 
 
@@ -208,7 +209,7 @@ def read(path: Path) -> list[Record]:
     for line in path.read_text().splitlines():
         values = json.loads(line)
         aligned = [
-            Told(Evidence(**each.pop("evidence")), tuple(each.pop("pose")), **each)
+            AlignedPose(Evidence(**each.pop("evidence")), tuple(each.pop("pose")), **each)
             for each in values.pop("aligned")
         ]
         records.append(Record(aligned=aligned, **values))
@@ -216,28 +217,28 @@ def read(path: Path) -> list[Record]:
 
 
 def _cases(records: Sequence[Record]) -> tuple[Array, Array, Array]:
-    """Return terms (N, 3), labels (N,) and weights (N,) of poses; a query weighs one in all.
+    """Return terms (N, 3), labels (N,) and weights (N,) of poses; the weights of a query sum to 1.
 
-    Poses that are off by 1 to 5 m are left out: they are at the right place inexactly, or by the
-    chance of a near prior.
+    Poses with an error of 1 to 5 m are left out: they are inexact, or near by the chance of a near
+    prior.
     """
-    told = [
-        (each, 1 / len(record.aligned))
+    clear = [
+        (pose, 1 / len(record.aligned))
         for record in records
-        for each in record.aligned
-        if each.right or each.false
+        for pose in record.aligned
+        if pose.right or pose.false
     ]
-    terms = np.array([each.evidence.terms() for each, _ in told]).reshape(-1, 3)
-    labels = np.array([each.right for each, _ in told], float)
-    return terms, labels, np.array([weight for _, weight in told])
+    terms = np.array([pose.evidence.terms() for pose, _ in clear]).reshape(-1, 3)
+    labels = np.array([pose.right for pose, _ in clear], float)
+    return terms, labels, np.array([weight for _, weight in clear])
 
 
 def _matches(records: Sequence[Record]) -> tuple[Array, Array, Array]:
-    """Return terms (N, 1), labels (N,) and weights (N,) of poses by matches."""
-    told = [record for record in records if record.inliers]
-    terms = np.log([float(record.inliers) for record in told]).reshape(-1, 1)
-    labels = np.array([record.matched_right for record in told], float)
-    return terms, labels, np.ones(len(told))
+    """Return terms (N, 1), labels (N,) and weights (N,) of poses from matches."""
+    matched = [record for record in records if record.inliers]
+    terms = np.log([float(record.inliers) for record in matched]).reshape(-1, 1)
+    labels = np.array([record.matched_right for record in matched], float)
+    return terms, labels, np.ones(len(matched))
 
 
 Cases = tuple[Array, Array, Array]
@@ -255,49 +256,49 @@ def _regression(cases: Cases, ridge: float) -> Array:
     terms, _, _ = cases
     spread = terms.std(0).clip(1e-6)
 
-    def penalized(numbers: Array) -> float:
+    def penalize(numbers: Array) -> float:
         return _loss(numbers, cases) + ridge * float(((numbers[1:] * spread) ** 2).sum()) / 100
 
-    return np.asarray(minimize(penalized, np.zeros(1 + terms.shape[1]), method="BFGS").x)
+    return np.asarray(minimize(penalize, np.zeros(1 + terms.shape[1]), method="BFGS").x)
 
 
-def _together(parts: Sequence[Cases]) -> Cases:
+def _concatenate(parts: Sequence[Cases]) -> Cases:
     terms, labels, weights = zip(*parts, strict=True)
     return np.concatenate(terms), np.concatenate(labels), np.concatenate(weights)
 
 
-def _chosen(parts: Sequence[Cases]) -> Array:
-    """Return the regression whose ridge does best on each part when fitted to the others."""
+def _fit_regression(parts: Sequence[Cases]) -> Array:
+    """Return the regression with the ridge that cross-validation over the parts chooses."""
 
-    def unseen(ridge: float) -> float:
+    def validate(ridge: float) -> float:
         losses = []
         for k, part in enumerate(parts):
-            others = _together([each for j, each in enumerate(parts) if j != k])
+            others = _concatenate([each for j, each in enumerate(parts) if j != k])
             losses.append(_loss(_regression(others, ridge), part))
         return float(np.mean(losses))
 
     if len(parts) == 1:
         return _regression(parts[0], _RIDGES[len(_RIDGES) // 2])
-    ridge = min(_RIDGES, key=unseen)
-    print(f"ridge {ridge:g}, log loss of files that were left out {unseen(ridge):.4f}")
-    return _regression(_together(parts), ridge)
+    ridge = min(_RIDGES, key=validate)
+    print(f"ridge {ridge:g}, log loss of files that were left out {validate(ridge):.4f}")
+    return _regression(_concatenate(parts), ridge)
 
 
-def fit(given: argparse.Namespace) -> None:
-    """Print the model that records give, and write it."""
-    files = [read(path) for path in given.records]
-    aligned = _chosen([_cases(records) for records in files if records])
+def fit(args: argparse.Namespace) -> None:
+    """Fit the model to records, print it and write it."""
+    files = [read(path) for path in args.records]
+    aligned = _fit_regression([_cases(records) for records in files if records])
     model = AcceptanceModel(
         aligned=AlignedModel(**dict(zip(AlignedModel.model_fields, aligned.round(3), strict=True))),
-        matched=_matched_model(_together(list(map(_matches, files)))),
+        matched=_fit_matches(_concatenate(list(map(_matches, files)))),
     )
     print(model)
-    if given.out:
-        model.write(given.out, "python -m experiments.acceptance")
+    if args.out:
+        model.write(args.out, "python -m experiments.acceptance")
 
 
-def _matched_model(cases: Cases) -> MatchedModel:
-    """Return the model of poses by matches; the shipped one where records have no such pose."""
+def _fit_matches(cases: Cases) -> MatchedModel:
+    """Return the model of poses from matches; the shipped one if the records have no such pose."""
     if not len(cases[0]):
         return AcceptanceModel.beside(None).matched
     numbers = _regression(cases, _MATCHED_RIDGE).round(3)
@@ -305,26 +306,26 @@ def _matched_model(cases: Cases) -> MatchedModel:
 
 
 class Answer(NamedTuple):
-    """What a model makes of one query.
+    """The pose that a model chooses for one query.
 
     Attributes:
-        probability: of the likeliest pose.
-        told: what was told of that.
-        tried: number of alignments until it was believed.
+        probability: probability that it is right.
+        pose: the pose.
+        tried: number of alignments until it was accepted.
     """
 
     probability: float
-    told: Told
+    pose: AlignedPose
     tried: int
 
-    def taken(self, risk: float, most_sigma_m: float) -> bool:
-        """Return whether the pose is answered."""
-        return self.probability >= 1 - risk and self.told.sigma_m <= most_sigma_m
+    def is_accepted(self, risk: float, most_sigma_m: float) -> bool:
+        """Return whether the pose is accepted."""
+        return self.probability >= 1 - risk and self.pose.sigma_m <= most_sigma_m
 
 
-def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
-    """Return the pose that is believed first, or the likeliest one of all; None without a pose."""
-    poses = [(each.pose_of, model.of_alignment(each.evidence)) for each in record.aligned]
+def choose_answer(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
+    """Return the first accepted pose, or else the most probable one; None without a pose."""
+    poses = [(pose.cam_from_world, model.of_alignment(pose.evidence)) for pose in record.aligned]
     for tried in range(1, len(poses) + 1):
         best, probability = best_probability(poses[:tried])
         if probability >= 1 - risk or tried == len(poses):
@@ -332,33 +333,33 @@ def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | No
     return None
 
 
-def check(given: argparse.Namespace) -> None:
-    """Print what a model is worth on each file of records, and draw its reliability."""
-    model = load_config(AcceptanceModel, given.model or AcceptanceModel.shipped_path(), {})
+def check(args: argparse.Namespace) -> None:
+    """Print figures of a model on each file of records, and draw its reliability."""
+    model = load_config(AcceptanceModel, args.model or AcceptanceModel.shipped_path(), {})
     print(
         "| records | queries | answered | wrong by > 1 m, 5° | wrong by > 5 m, 10° | right within "
         "0.5 m | of these refused | calibration error |\n|---|--:|--:|--:|--:|--:|--:|--:|"
     )
     drawn = {}
-    for records in given.records:
-        some = [answered(each, model, given.risk) for each in read(records)]
+    for records in args.records:
+        some = [choose_answer(each, model, args.risk) for each in read(records)]
         answers = [each for each in some if each is not None]
         drawn[records.stem] = answers
-        _row(records.stem, answers, given)
-    _row("all", [each for answers in drawn.values() for each in answers], given)
-    if given.picture:
-        _draw(drawn, given.picture)
+        _row(records.stem, answers, args)
+    _row("all", [each for answers in drawn.values() for each in answers], args)
+    if args.picture:
+        _draw(drawn, args.picture)
 
 
-def _row(name: str, answers: Sequence[Answer], given: argparse.Namespace) -> None:
-    taken = [each.told for each in answers if each.taken(given.risk, given.most_sigma)]
-    wrong = sum(each.metres > _NEAR_M or each.degrees > _NEAR_DEG for each in taken)
-    false = sum(each.false for each in taken)
-    exact = [each for each in answers if each.told.metres < _EXACT_M and each.told.right]
-    refused = sum(not each.taken(given.risk, given.most_sigma) for each in exact)
-    high = 100 * wilson(false, max(len(taken), 1))[1]
+def _row(name: str, answers: Sequence[Answer], args: argparse.Namespace) -> None:
+    accepted = [a.pose for a in answers if a.is_accepted(args.risk, args.most_sigma)]
+    wrong = sum(pose.metres > _NEAR_M or pose.degrees > _NEAR_DEG for pose in accepted)
+    false = sum(pose.false for pose in accepted)
+    exact = [a for a in answers if a.pose.metres < _EXACT_M and a.pose.right]
+    refused = sum(not a.is_accepted(args.risk, args.most_sigma) for a in exact)
+    high = 100 * wilson(false, max(len(accepted), 1))[1]
     print(
-        f"| {name} | {len(answers)} | {len(taken)} | {wrong} | {false} [≤ {high:.1f} %] | "
+        f"| {name} | {len(answers)} | {len(accepted)} | {wrong} | {false} [≤ {high:.1f} %] | "
         f"{len(exact)} | {refused} | {calibration_error(answers):.3f} |"
     )
 
@@ -366,18 +367,18 @@ def _row(name: str, answers: Sequence[Answer], given: argparse.Namespace) -> Non
 def calibration_error(answers: Sequence[Answer]) -> float:
     """Return the expected calibration error (Naeini et al., AAAI 2015) of probabilities.
 
-    Poses that are neither right nor false, which ``fit`` leaves out, do not count.
+    Poses that are neither right nor false are left out, as in ``fit``.
     """
-    binned = list(_binned(answers))
-    total = sum(count * abs(share - expected) for _, expected, share, count in binned)
-    return total / max(sum(count for *_, count in binned), 1)
+    bins = list(_bin(answers))
+    total = sum(count * abs(share - expected) for _, expected, share, count in bins)
+    return total / max(sum(count for *_, count in bins), 1)
 
 
-def _binned(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
-    """Yield lower bound, mean probability, share that is right, and number, of each bin."""
-    clear = [each for each in answers if each.told.right or each.told.false]
+def _bin(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
+    """Yield lower bound, mean probability, share of right poses, and number, of each bin."""
+    clear = [each for each in answers if each.pose.right or each.pose.false]
     probability = np.array([each.probability for each in clear])
-    right = np.array([each.told.right for each in clear])
+    right = np.array([each.pose.right for each in clear])
     for low, high in pairwise(_BINS):
         own = (probability >= low) & ((probability < high) | (high == 1.0))
         if own.any():
@@ -395,7 +396,7 @@ def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:
     figure, axes = plt.subplots(rows, columns, figsize=(3 * columns, 3 * rows), squeeze=False)
     for axis, (name, answers) in zip(axes.flat, drawn.items(), strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-        for _, expected, share, count in _binned(answers):
+        for _, expected, share, count in _bin(answers):
             low, high = wilson(round(share * count), count)
             axis.plot([expected, expected], [low, high], color="C0", linewidth=1)
             axis.plot([expected], [share], "o", color="C0", markersize=3 + math.log2(1 + count))
@@ -409,7 +410,7 @@ def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:
 
 
 def main() -> None:
-    """Run one of the three."""
+    """Run one of the three commands."""
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(required=True)
     one = commands.add_parser("record")
@@ -433,9 +434,9 @@ def main() -> None:
     three.add_argument("--most-sigma", type=float, default=SearchOptions().most_sigma_m)
     three.add_argument("--picture", type=Path)
     three.set_defaults(run=check)
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    given.run(given)
+    args.run(args)
 
 
 if __name__ == "__main__":

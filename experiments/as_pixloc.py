@@ -1,7 +1,7 @@
-"""The network of object-connect as one of PixLoc, so that both begin a training with equal weights.
+"""Convert weights of object-connect to PixLoc, so that both trainings begin with equal weights.
 
-python -m experiments.as_pixloc WEIGHTS OUT writes the features, confidences and damping of WEIGHTS,
-all that the two networks share, as weights of PixLoc.
+``python -m experiments.as_pixloc WEIGHTS OUT`` writes the features, confidences and damping of
+WEIGHTS, which both networks have, as weights of PixLoc.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Processor seconds and errors of queries, of two versions of the code in turn.
+"""Compare processor seconds and errors of queries between versions of the code.
 
 ``python -m experiments.beside SCENE --versions BEFORE . --cache CACHE`` (folders of the code).
-Each version has a process of one thread. All localize a query before any localizes the next, so
-that a machine with other work slows all of them alike: read the ratios. With ``--threads 2``,
-seconds are those of the clock, for which a machine must be idle. ``--set`` is for the last version
-alone, or with ``--alike`` for all. ``--prepare`` prepares the map with an empty cache instead.
+Each version has its own process with one thread. All versions localize a query before any localizes
+the next, so that other work on the machine slows them equally: read the ratios. With ``--threads
+2``, seconds are wall-clock time, which needs an idle machine. ``--set`` applies to the last version
+only, or to all with ``--alike``. ``--prepare`` prepares the map with an empty cache instead.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ def main() -> None:
     parser.add_argument("--alike", action="store_true", help="all versions take what is set")
     parser.add_argument("--prepare", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.serve:
+    args = parser.parse_args()
+    if args.serve:
         from objconnect.scene.runtime.tuning import ProcessTuning
 
         with ProcessTuning():  # as the command line
-            _serve(given)
+            _serve(args)
         return
     with tempfile.TemporaryDirectory() as scratch:
-        caches = Path(scratch) if given.cache is None or given.prepare else given.cache
-        last = len(given.versions) - 1
+        caches = Path(scratch) if args.cache is None or args.prepare else args.cache
+        last = len(args.versions) - 1
         workers = [
-            _Worker(folder.resolve(), caches / f"version-{row}", given, given.alike or row == last)
-            for row, folder in enumerate(given.versions)
+            _Worker(folder.resolve(), caches / f"version-{row}", args, args.alike or row == last)
+            for row, folder in enumerate(args.versions)
         ]
-        if given.prepare:
+        if args.prepare:
             _report_preparation(workers)
         else:
-            _report_queries(workers, given.every)
+            _report_queries(workers, args.every)
         for worker in workers:
             worker.ask("end")
 
@@ -63,22 +63,20 @@ class _Worker:
     """A process that runs one version of the code.
 
     Args:
-        folder: of the code.
-        cache: of this version.
-        given: arguments of the command.
-        settings: whether it takes the settings.
+        folder: folder of the code.
+        cache: cache folder of this version.
+        args: arguments of the command.
+        settings: whether the settings apply to this version.
     """
 
-    def __init__(
-        self, folder: Path, cache: Path, given: argparse.Namespace, settings: bool
-    ) -> None:
-        chosen = [f"--set={each}" for each in given.set] if settings else []
+    def __init__(self, folder: Path, cache: Path, args: argparse.Namespace, settings: bool) -> None:
+        chosen = [f"--set={each}" for each in args.set] if settings else []
         self.folder = folder
-        command = [sys.executable, "-P", str(Path(__file__).resolve()), str(given.scene.resolve())]
+        command = [sys.executable, "-P", str(Path(__file__).resolve()), str(args.scene.resolve())]
         command += ["--serve", "--versions", str(folder), "--cache", str(cache.resolve())]
-        command += ["--method", given.method, "--start", given.start, *chosen]
-        command += ["--threads", str(given.threads)]
-        threads = {"OMP_NUM_THREADS": str(given.threads)}
+        command += ["--method", args.method, "--start", args.start, *chosen]
+        command += ["--threads", str(args.threads)]
+        threads = {"OMP_NUM_THREADS": str(args.threads)}
         environment = os.environ | {"PYTHONPATH": str(folder)} | threads
         self._process = subprocess.Popen(
             command,
@@ -166,7 +164,7 @@ def _summary(answers: list[Any], first: list[Any]) -> str:
     )
 
 
-def _serve(given: argparse.Namespace) -> None:
+def _serve(args: argparse.Namespace) -> None:
     """Answer questions of the parent about this version."""
     import resource
     import time
@@ -180,12 +178,12 @@ def _serve(given: argparse.Namespace) -> None:
     from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
     from objconnect.scene.runtime.tuning import trim_heap
 
-    torch.set_num_threads(given.threads)
-    seconds = time.process_time if given.threads == 1 else time.perf_counter
-    (dataset,) = open_datasets(given.scene)
+    torch.set_num_threads(args.threads)
+    seconds = time.process_time if args.threads == 1 else time.perf_counter
+    (dataset,) = open_datasets(args.scene)
     sparse_map = dataset.load_map()
-    method = create(given.method, parse_settings(given.set))
-    load = parse_start(given.start).loader(dataset, sparse_map, given.cache)
+    method = create(args.method, parse_settings(args.set))
+    load = parse_start(args.start).loader(dataset, sparse_map, args.cache)
 
     def faults() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -194,7 +192,7 @@ def _serve(given: argparse.Namespace) -> None:
         word, before, begin = line.strip(), faults(), seconds()
         answer: Any = None
         if word == "prepare":
-            method.prepare(sparse_map, dataset.images, given.cache)
+            method.prepare(sparse_map, dataset.images, args.cache)
             answer = {"seconds": seconds() - begin, "photographs": len(sparse_map.names)}
             answer["faults"] = faults() - before
             trim_heap()

@@ -1,6 +1,6 @@
-"""What building a place costs: `python -m experiments.build_cost [PRESET:AREA:SEED ...]`.
+"""Cost of building a site: `python -m experiments.build_cost [PRESET:AREA:SEED ...]`.
 
-Each place is built, and one small frame of it rendered, in a process of its own.
+Each site is built, and one small frame of it rendered, in its own process.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _PLACES = (
 
 
 def main(places: list[str]) -> None:
-    """Print a table with one line per place."""
+    """Print a table with one line per site."""
     columns = ["place (side in m, seed)", "objects", "plan, cpu-s", "scene, cpu-s"]
     columns += ["first frame, cpu-s", "together, s", "peak memory, GB"]
     print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
@@ -34,7 +34,7 @@ def main(places: list[str]) -> None:
 
 
 def alone(place: str) -> None:
-    """Build one place in this process, and print its line."""
+    """Build one site in this process, and print its line."""
     import numpy as np
 
     from simulate.camera.pinhole import PinholeCamera

@@ -1,5 +1,6 @@
-"""Seconds until a method is prepared on a cluster: ``python -m experiments.cluster_preparation
-SCENE [--cluster local] [--method objconnect]``, with an empty cache.
+"""Time to prepare a method on a cluster with an empty cache.
+
+``python -m experiments.cluster_preparation SCENE [--cluster local] [--method objconnect]``
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from objconnect.methods import create
 
 
 def main() -> None:
-    """Print the seconds by the clock."""
+    """Print the wall-clock seconds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--cluster", default="local")
     parser.add_argument("--method", default="objconnect")
-    given = parser.parse_args()
-    (dataset,) = open_datasets(given.scene)
+    args = parser.parse_args()
+    (dataset,) = open_datasets(args.scene)
     with tempfile.TemporaryDirectory() as cache:
-        run = Run(dataset, create(given.method, {}), PRIOR, Path(cache), None)
-        with prepare_method(run, 1, given.cluster) as (seconds, _):
+        run = Run(dataset, create(args.method, {}), PRIOR, Path(cache), None)
+        with prepare_method(run, 1, args.cluster) as (seconds, _):
             print(f"{seconds:.1f} s for {len(run.sparse_map.names)} photographs")
 
 

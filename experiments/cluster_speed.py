@@ -1,9 +1,9 @@
-"""How much faster two workers render than one: `python -m experiments.cluster_speed`.
+"""Speed-up of rendering with two workers over one: `python -m experiments.cluster_speed`.
 
-A Ray cluster on this machine renders the same frames with one worker of one core and with two, in
-turns, after every worker has rendered a frame. The place is built anew for every share of frames,
-as in a real run. Blender's processor seconds say how much of a core a worker had: on a machine that
-does other things too, read the second ratio, of what two workers do in a second of both cores.
+A Ray cluster on this machine renders the same frames in turn with one worker of one core and with
+two, after every worker has rendered a frame. The site is built again for every share of frames, as
+in a real run. Blender's processor seconds show how much of a core a worker had: on a machine with
+other work, read the second ratio, of the frames that two workers render per second of both cores.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _SPENT = -1
 
 
 class Run(NamedTuple):
-    """Seconds by the clock, and of the processor, all workers together."""
+    """Wall-clock seconds, and processor seconds of all workers together."""
 
     seconds: float
     cpu: float
 
 
-def accounted(share: RenderJob) -> Iterator[tuple[int, bytes]]:
-    """Frames of a share, then the processor seconds they took."""
+def count_seconds(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+    """Yield the frames of a share, then the processor seconds that they took."""
     before = _children()
     yield from render_files(share)
     yield _SPENT, repr(_children() - before).encode()
@@ -46,7 +46,7 @@ def _children() -> float:
 
 def measure(address: str, workers: int, job: RenderJob) -> Run:
     """Render all frames of a job with all workers of a cluster."""
-    with worker_pool(address, accounted) as team:
+    with worker_pool(address, count_seconds) as team:
         assert team.cores == workers
         first = job.model_copy(update={"poses": {0: job.poses[0]}})
         for _ in team.map([first] * workers):

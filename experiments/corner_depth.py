@@ -1,4 +1,4 @@
-"""How far corners of photographs stand from the true surface of a rendered scene.
+"""Depth errors of the corners of photographs, against the true surface of a rendered scene.
 
 ``python -m experiments.corner_depth SCENE`` (a finished scene with a map and rendered depth).
 To measure another version of the code: ``PYTHONPATH=FOLDER python -P THIS_FILE SCENE``.
@@ -19,18 +19,18 @@ from objconnect.scene.bundle.scene import Scene
 
 
 def main() -> None:
-    """Print one line per photograph, and one of all."""
+    """Print one line per photograph, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--every", type=int, default=6, help="take every so many photographs")
     parser.add_argument("--sweep", default="{}", help="options of the sweep, as JSON")
-    given = parser.parse_args()
-    options = CornerOptions.model_validate_json(given.sweep)
+    args = parser.parse_args()
+    options = CornerOptions.model_validate_json(args.sweep)
     torch.set_num_threads(1)
-    scene, (dataset,) = Scene.open(given.scene), open_datasets(given.scene)
+    scene, (dataset,) = Scene.open(args.scene), open_datasets(args.scene)
     sparse_map = dataset.load_map()
     find = CornerFinder(sparse_map, dataset.images, 1024, options)
-    names = sparse_map.names[given.every // 2 :: given.every]
+    names = sparse_map.names[args.every // 2 :: args.every]
     find(names[0])  # what is made once
     off, seconds = [], []
     for name in names:
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def _summary(off: list[np.ndarray], seconds: list[float]) -> str:
-    """Return how many corners were placed, how exactly and in what time, in words."""
+    """Return a line with the number of corners with a depth, their errors and the time."""
     every = np.concatenate(off)
     return (
         f"{len(every) / len(off):.0f} corners placed, off by {np.median(every):.4f} m "

@@ -1,16 +1,16 @@
-"""The eight numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+"""Fit and check the eight constants of the covariance of poses from alignment.
 
     python -m experiments.covariance SCENE [SCENE ...] [--method objconnect] [--weights WEIGHTS]
         [--start error=3m,5deg] [--cache CACHE] [--out own.covariance.yaml]
 
-Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. The numbers (``CovarianceModel``) make most likely the errors, if
-these follow a Student distribution of eight degrees of freedom, and, with four times the weight,
-under each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
-ellipsoid. ``--out`` writes them: beside weights of your own as ``own.covariance.yaml`` beside
-``own.safetensors``. Printed are the eight, and for each condition the NEES with them, with those
-that the method has now, and with the covariance as it is measured; of several scenes, also the NEES
-of each with the numbers that the others give.
+Give scenes of seeds 100 to 999, which are not used for reported results, with maps and queries of
+many conditions. The constants (``CovarianceModel``) maximize the likelihood of the errors under a
+Student distribution of eight degrees of freedom and, with four times the weight, fit for each
+condition the mean of the normalised squared errors (NEES) and the share inside the 95 % ellipsoid.
+``--out`` writes them: for your own weights as ``own.covariance.yaml`` beside ``own.safetensors``.
+Prints the constants and for each condition the NEES with them, with those of the method, and with
+the uncalibrated covariance; for several scenes also the NEES of each with the constants fitted to
+the others.
 """
 
 from __future__ import annotations
@@ -47,26 +47,26 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Localizer, Status
 from objconnect.scene.runtime.progress import progress_bar
 
-# Degrees of freedom of the errors: fewer than infinitely many, as some poses are wrong by far more.
+# Degrees of freedom of the Student distribution of the errors, which has heavier tails than normal.
 _TAIL: Final = 8.0
 # Mean and variance of the NEES of such errors.
 _MEAN: Final = 6.0
 _VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
-# A pose with a larger NEES counts as this in the mean of its condition: no covariance of poses that
-# are right makes up for one that is wrong by far and sure of itself.
+# A larger NEES counts as this in the mean of its condition, because the covariances of right poses
+# cannot make up for a false one with a small covariance.
 _SURE_AND_WRONG: Final = 100.0
 _INSIDE: Final = 0.95
-# A pose counts as inside by the logistic function of the logarithm of its NEES, with this width, as
-# a count has no slope to follow.
+# Width of the logistic function of log NEES by which a pose counts as inside, because a hard count
+# has no gradient.
 _SOFT: Final = 0.05
-# Weight of means and shares of the conditions beside the likelihood, which makes covariances of
-# conditions with fewer large errors than Student's too large.
+# Weight of the means and shares of the conditions against the likelihood, which alone makes the
+# covariances too large under conditions with fewer large errors than Student's.
 _OF_CONDITIONS: Final = 4.0
 _RESTARTS: Final = 2
 _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
 
-# Where the search for the numbers begins, as there are several minima.
+# Initial values of the search, because there are several minima.
 _BEGIN: Final = (
     (1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
     (2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
@@ -117,7 +117,7 @@ def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDAr
 
 
 def calibrate(answers: Answers) -> CovarianceModel:
-    """Return the numbers with which the covariances are right."""
+    """Return the constants that fit the errors best."""
     measured, squares = _along_axes(answers)
     groups = [answers.conditions == condition for condition in np.unique(answers.conditions)]
 
@@ -162,7 +162,7 @@ def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:
-    """Return the normalised errors squared (N,) with the numbers that the other scenes give."""
+    """Return the NEES (N,) of each scene with the constants fitted to the other scenes."""
     nees = np.empty(len(answers.scenes))
     for scene in np.unique(answers.scenes):
         unseen = answers.scenes == scene
@@ -171,7 +171,7 @@ def unseen_nees(answers: Answers) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Localize the queries of all scenes, and print the numbers."""
+    """Localize the queries of all scenes, and print the constants."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
     parser.add_argument("--method", default="objconnect")
@@ -179,19 +179,19 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, help="of your own")
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--out", type=Path, help="file of the numbers to write")
-    given = parser.parse_args()
-    settings = {} if given.weights is None else {"weights": given.weights}
-    cache = given.cache or Path(tempfile.mkdtemp())
+    args = parser.parse_args()
+    settings = {} if args.weights is None else {"weights": args.weights}
+    cache = args.cache or Path(tempfile.mkdtemp())
     answers = _together(
         answer
-        for scene in given.scenes
+        for scene in args.scenes
         for dataset in open_datasets(scene)
-        for answer in _answers(dataset, create(given.method, settings), given.start, cache)
+        for answer in _answers(dataset, create(args.method, settings), args.start, cache)
     )
-    found, now = calibrate(answers), CovarianceModel.beside(given.weights)
+    found, now = calibrate(answers), CovarianceModel.beside(args.weights)
     print(found)
-    if given.out:
-        found.write(given.out, "python -m experiments.covariance")
+    if args.out:
+        found.write(args.out, "python -m experiments.covariance")
     _table("found", answers, answers.nees(found))
     _table("now", answers, answers.nees(now))
     _table("measured", answers, _nees(answers.errors, answers.around.covariance.numpy()))
@@ -211,7 +211,7 @@ def _answers(
     load = start.loader(dataset, dataset.load_map(), cache)
     last: list[Attempt] = []
 
-    def measured(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
+    def measure(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
         last[:] = [attempt]
         covariance = None if attempt.spread is None else attempt.spread.covariance[0].numpy()
         if covariance is None or not np.isfinite(covariance).all():
@@ -219,7 +219,7 @@ def _answers(
         return attempt.view.photograph_covariance(covariance)
 
     with (
-        patch.object(attempts, "pose_covariance", measured),
+        patch.object(attempts, "pose_covariance", measure),
         progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
     ):
         for done, query in enumerate(dataset.queries, 1):
@@ -249,7 +249,7 @@ def _together(answers: Iterable[_Answer]) -> Answers:
 
 
 def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:
-    """Print the NEES of each condition and of all, as Markdown."""
+    """Print the NEES of each condition and of all queries, as Markdown."""
     print(f"\n| {title} | poses | mean NEES | % in the 95 % ellipsoid | false fixes |")
     print("|---|--:|--:|--:|--:|")
     for condition in ["all", *np.unique(answers.conditions)]:

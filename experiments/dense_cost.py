@@ -1,4 +1,4 @@
-"""What depth maps cost, and how right they are: of some photographs of a rendered scene.
+"""Cost and errors of depth maps, for some photographs of a rendered scene.
 
 ``python -m experiments.dense_cost SCENE`` (a finished scene with a map and rendered depth).
 To measure another version of the code: ``PYTHONPATH=FOLDER python -P THIS_FILE SCENE``.
@@ -33,13 +33,13 @@ _CONFIRMED = 2
 
 @torch.inference_mode()
 def main() -> None:
-    """Print one line per photograph, and one of all."""
+    """Print one line per photograph, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--every", type=int, default=12, help="take every so many photographs")
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    scene = Scene.open(given.scene)
+    scene = Scene.open(args.scene)
     original = scene.sparse_map()
     cameras = {image.camera: pinhole_of(image.camera, _SIZE) for image in original.images.values()}
     sparse_map = undistort_map(original, cameras)
@@ -65,7 +65,7 @@ def main() -> None:
 
     costs: list[tuple[float, float]] = []
     every_off: list[NDArray[np.float64]] = []
-    for name in list(pairs)[given.every // 2 :: given.every]:
+    for name in list(pairs)[args.every // 2 :: args.every]:
         sources = [views[other] for other in pairs[name]]
         planes, inverse = of_first(name), [of_first(other)[0] for other in pairs[name]]
         began = time.process_time()
@@ -91,7 +91,7 @@ def _view(photograph: Path, image: MapImage, pinhole: Camera) -> StereoView:
 
 
 def _summary(costs: list[tuple[float, float]], off: list[NDArray[np.float64]]) -> str:
-    """Return what depth maps cost and how right they are, in words."""
+    """Return a line with the cost and the errors of depth maps."""
     alone, compared = np.mean(costs, 0)
     every = np.concatenate(off)
     return (

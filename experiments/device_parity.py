@@ -1,8 +1,8 @@
-"""Poses on the processor and on a CUDA device, compared: ``python -m experiments.device_parity``.
+"""Compare poses on the processor and on a CUDA device: ``python -m experiments.device_parity``.
 
-It localizes queries of a data set twice, told a pose with an error, then told nothing. Each device
-prepares the map for itself. It prints how far poses are apart at most, and the ratio of seconds.
-Networks compute in single precision on both, so that rounding alone differs.
+Localizes queries of a data set with an inexact prior, then without a prior. Each device prepares
+the map itself. Prints the largest difference of poses and the ratio of seconds. Networks compute in
+single precision on both devices, so that only rounding differs.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ STARTS: Final = ("error=3m,5deg", "none")
 
 
 class Answers(NamedTuple):
-    """What a method says of queries on one device.
+    """The answers of a method to queries on one device.
 
     Attributes:
-        poses: ``cam_from_world`` by the name of the query; None where it has none.
-        seconds: of all queries, by the clock, without the preparation of the map.
+        poses: ``cam_from_world`` by the name of the query; None without a pose.
+        seconds: wall-clock time of all queries, without the preparation of the map.
     """
 
     poses: dict[str, Pose | None]
@@ -46,19 +46,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--methods", nargs="+", default=METHODS)
     parser.add_argument("--device", default="cuda", help="compared with cpu")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries")
-    given = parser.parse_args(arguments)
-    if given.device != "cpu" and not torch.cuda.is_available():
+    args = parser.parse_args(arguments)
+    if args.device != "cpu" and not torch.cuda.is_available():
         print("torch finds no CUDA device here: there is nothing to compare")
         return
-    (dataset,) = open_datasets(given.scene)
-    for method in given.methods:
+    (dataset,) = open_datasets(args.scene)
+    for method in args.methods:
         for start in STARTS:
-            both = [answers(dataset, method, d, start, given.every) for d in ("cpu", given.device)]
-            print(f"{method}, {start}: {compared(*both)}", flush=True)
+            both = [answers(dataset, method, d, start, args.every) for d in ("cpu", args.device)]
+            print(f"{method}, {start}: {compare(*both)}", flush=True)
 
 
 def answers(dataset: Dataset, method: str, device: str, start: str, every: int = 1) -> Answers:
-    """Localize every so many queries of a data set on a device."""
+    """Localize every n-th query of a data set on a device."""
     settings = (
         {"device": device} if method == "d2net" else {"device": device, "precision": "float32"}
     )
@@ -73,8 +73,8 @@ def answers(dataset: Dataset, method: str, device: str, start: str, every: int =
         return Answers(poses, time.perf_counter() - begin)
 
 
-def compared(first: Answers, second: Answers) -> str:
-    """Return how far the poses of two devices are apart, and the ratio of seconds, in words."""
+def compare(first: Answers, second: Answers) -> str:
+    """Return a line with the differences of poses of two devices and the ratio of seconds."""
     apart = [
         tuple(map(float, pose.error_to(other)))
         for name, pose in first.poses.items()

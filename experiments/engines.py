@@ -1,15 +1,14 @@
-"""The network in other engines beside plain torch: ``python -m experiments.engines``.
+"""Speed of the network in other engines against torch: ``python -m experiments.engines``.
 
-It needs ``pip install onnx onnxruntime openvino`` and prints, for each engine and number format,
-milliseconds of a pass of whole square pictures and what the process then
-holds more than before:
+Needs ``pip install onnx onnxruntime openvino``. Prints, for each engine and number format, the
+milliseconds of a pass over square pictures and the growth of the process's memory:
 
-- 512, 720: of one size, the median of some passes;
-- any: of 24 sizes between these, once each, as photographs that are turned north up have.
+- 512, 720: pictures of one size, median of several passes;
+- any: 24 sizes between these, once each, like photographs that are rotated north up.
 
-Torch is as the localizer runs it, but for ``shown``, by which it spares what shows nothing. The
-integers of the others are those of ONNX Runtime's own quantization, whose scales are of random
-pictures: they tell what a pass costs, not what it is worth.
+Torch runs as in the localizer, but without ``shown``, which skips empty parts of a picture. The
+integers of the other engines come from ONNX Runtime's own quantization with scales of random
+pictures, so that they show the cost of a pass and not its accuracy.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _SIZES: Final = 24
 
 
 class Whole(nn.Module):
-    """The network without what engines cannot take: maps made in parts, and on demand."""
+    """The network without parts that engines do not support: tiled and on-demand maps."""
 
     def __init__(self, network: ObjConnectNet) -> None:
         super().__init__()
@@ -156,26 +155,26 @@ def measure(run: Pass) -> list[float]:
 
 
 def main() -> None:
-    """Measure every engine in a process of its own."""
+    """Measure each engine in its own process."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--one", nargs=2, metavar=("ENGINE", "NUMBERS"))
-    given = parser.parse_args()
-    if given.one is None:
+    args = parser.parse_args()
+    if args.one is None:
         print(f"{'':24} {'512':>6} {'720':>6} {'any':>6} ms {'held':>6} MB")
         for engine, formats in ENGINES.items():
             for numbers in formats:
-                words = ["--threads", str(given.threads), "--one", engine, numbers]
+                words = ["--threads", str(args.threads), "--one", engine, numbers]
                 subprocess.run([sys.executable, "-m", __spec__.name, *words], check=True)
         return
-    torch.set_num_threads(given.threads)
-    engine, numbers = given.one
+    torch.set_num_threads(args.threads)
+    engine, numbers = args.one
     before = resident_bytes()
     with tempfile.TemporaryDirectory() as folder:
         if engine == "torch":
             run = of_torch(numbers)
         else:
-            run = of_engine(engine, numbers, given.threads, Path(folder))
+            run = of_engine(engine, numbers, args.threads, Path(folder))
         cost = measure(run)
         held = (resident_bytes() - before) / 1e6
     print(f"{engine + ' ' + numbers:24}", *(f"{each:6.1f}" for each in cost), f"   {held:6.0f}")

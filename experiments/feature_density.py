@@ -1,10 +1,10 @@
-"""Whose features lie on small objects: places per 1000 pixels of a map's photographs, by method.
+"""Density of features on small objects: features per 1000 pixels of map photographs, by method.
 
-``python -m experiments.feature_density SCENE [CACHE]`` (a scene with a map and rendered
-objects; CACHE is that of an evaluation, to begin with). Counted are the places in the map's
-photographs that a method compares queries with: keypoints with a 3D point, or points aligned to.
-``objects`` is the object-connect network with all its blocks. Methods that weigh places by a
-confidence have a second line, in which each counts as much as that.
+``python -m experiments.feature_density SCENE [CACHE]`` (a scene with a map and rendered objects;
+CACHE is that of an evaluation). It counts the features in the map's photographs that a method
+compares queries with: keypoints with a 3D point, or points for alignment. ``objects`` is the
+object-connect network with all its blocks. Methods that weigh features by a confidence have a
+second line, weighted by it.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _SMALL = _KINDS.index("small")
 
 
 class _Places(NamedTuple):
-    """Of a photograph: world points (N, 3), and how much each counts (N,)."""
+    """World points (N, 3) of the features of a photograph, and their weights (N,)."""
 
     xyz: NDArray[np.float64]
     weight: NDArray[np.float64]
 
 
-def _made(method: str) -> Localizer:
+def _make(method: str) -> Localizer:
     if method == "objects":
         return create(
             "objconnect", {"weights": SHIPPED.with_name("objconnect-objects.safetensors")}
@@ -50,7 +50,7 @@ def _made(method: str) -> Localizer:
 
 
 def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
-    """All alike, then by confidence."""
+    """Yield the features with equal weights, then with their confidences."""
     if isinstance(localizer, StructureLocalizer):
         xyz = localizer._lifted(row).xyz
         yield _Places(xyz, np.ones(len(xyz)))
@@ -60,10 +60,10 @@ def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
         yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
 
 
-def _shown(
+def _identify(
     image: MapImage, xyz: NDArray[np.float64], instance: NDArray[np.uint16]
 ) -> NDArray[np.uint16]:
-    """Identifiers (N,) of what lies at the pixels of points."""
+    """Return the identifiers (N,) of the objects at the pixels of points."""
     xy = image.camera.project(image.pose.transform(torch.from_numpy(xyz))).xy.numpy()
     columns, rows = np.floor(xy).astype(int).T
     height, width = instance.shape
@@ -83,7 +83,7 @@ def main(path: Path, cache: Path) -> None:
     print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
           + "  small to all  small things with one")  # fmt: skip
     for method in _METHODS:
-        localizer = _made(method)
+        localizer = _make(method)
         localizer.prepare(sparse_map, dataset.images, cache)
         totals: list[NDArray[np.float64]] = []
         shown = met = 0
@@ -92,7 +92,7 @@ def main(path: Path, cache: Path) -> None:
             seen = np.unique(instance)
             things = set(seen[groups.of(seen) == _SMALL].tolist())
             for turn, places in enumerate(_places(localizer, row)):
-                on = _shown(image, places.xyz, instance)
+                on = _identify(image, places.xyz, instance)
                 counted = np.bincount(groups.of(on), places.weight, minlength=4)
                 if turn == len(totals):
                     totals.append(np.zeros(4))

@@ -18,7 +18,7 @@ from benchmark.scoring.score import Interval, false_fixes, recall
 from benchmark.scoring.uncertainty import consistency
 from experiments.figure_values import (
     FOUND,
-    asked,
+    ask,
     known,
     percent,
     select,
@@ -129,7 +129,7 @@ def _asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[
 
 def _shared(board: TrackBoard, start: str) -> NDArray[np.int64]:
     """Return the changed queries that all methods with results from a start were asked."""
-    return asked(*_runs(board, start), rows=select(board, "changed"))
+    return ask(*_runs(board, start), rows=select(board, "changed"))
 
 
 def _runs(board: TrackBoard, start: str) -> list[BoardRun]:

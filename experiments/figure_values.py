@@ -108,7 +108,7 @@ class Pair:
     """
 
     def __init__(self, board: TrackBoard, first: BoardRun, second: BoardRun, words: str) -> None:
-        self.rows = asked(first, second, rows=select(board, words))
+        self.rows = ask(first, second, rows=select(board, words))
         before, after = (run.correct[1, self.rows] for run in (second, first))
         self.won, self.lost = int((after & ~before).sum()), int((before & ~after).sum())
         self._samples = before.tolist(), after.tolist(), board.flights[self.rows].tolist()
@@ -154,7 +154,7 @@ def value(boards: Mapping[str, TrackBoard], name: str) -> str:
         of_pair = known(PAIRED, figure, "paired figure")
         return of_pair(Pair(board, run, run_of(board, start, other), words))
     of_answers = known(FIGURES, figure, "figure")
-    return of_answers(run.of(asked(run, rows=select(board, words))))
+    return of_answers(run.of(ask(run, rows=select(board, words))))
 
 
 def known(of: Mapping[str, _Named], name: str, what: str) -> _Named:
@@ -187,7 +187,7 @@ def run_of(board: TrackBoard, start: str, method: str) -> BoardRun:
     return known(runs, f"{start}/{method}", f"run of {board.track.name}")
 
 
-def asked(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def ask(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return those of some queries that every method was asked.
 
     Raises:

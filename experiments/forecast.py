@@ -1,4 +1,4 @@
-"""How good a forecast is: probabilities from a town's summer twin, held against its true winter.
+"""Accuracy of forecasts: probabilities from a town's summer twin against its true winter.
 
     python -m experiments.forecast plan PLAN              # the mission plan that is flown
     python -m experiments.forecast fit FOLDER...          # weights, from training towns
@@ -50,8 +50,8 @@ def write_plan(path: Path, each: int) -> None:
     items: list[dict[str, object]] = []
 
     def add(command: int, params: list[float | None], frame: int) -> None:
-        told = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
-        items.append({"type": "SimpleItem", "autoContinue": True, **told})
+        item = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
+        items.append({"type": "SimpleItem", "autoContinue": True, **item})
 
     east = 111320 * np.cos(np.radians(47.0)) * 1.0027
     for line, (north_m, height_m) in enumerate(
@@ -67,7 +67,7 @@ def write_plan(path: Path, each: int) -> None:
 
 
 class Town(NamedTuple):
-    """What was forecast of a town, and what happened: one row for each true query.
+    """The forecast of a town and the true outcome, one row for each true query.
 
     Attributes:
         name: of the town's scene.
@@ -233,18 +233,18 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=5, help="waypoints in a line of the plan")
     parser.add_argument("--base", type=float, default=0.5)
     parser.add_argument("--out", type=Path)
-    given = parser.parse_args()
-    if given.what == "plan":
-        write_plan(given.folders[0], given.each)
+    args = parser.parse_args()
+    if args.what == "plan":
+        write_plan(args.folders[0], args.each)
         return
-    towns = [read(folder) for folder in given.folders]
-    if given.what == "fit":
+    towns = [read(folder) for folder in args.folders]
+    if args.what == "fit":
         made = fit_all(towns)
         print(json.dumps({towns[0].method: made.model_dump(mode="json")}, indent=1))
         happened = np.concatenate([town.happened for town in towns])
         print(f"base rate {happened.mean():.4f}")
     else:
-        measure(towns, given.base, given.out)
+        measure(towns, args.base, args.out)
 
 
 if __name__ == "__main__":

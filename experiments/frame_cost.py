@@ -1,4 +1,4 @@
-"""What a frame costs, and what costs it: `python -m experiments.frame_cost`."""
+"""Cost of rendering a frame, by part: `python -m experiments.frame_cost`."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _KINDS = ("still", "flat", "raw", "bare", "ours")
 
 
 def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
-    """Processor seconds a frame of `config`'s first session, by part: medians over frames.
+    """Return the processor seconds of a frame of `config`'s first session by part, as medians.
 
-    All of them are rendered with some settings, so that Blender takes these in once.
+    All frames are rendered with the same settings, so that Blender reads them once.
     """
     job = nadir_job(config, _FRAMES)
     with tempfile.TemporaryDirectory() as scratch:
@@ -33,9 +33,9 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
         try:
             spent = {}
             for kind in _KINDS:
-                renderer.ask(kind, 0, *settings)  # takes in what differs from the kind before
-                asked = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
-                spent[kind] = float(np.median(asked))
+                renderer.ask(kind, 0, *settings)  # reads the settings that differ
+                seconds = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
+                spent[kind] = float(np.median(seconds))
         finally:
             renderer.stop()
         poses = np.array([job.poses[k] for k in range(_FRAMES)])
@@ -56,16 +56,16 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
     }
 
 
-def tried(
+def try_settings(
     config: SimulateConfig, settings: Sequence[str], always: Sequence[str], paths: int
 ) -> Iterator[str]:
-    """Yield a line for each setting: seconds of the picture alone, and how it differs.
+    """Yield a line for each setting: seconds of the picture alone, and its difference.
 
     Args:
-        config: of the frames.
-        settings: each may consist of several, with blanks between them.
+        config: configuration of the frames.
+        settings: each may combine several, separated by blanks.
         always: settings of all pictures.
-        paths: per pixel of the picture to compare with, which is not denoised; 0 compares with the
+        paths: paths per pixel of the reference picture, which is not denoised; 0 compares with the
             picture without the setting.
     """
     job = nadir_job(config, _FRAMES)
@@ -113,15 +113,15 @@ def main() -> None:
     words.add_argument("--with", action="append", default=[], help="settings of all parts")
     words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
     words.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
-    asked = vars(words.parse_args())
-    settings, always, paths = asked.pop("try"), asked.pop("with"), asked.pop("paths")
+    options = vars(words.parse_args())
+    settings, always, paths = options.pop("try"), options.pop("with"), options.pop("paths")
     session = {
-        "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
+        "condition": options.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
     }  # fmt: skip
-    config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
+    config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **options})
     if settings:
         print("| | cpu-seconds | difference |\n|---|--:|---|")
-        for line in tried(config, settings, always, paths):
+        for line in try_settings(config, settings, always, paths):
             print(line, flush=True)
         return
     cost = frame_cost(config, *always)

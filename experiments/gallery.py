@@ -1,4 +1,4 @@
-"""Write a page of pictures of all kinds of places and all conditions.
+"""Write a page of pictures of all kinds of sites and all conditions.
 
 ``python -m experiments.gallery --out docs --preset town --condition summer-noon``; an interrupted
 run goes on where it stopped.
@@ -50,7 +50,7 @@ _JPEG_QUALITY = 82
 
 @dataclass(frozen=True)
 class _Picture:
-    """A picture that is a table of photographs, each of which is a frame of a render job."""
+    """A table of photographs, each of which is a frame of a render job."""
 
     name: str
     rows: tuple[str, ...]
@@ -110,7 +110,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
 
 
 def _claim(out: Path) -> None:
-    """Check that no file of another program would be replaced."""
+    """Refuse to replace files of another program."""
     page = OutputFile(out / PAGE, _MARK)
     # Pictures beside a page of ours are ours.
     mark = b"" if page.path.is_file() else JPEG_MARK
@@ -121,7 +121,7 @@ def _claim(out: Path) -> None:
 
 
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
-    """Return the picture of a place from every view."""
+    """Return the picture of a site from every view."""
     name = config.preset
     job = _job(config, shown_in, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
@@ -129,7 +129,7 @@ def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
 
 
 def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Picture]:
-    """Return two pictures of a place: all seasons by all lights, and by all weathers at noon."""
+    """Return two pictures of a site: all seasons in all lights, and in all weathers at noon."""
 
     def picture(name: str, columns: Iterable[str], after_season: str) -> _Picture:
         names = [f"{season}-{after_season.format(word)}" for season in SEASONS for word in columns]
@@ -140,7 +140,7 @@ def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Pic
 
 
 def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
-    """Return the job of the first ``views`` views of a place under a condition."""
+    """Return the job of the first ``views`` views of a site under a condition."""
     camera = config.photo_camera()
     poses = []
     for view, frames in _VIEWS[:views]:
@@ -245,9 +245,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--area", type=float, default=140.0)
     parser.add_argument("--size", type=int, default=240)
     parser.add_argument("--spp", type=int, default=4)
-    given = vars(parser.parse_args(words))
-    out, shown_in = given.pop("out"), given.pop("condition")
-    print(gallery(SimulateConfig(**given), out, shown_in))
+    args = vars(parser.parse_args(words))
+    out, shown_in = args.pop("out"), args.pop("condition")
+    print(gallery(SimulateConfig(**args), out, shown_in))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Processor seconds of preparing a map to which photographs were added, with and without the cache.
+"""Cost of preparing a map with added photographs, with and without the old map's cache.
 
-``python -m experiments.grown_map OLD NEW`` takes a scene and what ``objconnect ingest PHOTOS
---add OLD --out NEW`` made of it. OLD is prepared, then NEW with the same cache, then NEW alone,
-which must give the same features.
+``python -m experiments.grown_map OLD NEW`` takes a scene and the scene that ``objconnect ingest
+PHOTOS --add OLD --out NEW`` made from it. It prepares OLD, then NEW with the same cache, then NEW
+with an empty one, which must give the same features.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from objconnect.scene.bundle.scene import Scene
 
 
 def main() -> None:
-    """Print the seconds of all three, and how many photographs were copied."""
+    """Print the seconds of all three, and the number of photographs from the cache."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     parser.add_argument("--method", default="objconnect")
-    given = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         caches = Path(scratch) / "kept", Path(scratch) / "alone"
-        old, old_seconds = _prepared(given.old, given.method, caches[0])
-        new, grown = _prepared(given.new, given.method, caches[0])
-        _, alone = _prepared(given.new, given.method, caches[1])
-        (fresh,) = caches[1].glob(f"{given.method}-*.h5")
+        old, old_seconds = _prepare(args.old, args.method, caches[0])
+        new, grown = _prepare(args.new, args.method, caches[0])
+        _, alone = _prepare(args.new, args.method, caches[1])
+        (fresh,) = caches[1].glob(f"{args.method}-*.h5")
         (before,) = set(caches[0].glob(fresh.name[:-19] + "*.h5")) - {caches[0] / fresh.name}
         _require_same(fresh, caches[0] / fresh.name)
         copied = len(Store(fresh).rows.keys() & Store(before).rows.keys())
-    print(f"{given.method}: {old} photographs in {old_seconds:.1f} s")
+    print(f"{args.method}: {old} photographs in {old_seconds:.1f} s")
     print(f"{new} photographs in {alone:.1f} s, after these in {grown:.1f} s", end="")
     print(f" ({grown / alone:.2f}); features of {copied} were copied")
 
 
-def _prepared(scene: Path, method: str, cache: Path) -> tuple[int, float]:
+def _prepare(scene: Path, method: str, cache: Path) -> tuple[int, float]:
     """Prepare a map; return its number of photographs and the processor seconds."""
     opened = Scene.open(scene)
     sparse_map, localizer = opened.sparse_map(), create(method, {})

@@ -1,12 +1,11 @@
-"""What a query costs in maps of any size: seconds, and the memory of the process.
+"""Cost of a query in maps of any size: seconds, and the memory of the process.
 
     python -m experiments.large_map FOLDER [--method NAME] [--photographs N...] [--set K=V...]
 
-A flight of 100 small photographs over a textured plane is repeated, with its points, at other
-places of a large area. What the method sees in the 100 is worked out once and repeated too;
-everything else is as for any map: it is read from COLMAP's files, prepared, and asked in a process
-of its own. Queries lie all over the map, so that what they need is in memory only if the whole map
-is.
+A flight of 100 small photographs over a textured plane is repeated, with its points, all over a
+large area. The features of the 100 photographs are computed once and repeated too. Everything else
+is as for any map, in its own process: COLMAP's files are read and prepared, and queries localized.
+Queries are spread over the map, so that their data is in memory only if the whole map is.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ QUERIES: Final = 50
 
 
 class Flight(NamedTuple):
-    """A hundred photographs: places (100, 2) of the cameras, pixels, and features."""
+    """A hundred photographs: positions (100, 2) of the cameras, pixels, and features."""
 
     places: NDArray[np.float64]
     pictures: list[NDArray[np.uint8]]
@@ -60,7 +59,7 @@ class Flight(NamedTuple):
 
 
 def ground() -> NDArray[np.uint8]:
-    """A texture with something to see at every size."""
+    """Return a texture with details of every size."""
     rng = np.random.default_rng(0)
     side = round((SIDE * SPACING + 2 * _MARGIN) / TEXEL)
     total = np.zeros((side, side, 3), np.float32)
@@ -71,7 +70,7 @@ def ground() -> NDArray[np.uint8]:
 
 
 def photograph(texture: NDArray[np.uint8], place: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Straight down on the plane; north is up, and the texture's first row is its north end."""
+    """Return a nadir photograph of the plane; north is up, at the texture's first row."""
     metres = HEIGHT / CAMERA.params[0]
     north = SIDE * SPACING + _MARGIN
     column, row = (place[0] + _MARGIN) / TEXEL, (north - place[1]) / TEXEL
@@ -91,7 +90,7 @@ def fly(texture: NDArray[np.uint8]) -> Flight:
 
 
 def write_map(folder: Path, flight: Flight, repetitions: int) -> None:
-    """COLMAP's three files, and photographs that are links to the first hundred."""
+    """Write COLMAP's three files, and photographs that are links to the first hundred."""
     per_row = int(np.ceil(repetitions**0.5))
     metres = HEIGHT / CAMERA.params[0]
     # Of one flight: the cell of ground of every keypoint, and points that stand for cells.
@@ -143,7 +142,7 @@ def write_map(folder: Path, flight: Flight, repetitions: int) -> None:
 
 
 def queries(texture: NDArray[np.uint8], repetitions: int, count: int) -> list[Query]:
-    """All over the map, with priors that are a metre off."""
+    """Return queries all over the map, with priors that are wrong by a metre."""
     rng = np.random.default_rng(1)
     per_row = int(np.ceil(repetitions**0.5))
     made = []
@@ -156,7 +155,7 @@ def queries(texture: NDArray[np.uint8], repetitions: int, count: int) -> list[Qu
 
 
 def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, Any]) -> Localizer:
-    """A method that knows the map, and has looked at the first hundred photographs alone."""
+    """Return a prepared method that extracted features of the first hundred photographs only."""
     localizer = create(method, options)
     if isinstance(localizer, StructureLocalizer):
         known = {f"{k:02d}.png": item for k, item in enumerate(flight.features)}
@@ -170,7 +169,7 @@ def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, A
 
 
 class _Once:
-    """An extractor that looks at each of the first hundred views once, and at others every time."""
+    """An extractor that caches the first hundred views."""
 
     def __init__(self, extract: MapExtractor) -> None:
         self._extract = extract
@@ -190,7 +189,7 @@ class _Once:
 
 
 def measure(folder: Path, repetitions: int, method: str, options: dict[str, Any]) -> dict[str, Any]:
-    """What preparing and asking costs this process."""
+    """Return the cost of preparing and of queries in this process."""
     torch.set_num_threads(1)
     texture = ground()
     flight = fly(texture)
@@ -225,19 +224,19 @@ def main() -> None:
     parser.add_argument("--photographs", type=int, nargs="+", default=[100, 10_000])
     parser.add_argument("--set", action="append", metavar="KEY=VALUE", help="memory_mb=1024")
     parser.add_argument("--one", action="store_true", help="measure here, in this process")
-    given = parser.parse_args()
-    settings = given.set or ["memory_mb=1024"]
+    args = parser.parse_args()
+    settings = args.set or ["memory_mb=1024"]
     options = parse_settings(settings)
-    if given.one:
-        (count,) = given.photographs
-        folder = given.folder / str(count)
-        print(json.dumps(measure(folder, count // SIDE**2, given.method, options)), flush=True)
+    if args.one:
+        (count,) = args.photographs
+        folder = args.folder / str(count)
+        print(json.dumps(measure(folder, count // SIDE**2, args.method, options)), flush=True)
         return
-    for count in given.photographs:
+    for count in args.photographs:
         # Twice: the second finds in the cache what the first has prepared.
         for _ in range(2):
-            words = ["--method", given.method, "--photographs", str(count), "--one"]
-            command = [sys.executable, "-m", "experiments.large_map", str(given.folder)]
+            words = ["--method", args.method, "--photographs", str(count), "--one"]
+            command = [sys.executable, "-m", "experiments.large_map", str(args.folder)]
             for setting in settings:
                 words += ["--set", setting]
             subprocess.run([*command, *words], check=True)

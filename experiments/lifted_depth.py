@@ -1,8 +1,9 @@
-"""Depth of lifted keypoints against the depth that was rendered:
+"""Depth errors of lifted keypoints against the rendered depth.
 
     python -m experiments.lifted_depth SCENE
 
-Every fourth photograph of the map; errors along the optical axis of the keypoints that got a point.
+It takes every fourth photograph of the map. Errors are along the optical axis, of the keypoints
+with a 3D point.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ EVERY = 4
 def nearest(
     xy: NDArray[np.float32], image: MapImage, xyz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Points of the observations that lie where keypoints do."""
+    """Return the points of the observations at the keypoints."""
     rows = find_observations(xy, image)
     return np.where((rows >= 0)[:, None], xyz[rows], np.nan)
 
 
 def depths(scene: Path, sparse_map: SparseMap) -> Mapping[str, NDArray[np.float32]]:
-    """Rendered depth (H, W) of photographs of the map by name."""
+    """Return the rendered depth (H, W) of photographs of the map by name."""
     wanted = set(sparse_map.names[::EVERY])
     found = {}
     for session in Scene.open(scene).manifest.sessions:
@@ -50,17 +51,17 @@ def depths(scene: Path, sparse_map: SparseMap) -> Mapping[str, NDArray[np.float3
 
 
 def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray[np.float64]]:
-    """Share of keypoints that got a point (%), and the errors of their depths (m)."""
+    """Return the share of keypoints with a point (%), and the errors of their depths (m)."""
     sparse_map = read_model(scene / "map")
     errors, keypoints = [], 0
     for name, depth in depths(scene, sparse_map).items():
         image = sparse_map.images[name]
         xy = extract(read_rgb(scene / "sessions" / name)).xy
         points = lift(xy, image, sparse_map.xyz)
-        given = np.isfinite(points).all(1)
-        row, column = np.floor(xy[given, ::-1]).astype(int).T
+        args = np.isfinite(points).all(1)
+        row, column = np.floor(xy[args, ::-1]).astype(int).T
         truth = depth[row.clip(max=depth.shape[0] - 1), column.clip(max=depth.shape[1] - 1)]
-        local = image.pose.transform(torch.from_numpy(points[given]))[:, 2].numpy()
+        local = image.pose.transform(torch.from_numpy(points[args]))[:, 2].numpy()
         errors.append(np.where(truth > 0, np.abs(local - truth), np.inf))
         keypoints += len(xy)
     stacked = np.concatenate(errors)

@@ -1,7 +1,7 @@
-"""What the object-connect network sees in a query, and how the alignment goes, as one picture.
+"""Draw the features of the object-connect network in a query, and the steps of the alignment.
 
-``python -m experiments.method_figure SCENE SESSION WEIGHTS OUT.png``: the first query of a
-session of a finished scene with a map, from a prior wrong by 3 m and 5 degrees.
+``python -m experiments.method_figure SCENE SESSION WEIGHTS OUT.png`` draws the first query of a
+session of a finished scene with a map, with a prior that is wrong by 3 m and 5 degrees.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from objconnect.scene.geometry.pose import Pose
 
 @torch.inference_mode()
 def main(scene: Path, session: str, weights: Path, out: Path) -> None:
-    """Draw it."""
+    """Draw the picture."""
     (dataset,) = open_datasets(scene)
     wanted = next(q for q in dataset.queries if q.name.split("/")[0] == session)
     query = wanted.load(move_prior(wanted.reference, wanted.name, 3.0, 5.0))

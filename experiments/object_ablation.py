@@ -1,13 +1,13 @@
-"""What learned objects and the graph over them are worth, beside segments that nobody learned.
+"""Ablation of learned objects and of the graph over them, against segments without learning.
 
     python -m experiments.object_ablation TRAINING_SCENE... --report SCENE... [--seeds 3]
 
-Objects are those of the detector, or the segments of SLIC, of Felzenszwalb or squares, each with
-the mean of the same detector's vectors. For each kind a graph over objects is trained, once per
-seed; and for the learned ones also one that hears of no neighbours. Printed for each: how often an
-object's likeliest landmark, or one of the likeliest five, is the right one; and how often the true
-pose (8 m, 10 degrees) is the first start, or among the first five, with nothing known but the
-camera, which is taken to look straight down.
+Objects are those of the detector, or the segments of SLIC or Felzenszwalb, or squares, each with
+the mean of the detector's vectors. For each kind a graph over objects is trained once per seed, and
+for the learned ones also a graph without messages from neighbours. Prints for each the top-1 and
+top-5 share of objects that match the right landmark, and how often the true pose (8 m, 10 degrees)
+is the first start or among the first five. Queries have no prior; the camera is assumed to look
+straight down.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SEGMENTS = {"segments": 256, "segment_side": 24.0}
 
 
 class SegmentFinder(ObjectFinder):
-    """Finds segments of a kind, with the detector's vectors."""
+    """Segments of one kind, with the detector's vectors."""
 
     def __init__(self, network: ObjConnectNet, kind: str) -> None:
         assert network.detector is not None
@@ -83,25 +83,25 @@ def main() -> None:
     parser.add_argument("--session", default="nadir", help="queries to ask")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--kinds", nargs="+", default=["learned", "slic", "felzenszwalb", "grid"])
-    given = parser.parse_args()
-    network, _ = read_network(given.weights)
-    for kind in given.kinds:
+    args = parser.parse_args()
+    network, _ = read_network(args.weights)
+    for kind in args.kinds:
         finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
-        taught = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
-        scenes = [Scene.open(path) for path in given.report]
-        asked = [build_training_scene(scene, finder) for scene in scenes]
+        taught = [build_training_scene(Scene.open(path), finder) for path in args.scenes]
+        scenes = [Scene.open(path) for path in args.report]
+        tested = [build_training_scene(scene, finder) for scene in scenes]
         for layers in (each for name, each in VARIANTS if name == kind):
-            for seed in range(given.seeds):
+            for seed in range(args.seeds):
                 assert network.detector is not None
                 config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
                 graph = train_graph(
                     taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
                 ).eval()
-                ranks = np.concatenate([ranks_of(graph, of, given.session) for of in asked])
+                ranks = np.concatenate([ranks_of(graph, of, args.session) for of in tested])
                 starts = [
                     rank
-                    for scene, of in zip(scenes, asked, strict=True)
-                    for rank in _starts(finder, graph, scene, of, given.session)
+                    for scene, of in zip(scenes, tested, strict=True)
+                    for rank in _starts(finder, graph, scene, of, args.session)
                 ]
                 total, place = ranks[:, 0].sum(), np.array(starts)
                 print(
@@ -119,7 +119,7 @@ def _starts(
     of: TrainingScene,
     session: str,
 ) -> Sequence[int]:
-    """Return the rank of the first right start of each query, 99 for none."""
+    """Return the rank of the first correct start of each query, 99 for none."""
     sparse_map = scene.sparse_map()
     connect = Connector(graph, of.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]

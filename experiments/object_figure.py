@@ -1,11 +1,11 @@
-"""Learned objects of a map's photograph and of a query, and which are the same, as one picture.
+"""Draw the learned objects of a map photograph and of a query, and which of them match.
 
     python -m experiments.object_figure SCENE SESSION OUT.jpg [ROW]
 
-The query, the ROWth of a session whose camera looks down, is told nothing but its camera. Its place
-is found by its objects alone. Objects that then lie on one landmark of the map have one colour in
-both pictures; white outlines have no landmark there. The map's photograph is the one that sees most
-of the same ground.
+The query is number ROW of a session whose camera looks down. It has no prior, and its pose is found
+from its objects alone. Objects on the same landmark of the map have the same colour in both
+pictures; white outlines have no landmark. The map photograph is the one that sees most of the same
+ground.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SAME_M = 3.0
 
 @torch.inference_mode()
 def main(path: Path, session: str, out: Path, row: int = 0) -> None:
-    """Draw it."""
+    """Draw the picture."""
     network, _ = read_network(SHIPPED)
     assert network.detector is not None and network.constellation is not None
     extract = MapExtractor(network, LONGEST, "float32")

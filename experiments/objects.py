@@ -1,15 +1,15 @@
-"""How well learned objects repeat and connect: summer's map against the queries of a scene.
+"""Repeatability and matching of learned objects, between a summer map and a scene's queries.
 
     python -m experiments.objects segments SCENE... [--weights FILE]
     python -m experiments.objects matching TRAINING_SCENE... --report SCENE... [--seeds 3]
     python -m experiments.objects starts SCENE... [--weights FILE]
 
-``segments``: how well the segments of a map photograph are found again in the query that sees most
-of its ground: the mean intersection over union with the best segment there, beside SLIC,
+``segments``: repeatability of segments between a map photograph and the query that sees most of its
+ground: the mean intersection over union with the best segment there, for learned segments, SLIC,
 Felzenszwalb, squares and the true objects; and the share of objects under 3 m found in both.
-``matching``: graphs with and without neighbours are trained on scenes and asked, on others, which
-landmark each object is. ``starts``: whether the true pose (8 m, 10 degrees) is the first, or among
-the first five, with nothing known but the camera, which is taken to look straight down.
+``matching``: graphs with and without neighbours are trained on some scenes and match objects to
+landmarks on others. ``starts``: whether the true pose (8 m, 10 degrees) is the first start, or
+among the first five. Queries have no prior; the camera is assumed to look straight down.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
 
 SAME_DEPTH = 0.02
-# An object is found where a centre lies within half its side, or this many pixels.
+# An object is found if a centre lies within half its side, or within this many pixels.
 NEAR_PX = 4.0
 FOUND_M = 2.0
 
 
 def main() -> None:
-    """Run the measurement that was asked for, and print it."""
+    """Run one of the measurements, and print it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("segments", "matching", "starts"))
     parser.add_argument("scenes", type=Path, nargs="+")
@@ -61,20 +61,20 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, default=SHIPPED)
     parser.add_argument("--session", default="nadir", help="queries to ask")
     parser.add_argument("--seeds", type=int, default=3)
-    given = parser.parse_args()
-    network, _ = read_network(given.weights)
-    scenes = [Scene.open(path) for path in given.scenes]
-    if given.what == "segments":
-        segments(network, scenes, given.session)
-    elif given.what == "matching":
-        report = [Scene.open(path) for path in given.report]
-        matching(network, scenes, report, given.session, given.seeds)
+    args = parser.parse_args()
+    network, _ = read_network(args.weights)
+    scenes = [Scene.open(path) for path in args.scenes]
+    if args.what == "segments":
+        segments(network, scenes, args.session)
+    elif args.what == "matching":
+        report = [Scene.open(path) for path in args.report]
+        matching(network, scenes, report, args.session, args.seeds)
     else:
-        starts(network, scenes, given.session)
+        starts(network, scenes, args.session)
 
 
 def finder_of(network: ObjConnectNet) -> ObjectFinder:
-    """Return what finds objects with a network."""
+    """Return the object finder of a network."""
     assert network.detector is not None, "these weights have no detector"
     extract = MapExtractor(network, LONGEST, "float32")
     return ObjectFinder(extract, network.detector)
@@ -84,7 +84,7 @@ def finder_of(network: ObjConnectNet) -> ObjectFinder:
 
 
 def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
-    """Print how well segments repeat, and how many small things are found in both seasons."""
+    """Print the overlap of segments, and the share of objects found in both seasons."""
     kinds: dict[str, list[float]] = {}
     sizes: dict[str, list[bool]] = {}
     for scene in scenes:
@@ -100,7 +100,7 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
                 in_a = at_pixels(first[None], image, a[None])[0].numpy()
                 in_b = at_pixels(second[None], image, b[None])[0].numpy()
                 kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
-            for size, found in found_in_both(network, scene, *pair):
+            for size, found in find_in_both(network, scene, *pair):
                 sizes.setdefault(size, []).append(found)
     for kind, values in kinds.items():
         print(f"{kind}: mean IoU {np.mean(values):.3f} of {len(values)} segments")
@@ -135,7 +135,7 @@ def _frame(scene: Scene, name: str) -> tuple[str, int]:
 
 
 def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, tuple[int, int]]:
-    """Return pixels (P, 2) of a frame and those of another that show the same places."""
+    """Return pixels (P, 2) of a frame and those of another that show the same points."""
     (session_a, row_a), (session_b, row_b) = _frame(scene, one), _frame(scene, other)
     frames_a, frames_b = scene.frames(session_a), scene.frames(session_b)
     with scene.dense(session_a) as dense:
@@ -152,14 +152,14 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
     in_b = Pose.from_matrix(b_from_a).transform(points)
     camera_b = frames_b.cameras[row_b]
     projected = camera_b.project(in_b)
-    there = projected.valid & camera_b.contains(projected.xy)
-    column, row = projected.xy[there].long().T
+    visible = projected.valid & camera_b.contains(projected.xy)
+    column, row = projected.xy[visible].long().T
     seen = torch.from_numpy(depth_b)[row, column]
-    same = (seen - in_b[there, 2]).abs() < SAME_DEPTH * in_b[there, 2]
-    return xy[there][same], projected.xy[there][same], (camera.height, camera.width)
+    same = (seen - in_b[visible, 2]).abs() < SAME_DEPTH * in_b[visible, 2]
+    return xy[visible][same], projected.xy[visible][same], (camera.height, camera.width)
 
 
-def learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
+def segment_learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
     """Return the label map of the detector."""
     with torch.inference_mode():
         return network.predict_segments(_picture(scene, name))[0]
@@ -189,7 +189,7 @@ def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor
 
 
 KINDS = [
-    ("learned", learned),
+    ("learned", segment_learned),
     ("slic", _without_learning("slic")),
     ("felzenszwalb", _without_learning("felzenszwalb")),
     ("squares", _without_learning("grid")),
@@ -202,10 +202,10 @@ def _picture(scene: Scene, name: str) -> Tensor:
     return torch.from_numpy(rgb.astype(np.float32)).permute(2, 0, 1)[None] / 255
 
 
-def found_in_both(
+def find_in_both(
     network: ObjConnectNet, scene: Scene, one: str, other: str
 ) -> list[tuple[str, bool]]:
-    """Return the size class of each object that both frames show, and whether both find it."""
+    """Return the size class of each object in both frames, and whether it is found in both."""
     by_id = {item.id: item for item in scene.objects.objects}
     finder, seen = finder_of(network), []
     for name in (one, other):
@@ -249,15 +249,15 @@ def matching(
 ) -> None:
     """Print top-1 and top-5 of objects with and without neighbours, seed by seed, paired."""
     assert network.detector is not None
-    taught, asked = lessons_of(network, scenes), lessons_of(network, report)
+    trained, tested = lessons_of(network, scenes), lessons_of(network, report)
     for seed in range(seeds):
         shares = {}
         for layers in (0, 2):
             config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
             graph = train_graph(
-                taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
+                trained, config, ConstellationTraining(seed=seed), torch.device("cpu")
             )
-            ranks = np.concatenate([ranks_of(graph, of, session) for of in asked])
+            ranks = np.concatenate([ranks_of(graph, of, session) for of in tested])
             shares[layers] = ranks
         without, with_ = shares[0], shares[2]
         for layers, ranks in shares.items():
@@ -270,7 +270,7 @@ def matching(
 
 
 def ranks_of(graph: torch.nn.Module, of: TrainingScene, session: str) -> NDArray[np.int64]:
-    """Return, for each query, its known objects, and how many come first or in the first 5."""
+    """Return for each query its number of known objects, and how many match at top-1 and top-5."""
     rows = []
     with torch.inference_mode():
         theirs = describe_landmarks(graph, of.landmarks)  # type: ignore[arg-type]
@@ -297,7 +297,7 @@ def paired_p(differences: NDArray[np.int64], rounds: int = 20_000) -> float:
 
 
 def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
-    """Print how often the true pose is found by objects alone, how fast, and the map's size."""
+    """Print how often objects alone find the true pose, the time, and the size of the map."""
     assert network.constellation is not None, "these weights have no graph over objects"
     finder = finder_of(network)
     ranks: list[int] = []
@@ -335,13 +335,13 @@ def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> Non
 
 
 def landmarks_bytes(landmarks: object) -> int:
-    """Return the bytes that landmarks take as they are written."""
+    """Return the bytes of landmarks in a file."""
     arrays = [value for value in vars(landmarks).values() if isinstance(value, np.ndarray)]
     return sum(a.nbytes // 2 if a.dtype == np.float32 else a.nbytes for a in arrays)
 
 
 def rank_of_right(places: Sequence[Candidate], true: Pose) -> int:
-    """Return the rank of the first right start, from 0 on; 99 for none."""
+    """Return the rank of the first correct start, from 0 on; 99 for none."""
     right = [is_right(place.pose, true) for place in places]
     return right.index(True) if True in right else 99
 

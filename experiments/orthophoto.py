@@ -1,4 +1,4 @@
-"""A scene's queries in the map of an orthophoto, as a scene of its own that ``evaluate`` reads.
+"""Build a scene of the map of an orthophoto and the queries of another scene, for ``evaluate``.
 
     python -m experiments.orthophoto SCENE ORTHOPHOTO DSM --out OUT [--tilt DEGREES]
         [--altitude METRES] [--overlap SHARE]
@@ -29,16 +29,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     for name in ("tilt", "altitude", "overlap"):
         parser.add_argument(f"--{name}", type=float)
-    given = parser.parse_args()
-    views = {name: getattr(given, name) for name in ("tilt", "altitude", "overlap")}
+    args = parser.parse_args()
+    views = {name: getattr(args, name) for name in ("tilt", "altitude", "overlap")}
     options = ViewOptions.model_validate({k: v for k, v in views.items() if v is not None})
-    scene = Scene.open(given.scene)
+    scene = Scene.open(args.scene)
     report = photograph_orthophoto(
-        given.orthophoto, given.dsm, given.out, options=options, origin=scene.manifest.origin
+        args.orthophoto, args.dsm, args.out, options=options, origin=scene.manifest.origin
     )
     print(report.text())
-    print(build_map(given.out).text())
-    add_queries(given.out, scene)
+    print(build_map(args.out).text())
+    add_queries(args.out, scene)
 
 
 def add_queries(path: Path, scene: Scene) -> None:

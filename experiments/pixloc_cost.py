@@ -1,16 +1,16 @@
-"""What a query costs pixloc, objconnect and the code of PixLoc's authors: seconds and memory.
+"""Cost of a query of pixloc, objconnect and the code of PixLoc's authors: seconds and memory.
 
-``python -m experiments.pixloc_cost [--checkout CHECKOUT] [--scene SCENE --queries 8]`` runs
-each in processes of its own, with one thread and with two, on the same photographs, cameras and
-starts: over made ground 20 m below, or for queries spread over those of a scene that were taken in
-another condition than the map, with starts wrong by 3 m and 5 degrees. CHECKOUT is
-github.com/cvg/pixloc at commit 65a51a7; omegaconf and tqdm must be importable. The methods:
+``python -m experiments.pixloc_cost [--checkout CHECKOUT] [--scene SCENE --queries 8]`` runs each in
+its own processes, with one thread and with two, on the same photographs, cameras and starts: over
+artificial ground 20 m below, or for queries of a scene under other conditions than the map, with
+starts wrong by 3 m and 5 degrees. CHECKOUT is github.com/cvg/pixloc at commit 65a51a7; omegaconf
+and tqdm must be importable. The methods:
 
-- pixloc, objconnect: as shipped, everything at its default;
-- full: pixloc with the authors' network at full width (untrained), as many iterations as theirs;
-- authors: their code with the same weights, and as many observations of points as ours.
+- pixloc, objconnect: as shipped, with defaults;
+- full: pixloc with the authors' network at full width (untrained) and their number of iterations;
+- authors: their code with the same weights and the same number of observations of points.
 
-Everything a query takes is counted, preparing the map is not.
+The whole query counts, and the preparation of the map does not.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Ground:
 
     @staticmethod
     def write(folder: Path) -> Ground:
-        """Smooth ground, with the photographs in a folder."""
+        """Return smooth ground, and write its photographs to a folder."""
         images = folder / "images"
         sparse_map = write_map(images, CAMERA)
         image = photograph(TRUTH, CAMERA)
@@ -102,7 +102,7 @@ class Ground:
         return replace(whole, sparse_map=replace(whole.sparse_map, images=some))
 
     def nearest(self, query: Query, count: int) -> list[str]:
-        """The photographs nearest to where a query starts."""
+        """Return the photographs nearest to the start of a query."""
         there = start_of(query).centre()
 
         def away(name: str) -> float:
@@ -111,20 +111,20 @@ class Ground:
         return sorted(self.sparse_map.images, key=away)[:count]
 
     def references(self, query: Query) -> list[str]:
-        """As many of them as a query of pixloc has."""
+        """Return as many of them as a query of pixloc uses."""
         return self.nearest(query, PixlocConfig().references)
 
 
 def start_of(query: Query) -> Pose:
-    """Where methods begin."""
+    """Return the initial pose of the methods."""
     prior = query.prior
     assert prior is not None and prior.cam_from_world_rotation is not None
     rotation = torch.from_numpy(prior.cam_from_world_rotation)
     return Pose(rotation, -rotation @ torch.from_numpy(prior.position))
 
 
-def made(method: str, ground: Ground) -> Run:
-    """A method as a function that localizes every query once."""
+def make(method: str, ground: Ground) -> Run:
+    """Return a function that localizes every query once with a method."""
     if method == "authors":
         return _authors(ground)
     localizer: FeaturemetricLocalizer
@@ -163,7 +163,7 @@ def lower_bound(ground: Ground) -> Run:
 
 
 def _authors(ground: Ground) -> Run:
-    """What ``run_CMU.py`` does with queries, their references chosen."""
+    """Return a function that runs ``run_CMU.py`` on queries with chosen reference images."""
     from pixloc.localization import (  # type: ignore[import-not-found]
         Model3D,
         PoseRefiner,
@@ -187,7 +187,7 @@ def _authors(ground: Ground) -> Run:
         quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
         model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
 
-    def seen_from(query: Query) -> dict[int, set[int]]:
+    def see_from(query: Query) -> dict[int, set[int]]:
         seen: dict[int, set[int]] = {}
         references = ground.references(query)
         for name in references:
@@ -207,31 +207,31 @@ def _authors(ground: Ground) -> Run:
     paths = SimpleNamespace(reference_images=ground.images, query_images=ground.images)
     peer = PoseRefiner(cpu, list(refiner.optimizer), model, extractor, paths, {})
     lens = Lens.from_colmap(camera)
-    asked = []
+    inputs = []
     for query in ground.queries:
         start = start_of(query)
         stance = Stance.from_Rt(start.rotation.numpy(), start.translation.numpy())
-        asked.append((query.name, lens, stance, seen_from(query)))
+        inputs.append((query.name, lens, stance, see_from(query)))
 
     @torch.no_grad()
     def run() -> object:
-        answers = [peer.refine_query_pose(*each) for each in asked]
+        answers = [peer.refine_query_pose(*each) for each in inputs]
         assert all(answer["success"] for answer in answers)
         return answers
 
     return run
 
 
-def _measure(given: argparse.Namespace) -> None:
+def _measure(args: argparse.Namespace) -> None:
     """Print seconds a query and megabytes of a method as one line of JSON; for a process of its
     own."""
-    torch.set_num_threads(given.threads)
-    if given.checkout:
-        official.load(given.checkout)
-    kept = given.kept
-    scene = given.scene
-    ground = Ground.of_scene(scene, given.queries, kept) if scene else Ground.write(kept)
-    run = made(given.one, ground)
+    torch.set_num_threads(args.threads)
+    if args.checkout:
+        official.load(args.checkout)
+    kept = args.kept
+    scene = args.scene
+    ground = Ground.of_scene(scene, args.queries, kept) if scene else Ground.write(kept)
+    run = make(args.one, ground)
     reset_peak()
     run()
     processor, wall = process_time(), perf_counter()
@@ -253,13 +253,13 @@ def main() -> None:
     words.add_argument(
         "--kept", type=Path, help="cache of an evaluation of the scene, to begin with"
     )
-    given = words.parse_args()
-    if given.one:
-        _measure(given)
+    args = words.parse_args()
+    if args.one:
+        _measure(args)
         return
     print("method      threads  processor s  wall s  peak MB")
     with tempfile.TemporaryDirectory() as kept:
-        for threads, method in product((1, 2), METHODS if given.checkout else METHODS[:-1]):
+        for threads, method in product((1, 2), METHODS if args.checkout else METHODS[:-1]):
             command = [sys.executable, "-m", "experiments.pixloc_cost", *sys.argv[1:]]
             command += ["--one", method, "--threads", str(threads), "--kept", kept]
             done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)

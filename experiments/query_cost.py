@@ -1,7 +1,7 @@
 """Processor seconds of a query of objconnect with each precision of the network.
 
-``python -m experiments.query_cost SCENE --cache CACHE``. Every query is localized with each
-precision in turn, in one thread: on a machine with other work read the ratios.
+``python -m experiments.query_cost SCENE --cache CACHE`` localizes every query with each precision
+in turn, in one thread. On a machine with other work, read the ratios.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--start", default="error=3m,5deg")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries")
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    start = parse_start(given.start)
-    (dataset,) = open_datasets(given.scene)
+    start = parse_start(args.start)
+    (dataset,) = open_datasets(args.scene)
     sparse_map = dataset.load_map()
     methods = [create("objconnect", {"precision": each}) for each in PRECISIONS]
     for method in methods:
-        method.prepare(sparse_map, dataset.images, given.cache)
-    load = start.loader(dataset, sparse_map, given.cache)
-    queries = dataset.queries[:: given.every]
+        method.prepare(sparse_map, dataset.images, args.cache)
+    load = start.loader(dataset, sparse_map, args.cache)
+    queries = dataset.queries[:: args.every]
     seconds = np.zeros((len(methods), len(queries)))
     errors = np.full((len(methods), len(queries)), np.inf)
     for method in methods:  # what is made once

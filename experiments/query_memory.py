@@ -1,9 +1,9 @@
-"""Memory of the process over many queries, one after the other.
+"""Memory of the process over many queries, one after another.
 
-``python -m experiments.query_memory SCENE --method objconnect --cache CACHE``. The queries, or
-those that ``--among FIRST LAST`` picks, are asked again and again. Beside the resident memory stand
-the parts of glibc's heap that are in use and that are free, and what caches hold: resident memory
-that grows alone was freed and is kept.
+``python -m experiments.query_memory SCENE --method objconnect --cache CACHE`` repeats the queries,
+or those that ``--among FIRST LAST`` picks. It prints the resident memory with the used and the free
+part of glibc's heap and the size of caches. Resident memory that grows without the used part was
+freed and not returned to the system.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MB = 1e6
 
 
 class _Heap(ctypes.Structure):
-    """What glibc's ``mallinfo2`` returns."""
+    """The result of glibc's ``mallinfo2``."""
 
     _fields_ = [
         (name, ctypes.c_size_t)
@@ -44,15 +44,15 @@ class _Heap(ctypes.Structure):
 
 
 def heap() -> tuple[float, float]:
-    """Return what of the heap is in use and what is free, 1e6 bytes."""
-    asked = ctypes.CDLL(None).mallinfo2
-    asked.restype = _Heap
-    said = asked()
-    return (said.uordblks + said.hblkhd) / _MB, said.fordblks / _MB
+    """Return the used and the free part of the heap, 1e6 bytes."""
+    mallinfo2 = ctypes.CDLL(None).mallinfo2
+    mallinfo2.restype = _Heap
+    usage = mallinfo2()
+    return (usage.uordblks + usage.hblkhd) / _MB, usage.fordblks / _MB
 
 
-def cached() -> float:
-    """Return what all bounded caches hold, 1e6 bytes."""
+def measure_caches() -> float:
+    """Return the size of all bounded caches, 1e6 bytes."""
     gc.unfreeze()  # what is frozen is not listed
     return sum(each.nbytes for each in gc.get_objects() if type(each) is LruCache) / _MB
 
@@ -65,22 +65,22 @@ def main() -> None:
     parser.add_argument("--start", default="none")
     parser.add_argument("--queries", type=int, default=64)
     parser.add_argument("--among", type=int, nargs=2, default=(0, None))
-    given = parser.parse_args()
-    start = parse_start(given.start)
-    (dataset,) = open_datasets(given.scene)
+    args = parser.parse_args()
+    start = parse_start(args.start)
+    (dataset,) = open_datasets(args.scene)
     sparse_map = dataset.load_map()
-    method = create(given.method, {})
-    method.prepare(sparse_map, dataset.images, given.cache)
-    load = start.loader(dataset, sparse_map, given.cache)
-    asked = dataset.queries[slice(*given.among)]
+    method = create(args.method, {})
+    method.prepare(sparse_map, dataset.images, args.cache)
+    load = start.loader(dataset, sparse_map, args.cache)
+    queries = dataset.queries[slice(*args.among)]
     print("query, MB: resident, most, heap in use, heap free, caches; stages", flush=True)
-    for number in range(given.queries):
-        query = load(asked[number % len(asked)])
+    for number in range(args.queries):
+        query = load(queries[number % len(queries)])
         reset_peak()
         found = method.localize(query)
         stages = " ".join(f"{stage} {seconds:.1f}" for stage, seconds in found.seconds.items())
         del query
-        numbers = (resident_bytes() / _MB, peak_megabytes() or 0.0, *heap(), cached())
+        numbers = (resident_bytes() / _MB, peak_megabytes() or 0.0, *heap(), measure_caches())
         print(number + 1, *(f"{mb:.0f}" for mb in numbers), found.status, stages, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""The ratios of several versions as a picture: a panel for each group of benchmarks.
+"""Draw the benchmark ratios of several versions: a panel for each group of benchmarks.
 
 ``python -m experiments.ratio_picture RATIOS... --out PNG`` takes files that ``make bench``
 wrote, in the order of their versions; their names without the ending are those of the versions.
@@ -66,17 +66,17 @@ def _draw_group(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw; return 2 where a file is at fault."""
+    """Draw the picture; return 2 if a file is damaged."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ratios", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     try:
-        versions = {path.stem: read_json(path, Ratios, KIND) for path in given.ratios}
+        versions = {path.stem: read_json(path, Ratios, KIND) for path in args.ratios}
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    figure_of(versions).savefig(given.out, dpi=100)
+    figure_of(versions).savefig(args.out, dpi=100)
     return 0
 
 

@@ -1,8 +1,8 @@
-"""Ratios of a run of the benchmarks, kept in one file, and what got worse since an earlier run.
+"""Write the ratios of a benchmark run to a file, and compare them with an earlier run.
 
 ``python -m experiments.ratios write RUN RATIOS`` takes the file of ``--benchmark-json``.
-``python -m experiments.ratios check RATIOS --against EARLIER`` fails where a ratio grew by
-more than its spread. Seconds depend on the machine and on what else it does; ratios less.
+``python -m experiments.ratios check RATIOS --against EARLIER`` fails if a ratio grew by more than
+its spread. Ratios depend less on the machine and its other work than seconds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KIND: Final = "file of ratios"
 
 
 class Ratio(Config):
-    """How long one benchmark takes beside another of its group.
+    """The time of one benchmark over that of another of its group.
 
     Attributes:
         group: what both do.
@@ -66,7 +66,7 @@ class Ratios(Config):
 
 
 class Change(NamedTuple):
-    """A ratio that both of two runs have.
+    """A ratio in both of two runs.
 
     Attributes:
         before: the ratio of the earlier run.
@@ -122,13 +122,13 @@ def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Rati
 
 
 def _by_number(name: str) -> list[int | str]:
-    """Return a key by which 100 comes before 1000 in names that are the same else."""
+    """Return a sort key that compares numbers in names by value, so that 100 precedes 1000."""
     parts = re.split(r"(\d+)", name)
     return [int(part) if part.isdigit() else part for part in parts]
 
 
 def changes(now: Ratios, before: Ratios) -> list[Change]:
-    """Return what both runs have measured, in the order of the later one."""
+    """Return the ratios in both runs, in the order of the later one."""
     known = {(each.group, each.name, each.over): each for each in before.ratios}
     found = []
     for each in now.ratios:
@@ -140,7 +140,7 @@ def changes(now: Ratios, before: Ratios) -> list[Change]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return 1 where a ratio got worse, and 2 where a file is at fault."""
+    """Run a command; return 1 if a ratio got worse, and 2 if a file is damaged."""
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     write = commands.add_parser("write")
@@ -149,18 +149,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check = commands.add_parser("check")
     check.add_argument("ratios", type=Path)
     check.add_argument("--against", type=Path, required=True)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     try:
-        if given.command == "write":
-            write_json(given.ratios, ratios_of(given.run))
+        if args.command == "write":
+            write_json(args.ratios, ratios_of(args.run))
             return 0
-        now, before = (read_json(path, Ratios, KIND) for path in (given.ratios, given.against))
+        now, before = (read_json(path, Ratios, KIND) for path in (args.ratios, args.against))
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     compared = changes(now, before)
     if not compared:
-        print(f"error: {given.ratios} and {given.against} share no ratio", file=sys.stderr)
+        print(f"error: {args.ratios} and {args.against} share no ratio", file=sys.stderr)
         return 2
     if now.processor != before.processor:
         print(f"measured on another processor: {before.processor}, now {now.processor}")

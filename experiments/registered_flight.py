@@ -1,12 +1,12 @@
-"""A flight from two registered pictures of the ground: one is mapped, the other is photographed.
+"""Build a flight from two registered aerial pictures: one becomes the map, the other the queries.
 
     python -m experiments.registered_flight MAP QUERIES OUT [--metres 0.2] [--number 24]
         [--seed 0] [--look 0.4]
 
-MAP and QUERIES are pictures of the same size, seen straight down, of one place at two dates. MAP
-becomes an orthophoto on level ground, which is mapped as ``objconnect map --ortho`` does. The
-queries look at QUERIES from exact poses, at most 30 degrees from straight down and in any heading.
-``--look`` changes their colours, light, noise and sharpness at random, more the larger it is.
+MAP and QUERIES are nadir pictures of the same size, of one site at two dates. MAP becomes an
+orthophoto on level ground, mapped like ``objconnect map --ortho``. The queries are rendered from
+QUERIES at exact poses, with a tilt of at most 30 degrees and any heading. ``--look`` is the
+strength of random changes of their colours, light, noise and sharpness.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _COARSER: Final = 8
 _MOST_TRIES: Final = 100
 
 
-def changed(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
-    """Return a picture in another light, of another camera, perhaps under snow or in haze."""
+def change(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
+    """Return a picture with random light, camera response, snow and haze."""
     x = picture.astype(np.float32) / 255
     x = x ** np.exp(rng.normal(0, 0.35 * strength))
     x = np.clip(x @ (np.eye(3) + rng.normal(0, 0.12 * strength, (3, 3))).T, 0, 1)
@@ -91,7 +91,7 @@ def camera_pose(rng: np.random.Generator, extent: Array, metres: float) -> Pose:
 
 
 def photograph(picture: Picture, pose: Pose, metres: float) -> Picture | None:
-    """Return what a pose sees of level ground; None where the picture does not fill it."""
+    """Render level ground at a pose; None if the picture does not fill the view."""
     rows, columns = picture.shape[:2]
     rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
     lens = np.array([[_FOCAL, 0, _SIDE / 2], [0, _FOCAL, _SIDE / 2], [0, 0, 1]])
@@ -111,36 +111,36 @@ def photograph(picture: Picture, pose: Pose, metres: float) -> Picture | None:
     return np.asarray(seen, np.uint8)
 
 
-def make(given: argparse.Namespace) -> None:
+def make(args: argparse.Namespace) -> None:
     """Map one picture, photograph the other, and write the flight."""
-    mapped, other = (cv2.imread(str(path))[..., ::-1] for path in (given.map, given.queries))
+    mapped, other = (cv2.imread(str(path))[..., ::-1] for path in (args.map, args.queries))
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene"
-        rasters = _rasters(Path(folder), np.ascontiguousarray(mapped), given.metres)
+        rasters = _rasters(Path(folder), np.ascontiguousarray(mapped), args.metres)
         photograph_orthophoto(*rasters, scene, options=ViewOptions(overlap=0.65))
         build_map(scene)
-        shutil.copytree(scene / "map", given.out / "sparse" / "map")
-        shutil.copytree(scene / "sessions" / "virtual", given.out / "images" / "virtual")
-    rng = np.random.default_rng(given.seed)
-    extent = np.array(mapped.shape[1::-1]) * given.metres
+        shutil.copytree(scene / "map", args.out / "sparse" / "map")
+        shutil.copytree(scene / "sessions" / "virtual", args.out / "images" / "virtual")
+    rng = np.random.default_rng(args.seed)
+    extent = np.array(mapped.shape[1::-1]) * args.metres
     cameras: list[str] = []
     poses: list[str] = []
-    for _ in range(_MOST_TRIES * given.number):
-        if len(cameras) == given.number:
+    for _ in range(_MOST_TRIES * args.number):
+        if len(cameras) == args.number:
             break
-        pose = camera_pose(rng, extent, given.metres)
-        seen = photograph(np.ascontiguousarray(other), pose, given.metres)
+        pose = camera_pose(rng, extent, args.metres)
+        seen = photograph(np.ascontiguousarray(other), pose, args.metres)
         if seen is None:
             continue
         name = f"q{len(cameras):03d}.jpg"
-        seen = changed(seen, rng, given.look)
-        cv2.imwrite(str(given.out / "images" / name), seen[..., ::-1])
+        seen = change(seen, rng, args.look)
+        cv2.imwrite(str(args.out / "images" / name), seen[..., ::-1])
         lens = f"{_FOCAL} {_FOCAL} {_SIDE / 2} {_SIDE / 2}"
         cameras.append(f"{name} PINHOLE {_SIDE} {_SIDE} {lens}\n")
         numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())
         poses.append(f"{name} {' '.join(map(str, numbers))}\n")
-    (given.out / "queries.txt").write_text("".join(cameras))
-    (given.out / "reference_poses.txt").write_text("".join(poses))
+    (args.out / "queries.txt").write_text("".join(cameras))
+    (args.out / "reference_poses.txt").write_text("".join(poses))
 
 
 def _rasters(folder: Path, picture: Picture, metres: float) -> tuple[Path, Path]:

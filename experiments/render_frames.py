@@ -1,13 +1,12 @@
-"""Renders one frame per line of standard input: `python -m experiments.render_frames JOB OUT`.
+"""Render one frame per line of standard input: `python -m experiments.render_frames JOB OUT`.
 
-A line is a kind and the number of a frame. "bare": Blender renders and writes the picture and
-nothing else. "ours": the frame with all its layers, as the generator writes it. Three more leave
-out of the bare picture, each what the one before still has: "raw" the denoiser, "flat" all light
-(every surface shines by itself: a ray ends where it hits first), "still" all pixels but a few (what
-is left is taking the scene in, and calling Blender). Settings of Blender's scene may follow, as
-cycles.max_bounces=1, for this frame alone. Pictures are OUT/bare.png. Answers with the processor
-seconds it took, of all threads, which a busy machine stretches less than seconds; and with the
-bytes held.
+A line is a kind and the number of a frame. "bare": Blender renders and writes only the picture.
+"ours": the frame with all its layers, as the generator writes it. Three more kinds each leave out
+one more part of the bare picture: "raw" the denoiser, "flat" also all light (every surface is
+emissive, so that a ray ends at its first hit), "still" also all pixels but a few (which leaves
+loading the scene and calling Blender). Settings of Blender's scene may follow for this frame only,
+such as cycles.max_bounces=1. Pictures are OUT/bare.png. The answer is the processor seconds of all
+threads, which depend less on other work than wall-clock time, and the bytes of the process.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def main(job_path: str, out: str) -> None:
             _put(layer, "material_override", glow if kind in ("flat", "still") else None)
             _put(scene.render, "resolution_percentage", 1 if kind == "still" else 100)
             pose = np.array(job.poses[int(number)])
-            with _changed(scene, settings):
+            with _change_settings(scene, settings):
                 start = time.process_time()
                 if ours:
                     scene.cycles.seed = int(number)
@@ -76,13 +75,13 @@ def main(job_path: str, out: str) -> None:
 
 
 def _put(owner: Any, name: str, value: Any) -> None:
-    """Set a property that has another value: to set it makes Cycles take the scene in anew."""
+    """Set a property if its value differs, because setting it makes Cycles reload the scene."""
     if getattr(owner, name) != value:
         setattr(owner, name, value)
 
 
 @contextmanager
-def _changed(scene: Any, settings: Sequence[str]) -> Iterator[None]:
+def _change_settings(scene: Any, settings: Sequence[str]) -> Iterator[None]:
     """Change settings, each as path=value, and set them back."""
     before = []
     for setting in settings:
@@ -99,7 +98,7 @@ def _changed(scene: Any, settings: Sequence[str]) -> Iterator[None]:
 
 
 def _glow() -> Any:
-    """A material that shines by itself, and lights nothing."""
+    """Return an emissive material that lights nothing else."""
     material = bpy.data.materials.new("glow")
     material.use_nodes = True
     material.cycles.emission_sampling = "NONE"

@@ -1,4 +1,4 @@
-"""A Blender process that renders frames one by one, for the benchmarks to ask."""
+"""A Blender process that renders frames one by one for the benchmarks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
-    """Photographs looking down, under the condition of the first session."""
+    """Return the job of nadir photographs under the condition of the first session."""
     camera = config.photo_camera()
     world = preset(config.preset)(config.seed, config.area)
     site = FlightSite(config.area, world.terrain.height, camera)
@@ -46,7 +46,7 @@ def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
 
 
 class Renderer:
-    """A Blender process that renders a frame when asked."""
+    """A Blender process that renders a frame on request."""
 
     def __init__(self, job: RenderJob, folder: Path) -> None:
         require_blender()
@@ -65,7 +65,7 @@ class Renderer:
         )
 
     def ask(self, kind: str, frame: int, *settings: str) -> tuple[float, int]:
-        """Processor seconds of a frame, and bytes the process holds after it."""
+        """Return the processor seconds of a frame, and the bytes of the process after it."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         print(kind, frame, *settings, file=self.process.stdin, flush=True)

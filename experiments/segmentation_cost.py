@@ -1,8 +1,8 @@
-"""What part of a query of the object-connect network with all its blocks finding segments takes.
+"""Share of segmentation in the cost of a query of the object-connect network with all its blocks.
 
-``python -m experiments.segmentation_cost SCENE [--queries 10]`` prints the median milliseconds
-of a core, for SLIC and for Felzenszwalb's segments, over queries spread over a scene, with starts
-wrong by 3 m and 5 degrees.
+``python -m experiments.segmentation_cost SCENE [--queries 10]`` prints the median milliseconds of a
+core for SLIC and for Felzenszwalb's segments, over queries spread over a scene, with starts wrong
+by 3 m and 5 degrees.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _KINDS = ("slic", "felzenszwalb")
 
 
 def main(scene: Path, count: int) -> None:
-    """Print both, beside the whole query."""
+    """Print the milliseconds of both, and of the whole query."""
     dataset = open_datasets(scene)[0]
     chosen = [
         dataset.queries[k] for k in np.linspace(0, len(dataset.queries) - 1, count, dtype=int)
@@ -40,13 +40,15 @@ def main(scene: Path, count: int) -> None:
     spent: list[float] = []
     for kind in _KINDS:
 
-        def timed(images: Tensor, config: ObjConnectNetConfig, kind: str = kind) -> Tensor:
+        def time_segmentation(
+            images: Tensor, config: ObjConnectNetConfig, kind: str = kind
+        ) -> Tensor:
             begun = process_time()
             labels = segment(images, config.model_copy(update={"segmentation": kind}))
             spent.append(process_time() - begun)
             return labels
 
-        network.segment = timed
+        network.segment = time_segmentation
         whole = []
         for query in (queries[0], *queries):  # the first one warms up
             spent.clear()

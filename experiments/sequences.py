@@ -1,13 +1,13 @@
-"""A flight as a video with subtitles, as a sequence and frame by frame, of which GPS is lost.
+"""Localize a video whose GPS is lost, as a sequence and frame by frame.
 
     python -m experiments.sequences SCENE SESSION --map PLACE --out DIR [--black 50 60]
 
-SCENE is a simulated scene over the place of PLACE, which has the map. The session is exported as a
-video with subtitles, and from ``--lost-after`` seconds on these have no position; with
-``--no-gimbal`` they have no attitude either. ``localize --video`` then runs twice: as a sequence,
-and with ``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone.
-``--black`` blanks the frames of a span of seconds, as fog does, after which the camera is lost.
-Interrupted runs go on, but their seconds are those of the last run: delete DIR to measure again.
+SCENE is a simulated scene of the site of PLACE, which has the map. The session is exported as a
+video with subtitles. From ``--lost-after`` seconds on these have no position; with ``--no-gimbal``
+they have no attitude either. ``localize --video`` then runs twice: as a sequence, and with
+``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone. ``--black``
+blanks the frames of a time span, as fog does, after which the position is lost. An interrupted run
+goes on, but its seconds are those of the last run: delete DIR to measure again.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def without_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
 
 
 def blank(video: Path, begin_s: float, end_s: float) -> None:
-    """Make the frames of a video black from one time to another."""
+    """Blank the frames of a video between two times."""
     rate_hz = read_video(video).rate_hz
     frames = [
         np.zeros_like(frame.image) if begin_s <= frame.seconds < end_s else frame.image
@@ -142,26 +142,26 @@ def main() -> None:
     parser.add_argument("--no-gimbal", action="store_true")
     parser.add_argument("--black", type=float, nargs=2)
     parser.add_argument("--runs", nargs="+", default=["sequence", "frames"])
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    flown = given.out / "flown"
+    flown = args.out / "flown"
     if not flown.exists():
-        export(given.scene, "video", flown, [given.session])
-        without_gps(flown / f"{given.session}.SRT", given.lost_after, not given.no_gimbal)
-        if given.black is not None:
-            blank(flown / f"{given.session}.MP4", *given.black)
-    truth = read_poses(flown / f"{given.session}-poses.txt")
-    place = open_map(given.map)
+        export(args.scene, "video", flown, [args.session])
+        without_gps(flown / f"{args.session}.SRT", args.lost_after, not args.no_gimbal)
+        if args.black is not None:
+            blank(flown / f"{args.session}.MP4", *args.black)
+    truth = read_poses(flown / f"{args.session}-poses.txt")
+    place = open_map(args.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
-    for name in given.runs:
-        localizer = Timed(create(given.method, {}))
+    for name in args.runs:
+        localizer = Timed(create(args.method, {}))
         options = LocalizeOptions(
-            gps_sigma_m=3.0, sequence=configs[name], undulation_m=0.0, cache=given.cache
+            gps_sigma_m=3.0, sequence=configs[name], undulation_m=0.0, cache=args.cache
         )
-        video, out = flown / f"{given.session}.MP4", given.out / f"{name}.txt"
+        video, out = flown / f"{args.session}.MP4", args.out / f"{name}.txt"
         located = localize_video(place, video, localizer, out, options)
         figures = report(name, located, truth, localizer)
-        (given.out / f"{name}-figures.json").write_text(json.dumps(figures, indent=1) + "\n")
+        (args.out / f"{name}-figures.json").write_text(json.dumps(figures, indent=1) + "\n")
         print(json.dumps(figures, indent=1), flush=True)
 
 

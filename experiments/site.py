@@ -1,10 +1,10 @@
-"""How real a twin is: it is held against the scene that it was made from.
+"""Realism of a twin: compare it with the scene that it was built from.
 
-    python -m experiments.site flown FLIGHT --out YAML       # its own flight, in two seasons
-    python -m experiments.site cross MAP QUERIES --out OUT  # queries in the map of another
+    python -m experiments.site flown FLIGHT --out YAML       # configuration of the same flight
+    python -m experiments.site cross MAP QUERIES --out OUT   # queries in the map of another scene
     python -m experiments.site compare REAL TWIN             # colours, classes
     python -m experiments.site features FLIGHT TWIN          # colours, features by class
-    python -m experiments.site strip REAL TWIN --out JPG     # photographs beside each other
+    python -m experiments.site strip REAL TWIN --out JPG     # photographs side by side
     python -m experiments.site classes REAL                  # classes, without a twin
 
 Both scenes have the same world, and the same sessions where they are compared. The folder of
@@ -59,31 +59,31 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--query", type=int, default=0, help="number of the query to draw")
     parser.add_argument("--size", type=int, default=800, help="longer side of the twin's pictures")
-    given = parser.parse_args()
-    first = Scene.open(given.first)
-    if given.what == "classes":
-        site = SiteConfig(scene=given.first)
+    args = parser.parse_args()
+    first = Scene.open(args.first)
+    if args.what == "classes":
+        site = SiteConfig(scene=args.first)
         area_m = first.manifest.config["area"]
         world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
         compare_classes(first, world)
         return
-    if given.what == "flown":
-        write_flown(first, given.size, given.out)
+    if args.what == "flown":
+        write_flown(first, args.size, args.out)
         return
-    second = Scene.open(given.second)
-    if given.what == "cross":
-        cross(first, second, given.out)
-    elif given.what == "features":
+    second = Scene.open(args.second)
+    if args.what == "cross":
+        cross(first, second, args.out)
+    elif args.what == "features":
         compare_features(first, second)
-    elif given.what == "strip":
-        strip(first, second, given.out, given.query)
+    elif args.what == "strip":
+        strip(first, second, args.out, args.query)
     else:
         compare_colours(first, second)
         compare_classes(first, load_site(second.path / PLACE, 0))
 
 
 def write_flown(scene: Scene, size: int, out: Path) -> None:
-    """Write the configuration of a twin that is flown as its scene was, in summer and in snow."""
+    """Write the configuration of a twin with its scene's flight, in summer and in snow."""
     flights = {"map": "map", "summer": "queries", "snow": "queries"}
     sessions = [
         {
@@ -104,7 +104,7 @@ def write_flown(scene: Scene, size: int, out: Path) -> None:
 
 
 def cross(mapped: Scene, queried: Scene, out: Path) -> None:
-    """Make a scene of the map of one scene and the queries of another, in the same world."""
+    """Build a scene of the map of one scene and the queries of another in the same world."""
     owners = {name.split("/")[0]: mapped for name in mapped.splits.map}
     if both := owners.keys() & queried.splits.queries.keys():
         raise SystemExit(f"session {min(both)} has the map of one scene and queries of the other")
@@ -135,7 +135,7 @@ def compare_colours(real: Scene, twin: Scene) -> None:
 
 
 def compare_classes(real: Scene, world: World) -> None:
-    """Print which share of each true class of surfaces that face up is what in the twin."""
+    """Print the shares of the twin's classes within each true class, for upward surfaces."""
     count = np.zeros((256, 256), np.int64)
     for session in {name.split("/")[0] for name in real.splits.map}:
         frames = real.frames(session)
@@ -161,7 +161,7 @@ def compare_classes(real: Scene, world: World) -> None:
 
 
 def compare_features(flight: Scene, twin: Scene) -> None:
-    """Print colours and SIFT features of a flight's queries and of a twin that was flown as it was.
+    """Print colours and SIFT features of a flight's queries and of its twin's same flight.
 
     A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
     get the size of the twin's.
@@ -198,7 +198,7 @@ def compare_features(flight: Scene, twin: Scene) -> None:
 
 
 def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
-    """Draw one query: real and twin in summer, twin in winter, and real in winter where it is."""
+    """Draw one query: real and twin in summer, twin in winter, and real in winter if there is."""
     there, *later = real.splits.queries
     summer, winter = list(twin.splits.queries)
     order = [(real, there), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]

@@ -1,12 +1,12 @@
-"""Which photographs of a street look like a query, by the features of which method.
+"""Retrieval of street photographs by the features of several methods.
 
     python -m experiments.street_retrieval SCENE [SCENE ...] [--metres 10] [--degrees 30]
         [--cache CACHE]
 
-The scenes have maps and queries of other conditions. A photograph is right where it was taken
-within so many metres of the query and looks within so many degrees of its way. Printed is the share
-of the queries whose first, first five and first ten photographs hold a right one: by VLAD of SIFT,
-by VLAD of the coarse features of the learned methods, and by chance.
+The scenes have maps and queries of other conditions. A photograph is correct within so many metres
+and degrees of the query. Prints the share of queries with a correct photograph among the first,
+first five and first ten: by VLAD of SIFT, by VLAD of the coarse features of the learned methods,
+and by chance.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FIRST = (1, 5, 10)
 
 
 def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]]:
-    """Yield the rows of the photographs most like each query, best first."""
+    """Yield the rows of the photographs most similar to each query, best first."""
     with progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance:
         for done, query in enumerate(dataset.queries, 1):
             loaded = query.load()
@@ -49,7 +49,7 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
 
 
 def _right(dataset: Dataset, metres: float, degrees: float) -> NDArray[np.bool_]:
-    """Return which photographs of the map (N) are right for each query (Q, N)."""
+    """Return whether each map photograph is correct for each query (Q, N)."""
     sparse_map = dataset.load_map()
     right = np.zeros((len(dataset.queries), len(sparse_map.names)), bool)
     for number, query in enumerate(dataset.queries):
@@ -66,10 +66,10 @@ def main() -> None:
     parser.add_argument("--metres", type=float, default=10.0)
     parser.add_argument("--degrees", type=float, default=30.0)
     parser.add_argument("--cache", type=Path)
-    given = parser.parse_args()
-    cache = given.cache or Path(tempfile.mkdtemp())
-    datasets = [dataset for scene in given.scenes for dataset in open_datasets(scene)]
-    rights = [_right(dataset, given.metres, given.degrees) for dataset in datasets]
+    args = parser.parse_args()
+    cache = args.cache or Path(tempfile.mkdtemp())
+    datasets = [dataset for scene in args.scenes for dataset in open_datasets(scene)]
+    rights = [_right(dataset, args.metres, args.degrees) for dataset in datasets]
     queries = sum(len(right) for right in rights)
     for method in _METHODS:
         hits = np.zeros(len(_FIRST), int)

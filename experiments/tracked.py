@@ -1,13 +1,14 @@
-"""A flight followed as a sequence, beside the same without tracking, frame by frame in turn.
+"""Compare a flight localized as a sequence with and without tracking, frame by frame in turn.
 
     python -m experiments.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2] [--alone]
 
-PLACE is a simulated scene with a map and a session ``flight``, as of
-``experiments/tracked-place.yaml``, or its map alone where SCENE has the session. A frame is
-read from its JPEG and localized from what the frames before predict; the first is told its position
-to 3 m and its attitude to 3 degrees, the others nothing. Seconds are the medians of a frame, by the
-clock and of the processor; on a machine with other work read the ratio. ``--alone`` only follows
-the sequence: a query without tracking gives back memory, which the next frame must take again.
+PLACE is a simulated scene with a map and a session ``flight``, such as that of
+``experiments/tracked-place.yaml``, or its map alone if SCENE has the session. Each frame is read
+from its JPEG and localized with the prediction of the frames before. The first has a prior
+(position to 3 m, attitude to 3 degrees), the others have none. Seconds are medians per frame,
+wall-clock and of the processor; on a machine with other work, read the ratio. ``--alone`` runs
+only with tracking, because a query without it returns memory that the next frame must allocate
+again.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame of the flight: its file, its camera, its time, and where it was taken."""
+    """A frame of the flight: its file, camera, time and true pose."""
 
     path: Path
     camera: Camera
@@ -50,7 +51,7 @@ class Frame:
 
 @dataclass
 class Run:
-    """One way to follow the flight, and what it gave: errors, and seconds of each frame."""
+    """A tracker with the errors and the seconds of each frame."""
 
     name: str
     tracker: Tracker
@@ -58,10 +59,10 @@ class Run:
     clock: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
 
-    def take(self, frame: Frame, told: Prior | None) -> None:
+    def take(self, frame: Frame, prior: Prior | None) -> None:
         """Localize the next frame."""
         clock, processor = time.perf_counter(), time.process_time()
-        query = Query(frame.path.name, read_rgb(frame.path), frame.camera, told)
+        query = Query(frame.path.name, read_rgb(frame.path), frame.camera, prior)
         estimate = self.tracker.localize(query, frame.seconds)
         self.tracker.take(estimate, frame.seconds)
         self.clock.append(time.perf_counter() - clock)
@@ -73,7 +74,7 @@ class Run:
         self.errors.append(error)
 
     def figures(self, beside: Run) -> dict[str, Any]:
-        """Return what is to be said of the run, with ratios over another one's seconds."""
+        """Return the figures of the run, with ratios to the seconds of another one."""
         errors = np.array(self.errors)
         found = np.isfinite(errors[:, 0])
         false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
@@ -98,12 +99,12 @@ class Run:
 
 
 def ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
-    """Return the median over the frames of how long one took beside the other."""
+    """Return the median over the frames of the ratio of two lists of seconds."""
     return round(float(np.median(np.array(ours) / np.array(theirs))), 3)
 
 
 def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Frame]:
-    """Return every so many frames of a session that took so many a second."""
+    """Return every n-th frame of a session with a given frame rate."""
     frames = scene.frames(session)
     return [
         Frame(
@@ -116,8 +117,8 @@ def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Fr
     ]
 
 
-def told_of(frame: Frame) -> Prior:
-    """Return what is told of the first frame: wrong by a standard deviation or so."""
+def prior_of(frame: Frame) -> Prior:
+    """Return the prior of the first frame, with an error of about a standard deviation."""
     rng = np.random.default_rng(SEED)
     turn = Pose.exp(torch.from_numpy(np.append(np.radians(rng.normal(0, 3, 3)), np.zeros(3))))
     rotation = (turn.rotation @ frame.truth.rotation).numpy()
@@ -125,7 +126,7 @@ def told_of(frame: Frame) -> Prior:
     return Prior(position, np.full(3, 3.0), rotation, 3.0)
 
 
-def followed(
+def create_run(
     place: LocalizationMap, cache: Path, method: str, settings: dict[str, Any], name: str
 ) -> Run:
     """Return a run that is ready for its first frame."""
@@ -150,21 +151,21 @@ def main() -> None:
     parser.add_argument(
         "--set", action="append", default=[], help="KEY=VALUE of the method, for both runs"
     )
-    given = parser.parse_args()
-    torch.set_num_threads(given.threads)
-    place, scene = open_map(given.place), Scene.open(given.flight or given.place)
-    frames = frames_of(scene, given.session, given.every, given.rate)
-    both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
-    tracking = both | {"tracking": json.loads(given.tracking)}
-    runs = [followed(place, given.cache, given.method, tracking, "tracked")]
-    if not given.alone:
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    place, scene = open_map(args.place), Scene.open(args.flight or args.place)
+    frames = frames_of(scene, args.session, args.every, args.rate)
+    both: dict[str, Any] = dict(each.split("=", 1) for each in args.set)
+    tracking = both | {"tracking": json.loads(args.tracking)}
+    runs = [create_run(place, args.cache, args.method, tracking, "tracked")]
+    if not args.alone:
         alone = both | {"tracking": None}
-        without = followed(place, given.cache, given.method, alone, "without")
+        without = create_run(place, args.cache, args.method, alone, "without")
         runs.insert(0, without)
     for number, frame in enumerate(frames):
-        told = told_of(frame) if number == 0 else None
+        prior = prior_of(frame) if number == 0 else None
         for run in runs if number % 2 else runs[::-1]:
-            run.take(frame, told)
+            run.take(frame, prior)
     for run in runs:
         print(json.dumps(run.figures(runs[0])), flush=True)
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")

@@ -1,7 +1,7 @@
-"""What a step of training costs, beside PixLoc's authors' code: processor seconds.
+"""Processor seconds of a training step, against the code of PixLoc's authors.
 
-``python -m experiments.training_step CHECKOUT`` trains each method for a few steps on one pair
-of pictures of smooth ground, in a process of its own with one thread. CHECKOUT is
+``python -m experiments.training_step CHECKOUT`` trains each method for a few steps on one pair of
+pictures of smooth ground, in its own process with one thread. CHECKOUT is
 github.com/cvg/pixloc at commit 65a51a7; omegaconf and tqdm must be importable. The methods:
 
 - objconnect, pixloc: as shipped, at a quarter of VGG16's width, features and poses together;
@@ -68,7 +68,7 @@ def pair(side: int) -> Pair:
     )
 
 
-def made(method: str, side: int) -> Callable[[], object]:
+def make(method: str, side: int) -> Callable[[], object]:
     """Return a function that takes one step of a method."""
     batch = collate([pair(side)])
     if method == "authors":
@@ -136,11 +136,11 @@ def _descend(loss: Tensor, network: nn.Module, optimizer: torch.optim.Optimizer)
     return float(loss.detach())
 
 
-def _measure(given: argparse.Namespace) -> None:
+def _measure(args: argparse.Namespace) -> None:
     """Print processor seconds of a step as one line of JSON; for a process of its own."""
     torch.set_num_threads(1)
-    official.load(given.checkout)
-    step = made(given.one, given.side)
+    official.load(args.checkout)
+    step = make(args.one, args.side)
     step()
     spent = []
     for _ in range(_STEPS):
@@ -156,13 +156,13 @@ def main() -> None:
     words.add_argument("checkout", type=Path)
     words.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
     words.add_argument("--side", type=int, help=argparse.SUPPRESS)
-    given = words.parse_args()
-    if given.one:
-        _measure(given)
+    args = words.parse_args()
+    if args.one:
+        _measure(args)
         return
     seconds: dict[tuple[str, int], float] = {}
     for side, method in product(_SIDES, METHODS):
-        command = [sys.executable, "-m", "experiments.training_step", str(given.checkout)]
+        command = [sys.executable, "-m", "experiments.training_step", str(args.checkout)]
         command += ["--one", method, "--side", str(side)]
         environment = os.environ | {"OMP_NUM_THREADS": "1"}
         done = subprocess.run(

@@ -1,10 +1,10 @@
-"""How often a method takes one place for another: queries of a place, asked in the map of another.
+"""False fixes outside the map: queries of one site, localized in the map of another.
 
     python -m experiments.uncovered SCENE OTHER [--method NAME] [--start START] [--only PREFIX]
         [--cache CACHE]
 
-Every answer ``ok`` is a false fix. Nothing that a query is told helps it: its prior is that of its
-own place, whose coordinates lie over the other's.
+Every answer ``ok`` is a false fix. The prior of a query does not help: it refers to its own site,
+whose coordinates overlap those of the other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from objconnect.scene.runtime.progress import progress_bar
 
 
 def main() -> None:
-    """Ask the queries, and print how many were answered and why the others were not."""
+    """Localize the queries, and print the number of answers and the reasons of failures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("other", type=Path)
@@ -30,13 +30,13 @@ def main() -> None:
     parser.add_argument("--start", default="none", type=parse_start)
     parser.add_argument("--only", default="", help="queries whose names begin so")
     parser.add_argument("--cache", type=Path)
-    given = parser.parse_args()
-    (dataset,), (other,) = open_datasets(given.scene), open_datasets(given.other)
-    localizer = create(given.method, {})
-    cache = given.cache or Path(tempfile.mkdtemp())
+    args = parser.parse_args()
+    (dataset,), (other,) = open_datasets(args.scene), open_datasets(args.other)
+    localizer = create(args.method, {})
+    cache = args.cache or Path(tempfile.mkdtemp())
     localizer.prepare(other.load_map(), other.images, cache)
-    load = given.start.loader(dataset, dataset.load_map(), cache)
-    queries = [query for query in dataset.queries if query.name.startswith(given.only)]
+    load = args.start.loader(dataset, dataset.load_map(), cache)
+    queries = [query for query in dataset.queries if query.name.startswith(args.only)]
     answered = []
     with progress_bar(f"{dataset.name} in {other.name}", len(queries)) as advance:
         for done, query in enumerate(queries, 1):
@@ -45,7 +45,7 @@ def main() -> None:
             advance(done)
     low, high = wilson(len(answered), len(queries))
     print(
-        f"{dataset.name} in {other.name}, {given.start.name}: {len(answered)} of {len(queries)} "
+        f"{dataset.name} in {other.name}, {args.start.name}: {len(answered)} of {len(queries)} "
         f"are false fixes, {100 * len(answered) / len(queries):.1f} % "
         f"[{100 * low:.1f}, {100 * high:.1f}]",
         *answered,

@@ -1,7 +1,7 @@
-"""What a photograph costs once it is rendered: `python -m experiments.unit_cost SCENE`.
+"""Cost of a rendered photograph on disk and in `map` and `evaluate`.
 
-Bytes on disk, and processor seconds of one core for what `map` and `evaluate` do with each: medians
-over some photographs and pairs. The scene needs its map.
+`python -m experiments.unit_cost SCENE` prints bytes on disk, and processor seconds of one core for
+each step of `map` and `evaluate`: medians over some photographs and pairs. The scene needs its map.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SOME = 8
 
 
 def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
-    """What, and how much of it."""
+    """Return the costs by name."""
     photographs = list(scene.images_root.rglob("*.jpg"))
     root, mapped, count = scene.images_root, scene.splits.map, len(photographs)
     yield "JPEG of a photograph", _kilobytes(photographs, count)
@@ -73,7 +73,7 @@ def _seconds(do: Callable[[int], object]) -> str:
 
 
 def main() -> None:
-    """Print it."""
+    """Print the costs."""
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("scene", type=Path)
     torch.set_num_threads(1)

@@ -24,7 +24,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import has_blender, require_blender
-from tests.shared import alone, made_once
+from tests.shared import alone, make_once
 from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
@@ -36,14 +36,14 @@ torch.set_num_threads(1)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """The order of the tests is random: say first what brings it back, also where -q is brief."""
+    """Print the seed of the random order of the tests, even with -q."""
     seed = session.config.getoption("randomly_seed", None)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if seed is not None and reporter is not None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
-# Modules that take a minute or more. Processes begin with them, so that none waits for the last.
+# Modules that take a minute or more. They run first, so that no process waits for the last one.
 _LONGEST = {
     "test_gate",
     "test_reproduced",
@@ -58,23 +58,23 @@ _LONGEST = {
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of the random order of modules, the longest come first."""
+    """Run the longest modules first, the others in their random order."""
     items.sort(key=lambda item: item.path.stem not in _LONGEST)
 
 
-# Variables that pytest and libraries set by themselves, these when they are first used.
+# Environment variables that pytest and libraries set.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
-# Torch watches over the processes of its first loader of data by a handler that stays.
+# Torch installs a handler for the processes of its first data loader.
 _TAKEN_BY_LIBRARIES = {getattr(signal, "SIGCHLD", None)}
 
 
 def state() -> dict[str, Any]:
-    """What tests share because it is of the whole process."""
+    """Return the state of the process that a test could leave changed."""
     variables = {k: v for k, v in os.environ.items() if not k.startswith(_SET_BY_LIBRARIES)}
     return {
         "working folder": Path.cwd(),
         **{f"${name}": value for name, value in variables.items()},
-        # Ray adds a folder of its own when it is first imported.
+        # Ray adds its own folder at its first import.
         "sys.path": [path for path in sys.path if not path.endswith("thirdparty_files")],
         **{str(n): signal.getsignal(n) for n in signal.valid_signals() - _TAKEN_BY_LIBRARIES},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
@@ -86,9 +86,8 @@ def state() -> dict[str, Any]:
 
 
 @pytest.fixture(autouse=True)
-def _alike_before_and_after() -> Iterator[None]:
-    """Every test holds after any other: it begins with the same random numbers, and leaves the
-    process as it found it."""
+def _require_unchanged_process() -> Iterator[None]:
+    """Seed random numbers before each test, and require that it leaves the process unchanged."""
     torch.manual_seed(0)
     cv2.setRNGSeed(0)
     before = state()
@@ -99,15 +98,15 @@ def _alike_before_and_after() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _tuned() -> Iterator[None]:
-    """The process of the tests is as that of the command line: it makes many localizers."""
+def _tune_process() -> Iterator[None]:
+    """Tune the process as the command line does."""
     with ProcessTuning():
         yield
 
 
 @pytest.fixture(scope="session", autouse=True)
 def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Digests of files are remembered in a folder of the tests, never in the user's."""
+    """Cache digests of files in a folder of the tests instead of the user's."""
     folder = tmp_path_factory.mktemp("digests")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(folder))
@@ -115,8 +114,8 @@ def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _rendering_is_an_extra() -> Iterator[None]:
-    """Where Blender's module is not installed, tests that render are skipped when they begin to."""
+def _skip_rendering_without_blender() -> Iterator[None]:
+    """Skip tests that render if Blender's module is not installed."""
     if has_blender():
         yield
         return
@@ -127,7 +126,7 @@ def _rendering_is_an_extra() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def flights() -> Path:
-    """The folder of real flights; tests that need it say so when they skip."""
+    """Return the folder of real flights; tests that need it are skipped without it."""
     folder = os.environ.get("OBJCONNECT_FLIGHTS")
     if not folder:
         pytest.skip("OBJCONNECT_FLIGHTS is not set to a folder of real flights")
@@ -161,7 +160,7 @@ RENDERED = SimulateConfig.model_validate(
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
+    """Return a rendered scene with its map; tests that change it use ``rendered_copy``."""
     require_blender()
     require_libraries()
 
@@ -169,18 +168,18 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
         simulate(RENDERED, folder / "hamlet")
         build_map(folder / "hamlet")
 
-    return Scene.open(made_once(tmp_path_factory, "rendered", make) / "hamlet")
+    return Scene.open(make_once(tmp_path_factory, "rendered", make) / "hamlet")
 
 
 @pytest.fixture
 def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
-    """A copy of the rendered scene to break."""
+    """Return a copy of the rendered scene that a test may change."""
     return Path(shutil.copytree(rendered.path, tmp_path / "copy"))
 
 
 @pytest.fixture(scope="module")
 def two_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
-    """A Ray cluster on this machine, which holds one at a time."""
+    """Start a Ray cluster on this machine, one at a time."""
     with alone(tmp_path_factory, "cluster"):
         nodes = TwoNodes()
         try:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 
-def printed(program: str, **environment: str) -> str:
+def run_and_print(program: str, **environment: str) -> str:
     """What a program prints, run in the root of the project."""
     answer = subprocess.run(
         [sys.executable, "-c", program],

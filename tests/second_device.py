@@ -62,7 +62,7 @@ class Elsewhere(Tensor):
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         """Compute where the arguments are; see ``Tensor``."""
-        return _computed(func, args, dict(kwargs or {}))
+        return _compute(func, args, dict(kwargs or {}))
 
 
 class _Devices(TorchDispatchMode):
@@ -75,7 +75,7 @@ class _Devices(TorchDispatchMode):
         args: Sequence[Any] = (),
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
-        return _computed(func, args, dict(kwargs or {}))
+        return _compute(func, args, dict(kwargs or {}))
 
 
 class _Numbers(TorchFunctionMode):
@@ -100,7 +100,7 @@ class _Numbers(TorchFunctionMode):
         return func(*args, **asked)
 
 
-def _computed(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
+def _compute(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
     tensors = [each for each in tree_flatten((args, kwargs))[0] if isinstance(each, Tensor)]
     there = any(isinstance(each, Elsewhere) for each in tensors)
     packet = func.overloadpacket

@@ -1,4 +1,4 @@
-"""Folders that are made once in a run of the tests, also where several processes share it."""
+"""Folders that are built once per run of the tests, even if several processes share it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def alone(factory: pytest.TempPathFactory, name: str) -> Iterator[Path]:
         yield root
 
 
-def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """Return the folder ``name``, which the first process that asks for it makes.
 
     Args:

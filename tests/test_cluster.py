@@ -43,7 +43,7 @@ def without_clock(results: Results) -> tuple[QueryResult, ...]:
     return tuple(query.model_copy(update={"seconds": {}}) for query in results.queries)
 
 
-def test_a_scene(two_nodes: TwoNodes, tmp_path: Path) -> None:
+def test_a_cluster_renders_the_same_scene(two_nodes: TwoNodes, tmp_path: Path) -> None:
     alone = simulate(TINY, tmp_path / "alone")
     out = tmp_path / "cluster"
     with two_nodes.killed_at_work(when=lambda: any(out.rglob("0*.npz"))):
@@ -54,7 +54,9 @@ def test_a_scene(two_nodes: TwoNodes, tmp_path: Path) -> None:
     assert not list(out.rglob(".*")), "nothing of the rendering is left behind"
 
 
-def test_a_map(two_nodes: TwoNodes, rendered: Scene, rendered_copy: Path) -> None:
+def test_a_cluster_builds_the_same_map(
+    two_nodes: TwoNodes, rendered: Scene, rendered_copy: Path
+) -> None:
     shutil.rmtree(rendered_copy / "map")
     with two_nodes.killed_at_work():
         build_map(rendered_copy, cluster=two_nodes.address)
@@ -62,7 +64,9 @@ def test_a_map(two_nodes: TwoNodes, rendered: Scene, rendered_copy: Path) -> Non
 
 
 @pytest.mark.parametrize("method", ["sift", pytest.param("objconnect", marks=pytest.mark.slow)])
-def test_results(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path, method: str) -> None:
+def test_a_cluster_gives_the_same_results(
+    two_nodes: TwoNodes, rendered: Scene, tmp_path: Path, method: str
+) -> None:
     # One thread, as on a cluster's core: several add in another order.
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     command = [sys.executable, "-m", "benchmark.cli", "evaluate", str(rendered.path)]
@@ -83,7 +87,9 @@ def test_results(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path, method: s
     assert spread.summary.peak_memory_mb is not None
 
 
-def test_depth_maps(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path) -> None:
+def test_a_cluster_computes_the_same_depth_maps(
+    two_nodes: TwoNodes, rendered: Scene, tmp_path: Path
+) -> None:
     scenes = [Path(shutil.copytree(rendered.path, tmp_path / name)) for name in ("one", "two")]
     dense(scenes[0], size=64)
     with two_nodes.killed_at_work():

@@ -74,7 +74,7 @@ def modules(package: str) -> dict[str, ast.Module]:
 ALL = {name: tree for package in ALLOWED for name, tree in modules(package).items()}
 
 
-def imported(statement: ast.AST) -> Iterator[str]:
+def list_imported(statement: ast.AST) -> Iterator[str]:
     """Dotted names a statement imports; for ``from a import b`` both ``a`` and ``a.b``."""
     if isinstance(statement, ast.Import):
         yield from (alias.name for alias in statement.names)
@@ -89,7 +89,7 @@ def imported(statement: ast.AST) -> Iterator[str]:
 
 @cache
 def imports_anywhere(tree: ast.Module) -> set[str]:
-    return {name for statement in ast.walk(tree) for name in imported(statement)}
+    return {name for statement in ast.walk(tree) for name in list_imported(statement)}
 
 
 def imports_when_loaded(tree: ast.AST) -> set[str]:
@@ -100,7 +100,7 @@ def imports_when_loaded(tree: ast.AST) -> set[str]:
             continue
         if isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test):
             continue
-        found |= set(imported(statement)) | imports_when_loaded(statement)
+        found |= set(list_imported(statement)) | imports_when_loaded(statement)
     return found
 
 
@@ -175,7 +175,7 @@ def test_there_is_no_circle() -> None:
     assert set(order) == set(ALL)
 
 
-def loaded_by(names: list[str]) -> set[str]:
+def list_loaded_by(names: list[str]) -> set[str]:
     """Top-level modules in memory after importing ``names`` in a process of their own."""
     lines = [f"import {name}" for name in names]
     code = "\n".join([*lines, "import sys", "print(*{m.split('.')[0] for m in sys.modules})"])
@@ -187,13 +187,13 @@ def loaded_by(names: list[str]) -> set[str]:
 
 def test_blender_is_loaded_by_nobody_who_does_not_render() -> None:
     names = [name for name in ALL if not name.startswith("simulate")]
-    loaded = loaded_by(names)
+    loaded = list_loaded_by(names)
     assert {"baselines", "objconnect", "benchmark"} <= loaded
     assert not {"bpy", "mathutils"} & loaded
 
 
 def test_the_library_loads_no_other_package() -> None:
-    loaded = loaded_by([name for name in ALL if name.startswith("objconnect")])
+    loaded = list_loaded_by([name for name in ALL if name.startswith("objconnect")])
     assert not (set(ALLOWED) - {"objconnect"}) & loaded
 
 
@@ -203,7 +203,7 @@ HEAVY = {"torch", "pycolmap", "cv2", "matplotlib"}
 
 @pytest.mark.parametrize("name", ["objconnect.scene.bundle.scene", "benchmark.cli"])
 def test_module_loads_no_heavy_library(name: str) -> None:
-    assert not HEAVY & loaded_by([name])
+    assert not HEAVY & list_loaded_by([name])
 
 
 def test_scene_is_opened_without_heavy_libraries(tmp_path: Path) -> None:

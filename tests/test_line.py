@@ -32,7 +32,7 @@ def test_sift_localizes_its_own_season(results: Path) -> None:
     assert (results / "hamlet" / "sift-query.png").stat().st_size > 10_000
 
 
-def test_without_a_prior(rendered: Scene, tmp_path: Path) -> None:
+def test_sift_localizes_without_a_prior(rendered: Scene, tmp_path: Path) -> None:
     """Retrieval in the map replaces the prior; the results say so."""
     command = ["evaluate", str(rendered.path), "--method", "sift", "--start", "none", "--json"]
     answer = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
@@ -42,7 +42,7 @@ def test_without_a_prior(rendered: Scene, tmp_path: Path) -> None:
     assert written.by_condition["summer-noon"].recall["0.5m_5deg"].value == 100
 
 
-def test_leaderboard_of_the_line(results: Path, tmp_path: Path) -> None:
+def test_the_leaderboard_shows_the_results(results: Path, tmp_path: Path) -> None:
     answer = CliRunner().invoke(app, ["leaderboard", str(results), "--out", str(tmp_path)])
     assert answer.exit_code == 0, answer.stderr
     assert (tmp_path / "leaderboard.md").read_text() == answer.stdout

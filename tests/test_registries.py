@@ -102,7 +102,7 @@ def test_help_explains_every_format() -> None:
     assert "tum: a trajectory per session." in describe_choices(FORMATS)
 
 
-def loaded_by(code: str) -> set[str]:
+def list_loaded_by(code: str) -> set[str]:
     """Top-level modules in memory after running code in a process of its own."""
     lines = f"{code}\nimport sys\nprint(*{{m.split('.')[0] for m in sys.modules}})"
     answer = subprocess.run(
@@ -112,7 +112,7 @@ def loaded_by(code: str) -> set[str]:
 
 
 def test_listing_names_loads_nothing_heavy() -> None:
-    loaded = loaded_by("import benchmark.cli")
+    loaded = list_loaded_by("import benchmark.cli")
     assert "benchmark" in loaded
     assert not {"numpy", "torch", "pydantic", "pycolmap", "bpy"} & loaded
 
@@ -128,6 +128,6 @@ list(READERS.values())
 open_datasets(Path("tests/data/gate"))
 [FORMATS.load(name) for name in ("nerfstudio", "tum", "hloc")]
 """
-    loaded = loaded_by(code)
+    loaded = list_loaded_by(code)
     assert "objconnect" in loaded
     assert "pycolmap" not in loaded

@@ -1,4 +1,4 @@
-"""A Ray cluster of two nodes on this machine, of which one can be killed at its work."""
+"""A Ray cluster of two nodes on this machine, one of which can be killed at work."""
 
 from __future__ import annotations
 

@@ -1,12 +1,13 @@
-"""The command ``audit``: is what a data set states of its photographs what they show?
+"""The command ``audit``, which checks what a data set states against its photographs.
 
-- ``stated``: what a data set states, whatever its format.
-- ``opening``: data sets of every known format as what they state.
+- ``statements``: cameras, poses and positions that a data set states, whatever its format.
+- ``opening``: readers of these statements for every known format.
 - ``files``: missing, damaged, wrongly sized and duplicate photographs.
-- ``matches``: points that photographs share, found without any pose.
-- ``agreement``: the poses against these points, in every convention.
-- ``order``: poses that belong to other photographs.
-- ``calibration``: focal length and principal point against the points.
-- ``positions``: positions against those that the photographs' EXIF tells.
+- ``matches``: feature matches between photographs, found without poses.
+- ``agreement``: poses against the matches, in every convention.
+- ``photograph_order``: poses that belong to other photographs.
+- ``calibration``: focal lengths and principal points against the matches.
+- ``positions``: positions against those in the photographs' EXIF.
+- ``map_points``: map points against their keypoints.
 - ``findings``, ``page``: the verdicts, for a person, a program and a browser.
 """

@@ -1,8 +1,7 @@
-"""Do matches between photographs agree with their poses, and in which convention?
+"""Agreement of poses with the matches between photographs, in every convention of poses.
 
-A match agrees if its Sampson error is small and the point it shows lies in front of both cameras.
-Neither a rigid motion of the world nor its scale changes this, so that poses of any world can be
-judged.
+A match agrees if its Sampson error is small and its point lies in front of both cameras. Neither a
+rigid motion of the world nor its scale changes this, so that poses in any world can be checked.
 """
 
 from __future__ import annotations
@@ -24,21 +23,21 @@ from objconnect.scene.geometry.sampson import Matches
 Array = NDArray[np.float64]
 
 CHECK = "poses agree with the photographs"
-# The largest Sampson error (px) of a match that agrees, in a photograph of the working size.
+# Largest Sampson error (px) of a match that agrees, in a photograph of the working size.
 _AGREES_PX = 2.0
 _LEAST_PX = 1.0
 # Poses are right if this share of the matches agrees with them.
 RIGHT_SHARE = 0.7
 # Another reading explains the photographs if it adds this share.
 GAIN = 0.15
-# Fewer pairs or matches do not tell.
+# Fewer pairs or matches decide nothing.
 _LEAST_PAIRS = 3
 _LEAST_MATCHES = 150
 
 
 @dataclass(frozen=True)
 class Rays:
-    """The matches of a pair as rays.
+    """The matches of a pair of photographs as rays.
 
     Attributes:
         pair: the pair.
@@ -57,7 +56,7 @@ class Rays:
 
 def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Rays]:
     """Return the matches of pairs as rays; pairs with an unknown camera are left out."""
-    made = []
+    every = []
     for pair in pairs:
         a, b = cameras[pair.first], cameras[pair.second]
         if a is None or b is None:
@@ -68,8 +67,8 @@ def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Ray
         scale = max(b.width, b.height) / WORKING_SIDE
         focal = float(np.mean(b.focal))
         threshold = max(_AGREES_PX * scale, _LEAST_PX)
-        made.append(Rays(pair, first[kept], second[kept], focal, threshold))
-    return made
+        every.append(Rays(pair, first[kept], second[kept], focal, threshold))
+    return every
 
 
 def errors(rays: Rays, poses: Array) -> Array:
@@ -86,10 +85,10 @@ def errors(rays: Rays, poses: Array) -> Array:
         return np.full(len(rays.first), np.inf)
     error, _ = Matches(first, rays.second, rays.first).residuals(second, rays.focal)
     # Distances along both rays, by least squares of a R x_1 + t = b x_2.
-    turned = rays.first @ relative.rotation.T
+    rotated = rays.first @ relative.rotation.T
     t = relative.translation
-    aa, bb = (turned**2).sum(1), (rays.second**2).sum(1)
-    ab, at, bt = (turned * rays.second).sum(1), turned @ t, rays.second @ t
+    aa, bb = (rotated**2).sum(1), (rays.second**2).sum(1)
+    ab, at, bt = (rotated * rays.second).sum(1), rotated @ t, rays.second @ t
     determinant = (aa * bb - ab**2).clamp_min(1e-18)
     along_first = (ab * bt - bb * at) / determinant
     along_second = (aa * bt - ab * at) / determinant
@@ -98,7 +97,7 @@ def errors(rays: Rays, poses: Array) -> Array:
 
 
 def shares(rays: Sequence[Rays], poses: Array) -> Array:
-    """Return the share of matches of each pair that agree with poses, (P,)."""
+    """Return the share of the matches of each pair that agree with the poses, (P,)."""
     return np.array([float((errors(r, poses) < r.threshold).mean()) for r in rays])
 
 
@@ -108,12 +107,12 @@ def share(rays: Sequence[Rays], poses: Array) -> float:
 
 
 def too_few(rays: Sequence[Rays]) -> str:
-    """Return why matches do not tell anything, empty if they do."""
+    """Return why there are too few matches to decide anything; empty if there are enough."""
     matches = sum(len(r.first) for r in rays)
     if len(rays) < _LEAST_PAIRS or matches < _LEAST_MATCHES:
         return (
             f"{matches} matches between {len(rays)} pairs of photographs are too few: they do not "
-            "overlap, or are not where the data set says"
+            "overlap, or are not where the data set states"
         )
     return ""
 
@@ -121,16 +120,16 @@ def too_few(rays: Sequence[Rays]) -> str:
 def best_reading(rays: Sequence[Rays], poses: Array) -> tuple[PoseReading | None, float]:
     """Return the convention in which poses agree best, and the share that agrees in it.
 
-    The convention is None if no other is better than the poses as stated.
+    The convention is None if no other one is better than the poses as stated.
     """
     ours = share(rays, poses)
-    read = [(share(rays, reading.poses(poses)), reading) for reading in FOREIGN_READINGS]
-    best, reading = max(read, key=lambda item: item[0])
+    candidates = [(share(rays, reading.poses(poses)), reading) for reading in FOREIGN_READINGS]
+    best, reading = max(candidates, key=lambda item: item[0])
     return (reading, best) if best > ours + GAIN else (None, ours)
 
 
 def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
-    """Judge poses, and return them as they must be read to agree with the photographs."""
+    """Check poses, and return them in the convention that agrees with the photographs."""
     if why := too_few(rays):
         return unknown(CHECK, why), poses
     ours = share(rays, poses)

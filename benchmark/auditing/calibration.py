@@ -1,9 +1,9 @@
-"""Focal length and principal point against the matches, with the poses as they stand.
+"""Check of focal lengths and principal points against the matches, at the stated poses.
 
 One factor on all focal lengths and one shift of all principal points are fitted to the Sampson
 errors. Their standard errors come from the scatter between pairs (a sandwich estimate), because the
-matches of one pair share its errors. A flight straight on, level and in one direction does not tell
-either of them; its standard errors then say so.
+matches of one pair share its errors. A straight, level flight in one direction determines neither;
+the standard errors are then large.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Array = NDArray[np.float64]
 FOCAL = "focal lengths fit the photographs"
 PRINCIPAL = "principal points fit the photographs"
 
-# A focal length nearer than this (relative) fits, and one this far from EXIF's does not.
+# Relative error within which a focal length fits, and beyond which it contradicts EXIF.
 _FOCAL_FITS = 0.01
 _EXIF_FITS = 0.15
-# Half a pixel is told where its error is below the first, and met within the second (px).
+# A shift is half a pixel if its standard error and its distance from half a pixel are below (px).
 _HALF_SIGMA, _HALF_MET = 0.1, 0.15
-# Principal points nearer than this (px) fit, and in pictures wider than 1000 px than this share.
+# Error within which a principal point fits: pixels, or in large pictures a share of their side.
 _PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
 _SIGMAS = 5.0
 # Iterations of Gauss-Newton, and the steps of its differences (log focal length, px, px).
@@ -43,18 +43,18 @@ _STEPS = (1e-4, 1e-2, 1e-2)
 _LARGEST_STEP = (-0.1, -20, -20), (0.1, 20, 20)
 _CONVERGED = (1e-4, 1e-2, 1e-2)
 _LEAST_SIGMA = 0.02
-# Matches whose error is larger than this many thresholds at the beginning take no part.
+# Matches with an initial error above this many thresholds are left out.
 _FAR = 12.0
-# Matches of a pair that take part, and the fewest pairs.
+# Largest number of matches used of a pair, and the fewest pairs.
 _PER_PAIR = 150
 _LEAST_PAIRS = 4
-# A ridge that keeps the step finite where the matches do not tell a parameter.
+# A ridge that keeps the step finite if the matches do not determine a parameter.
 _RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What the matches say of the cameras.
+    """The correction of all cameras that fits the matches best.
 
     Attributes:
         focal: factor on the focal lengths.
@@ -82,7 +82,7 @@ def correct_camera(camera: Camera, focal: float, shift: Sequence[float]) -> Came
 def correction(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array
 ) -> Correction | None:
-    """Fit the correction of all cameras; None where no pair tells anything.
+    """Fit the correction of all cameras; None with too few pairs.
 
     Args:
         pairs: matches.
@@ -115,23 +115,23 @@ def correction(
 def _residuals(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
 ) -> list[Array]:
-    read = [
+    corrected = [
         None
         if camera is None
         else correct_camera(camera, float(np.exp(values[0])), values[1:].tolist())
         for camera in cameras
     ]
-    found = []
+    residuals = []
     for pair in pairs:
-        a, b = read[pair.first], read[pair.second]
+        a, b = corrected[pair.first], corrected[pair.second]
         assert a is not None and b is not None
         first, _ = a.unproject(torch.from_numpy(pair.xy_first))
         second, _ = b.unproject(torch.from_numpy(pair.xy_second))
         matches = Matches(Pose.from_matrix(poses[pair.first]), second, first)
         pose = Pose.from_matrix(poses[pair.second])
         error, _ = matches.residuals(pose, float(np.mean(b.focal)))
-        found.append(np.asarray(error.numpy(), np.float64))
-    return found
+        residuals.append(np.asarray(error.numpy(), np.float64))
+    return residuals
 
 
 def _linearise(
@@ -160,12 +160,12 @@ def _normal(residuals: Sequence[Array], jacobians: Sequence[Array]) -> tuple[Arr
 
 
 def check_calibration(
-    found: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
+    fitted: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
 ) -> Iterator[Finding]:
-    """Judge the stated cameras.
+    """Check the stated cameras.
 
     Args:
-        found: what the matches say of them; None where they say nothing.
+        fitted: correction that fits the matches; None with too few pairs.
         cameras: stated cameras.
         exif: metadata of the photographs.
     """
@@ -173,40 +173,40 @@ def check_calibration(
     if not stated:
         yield unknown(FOCAL, "the data set states no camera")
         return
-    yield _focal(found, cameras, exif)
-    yield _principal(found, max(max(camera.width, camera.height) for camera in stated))
+    yield _check_focal(fitted, cameras, exif)
+    yield _check_principal(fitted, max(max(camera.width, camera.height) for camera in stated))
 
 
-def _focal(
-    found: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
+def _check_focal(
+    fitted: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
 ) -> Finding:
-    if found is not None:
-        off, sigma = found.focal - 1, found.focal_sigma
-        figures = {"factor": found.focal, "sigma": sigma}
+    if fitted is not None:
+        off, sigma = fitted.focal - 1, fitted.focal_sigma
+        figures = {"factor": fitted.focal, "sigma": sigma}
         if abs(off) > max(_FOCAL_FITS, _SIGMAS * sigma) and sigma < _EXIF_FITS / _SIGMAS:
-            detail = f"{1 / found.focal:.4f} times what the matches say (±{sigma:.2g})"
+            detail = f"{1 / fitted.focal:.4f} times that of the matches (±{sigma:.2g})"
             return wrong(FOCAL, "focal-length", detail, **figures)
         if 2 * sigma < 2 * _FOCAL_FITS:
             return right(FOCAL, f"within {abs(off):.2%} of the best (±{sigma:.2%})", **figures)
     ratios = [
-        max(camera.focal) / (told.focal_in_longest_sides * max(camera.width, camera.height))
-        for camera, told in zip(cameras, exif, strict=False)
-        if camera is not None and told is not None and told.focal_in_longest_sides is not None
+        max(camera.focal) / (tags.focal_in_longest_sides * max(camera.width, camera.height))
+        for camera, tags in zip(cameras, exif, strict=False)
+        if camera is not None and tags is not None and tags.focal_in_longest_sides is not None
     ]
     if not ratios:
-        return unknown(FOCAL, "neither matches nor EXIF tell them")
+        return unknown(FOCAL, "neither matches nor EXIF determine them")
     ratio = float(np.median(ratios))
     if abs(ratio - 1) > _EXIF_FITS:
         return wrong(FOCAL, "focal-length", f"{ratio:.3f} times EXIF's", exif_ratio=ratio)
     return right(FOCAL, f"{ratio:.3f} times EXIF's, which is nominal", exif_ratio=ratio)
 
 
-def _principal(found: Correction | None, side: int) -> Finding:
-    why = "the flight does not tell them: it needs views in several directions"
-    if found is None:
+def _check_principal(fitted: Correction | None, side: int) -> Finding:
+    why = "the flight does not determine them: it needs views in several directions"
+    if fitted is None:
         return unknown(PRINCIPAL, why)
-    shift, sigma = found.shift, found.shift_sigma
-    said = f"best at {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
+    shift, sigma = fitted.shift, fitted.shift_sigma
+    best = f"best at {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
     figures = {"x_px": float(shift[0]), "y_px": float(shift[1]), "sigma_px": float(sigma.max())}
     half = np.round(shift * 2) / 2
     is_half = bool((np.abs(half) <= 0.5).all() and half.any())
@@ -214,13 +214,13 @@ def _principal(found: Correction | None, side: int) -> Finding:
     if is_half and met and float((np.abs(shift) / sigma).max()) > _SIGMAS:
         where = "low" if half.sum() > 0 else "high"
         detail = (
-            f"half a pixel {where}: pixels are counted from the centre of the first pixel on one "
-            f"side and from its corner (COLMAP) on the other; {said}"
+            f"half a pixel {where}: one program counts pixels from the centre of the first pixel "
+            f"and the other from its corner (COLMAP); {best}"
         )
         return wrong(PRINCIPAL, "half-pixel", detail, **figures)
     far = max(_PRINCIPAL_FITS, _PRINCIPAL_SHARE * side)
     if bool((np.abs(shift) > np.maximum(far, _SIGMAS * sigma)).any()):
-        return wrong(PRINCIPAL, "principal-point", said, **figures)
+        return wrong(PRINCIPAL, "principal-point", best, **figures)
     if bool((sigma < far / 2).all()):
-        return right(PRINCIPAL, said, **figures)
-    return unknown(PRINCIPAL, f"{why}; {said}", **figures)
+        return right(PRINCIPAL, best, **figures)
+    return unknown(PRINCIPAL, f"{why}; {best}", **figures)

@@ -1,4 +1,4 @@
-"""The command ``audit``: which statements of a data set its photographs contradict."""
+"""The command ``audit``, which checks the statements of a data set against its photographs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from benchmark.auditing.calibration import (
     correct_camera,
     correction,
 )
-from benchmark.auditing.files import Photographs, check_files, fit_cameras, look_at
+from benchmark.auditing.files import Photographs, check_files, fit_cameras, read_photographs
 from benchmark.auditing.findings import Audit, Finding, Verdict, unknown
 from benchmark.auditing.map_points import check_points
 from benchmark.auditing.matches import match_photographs
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 log = logging.getLogger(__name__)
 
-# Photographs that are matched with each other, in runs of neighbours.
+# Number of photographs to match with each other, and length of the runs of neighbours among them.
 _MATCHED, _RUN = 32, 8
 
 
@@ -54,10 +54,10 @@ def audit(
 
     Args:
         path: a scene, a flight, or poses of another program; see ``opening.open_data``.
-        images: folder of the photographs; None looks where the format has them.
-        camera: camera of the photographs where the data set states none.
+        images: folder of the photographs; None tries the usual folders of the format.
+        camera: camera of the photographs if the data set states none.
         out: HTML file for the verdicts; None writes none.
-        frame: frame of another program's poses, where their file leaves it open.
+        frame: frame of another program's poses, if their file does not state it.
 
     Raises:
         InputError: no reader knows the path, a file is damaged, or the page cannot be written.
@@ -71,9 +71,9 @@ def audit(
 
 
 def _audit_one(stated: Stated) -> Audit:
-    photographs = look_at(stated)
-    told = zip(stated.names, photographs.exif, strict=True)
-    for line in summarize_doubts({name: exif.doubts for name, exif in told if exif is not None}):
+    photographs = read_photographs(stated)
+    tags = zip(stated.names, photographs.exif, strict=True)
+    for line in summarize_doubts({name: exif.doubts for name, exif in tags if exif is not None}):
         log.warning("%s", line)
     findings = list(check_files(stated, photographs))
     positions, named, plan = stated.positions, False, np.zeros((0, 4))
@@ -82,69 +82,69 @@ def _audit_one(stated: Stated) -> Audit:
         named = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in geometry)
         findings += geometry
     if positions is None and stated.cam_from_world is not None:
-        why = "not compared: which position is of which photograph is not known"
+        why = "not compared: it is unknown which position belongs to which photograph"
         findings.append(unknown(FOLLOW, why))
     else:
-        followed, plan = check_positions(stated, positions, photographs.exif, named)
-        findings += followed
-    drawn = tuple(tuple(row) for row in plan.tolist())
-    return Audit(stated.subject, stated.kind, len(stated), tuple(findings), drawn)
+        of_positions, plan = check_positions(stated, positions, photographs.exif, named)
+        findings += of_positions
+    rows = tuple(tuple(row) for row in plan.tolist())
+    return Audit(stated.subject, stated.kind, len(stated), tuple(findings), rows)
 
 
 def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], Array | None]:
-    """Judge poses, cameras and points; return the camera centres as they must be read.
+    """Check poses, cameras and points, and return the camera centres in the right convention.
 
-    They are None where it is not known which photograph they are of.
+    The centres are None if it is unknown which photograph they belong to.
     """
     assert stated.cam_from_world is not None
     poses = stated.cam_from_world
     cameras = fit_cameras(stated, photographs)
     if stated.files is None:
         findings = [unknown(CHECK, "there are no photographs to compare with")]
-        found = None
-    elif all(one is None for one in cameras):
-        why = "the data set states no camera, and EXIF tells no focal length: give --camera"
-        findings, found = [unknown(CHECK, why)], None
+        fitted = None
+    elif all(camera is None for camera in cameras):
+        why = "the data set states no camera, and EXIF states no focal length: give --camera"
+        findings, fitted = [unknown(CHECK, why)], None
     else:
-        repeated = photographs.duplicates
-        rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in repeated]
+        duplicates = photographs.duplicates
+        rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in duplicates]
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
-        finding, read, found = _poses(rays, cameras, poses, stated)
+        finding, read, fitted = _check_poses(rays, cameras, poses, stated)
         if read is None:
             return [finding], None
         poses = read
-        findings = [finding, *check_calibration(found, stated.cameras, photographs.exif)]
-        if found is not None:
-            cameras = _better(cameras, found)
+        findings = [finding, *check_calibration(fitted, stated.cameras, photographs.exif)]
+        if fitted is not None:
+            cameras = _correct_cameras(cameras, fitted)
     if stated.sparse_map is not None:
-        findings.append(check_points(stated, poses, cameras, found is not None))
+        findings.append(check_points(stated, poses, cameras, fitted is not None))
     return findings, centres(poses)
 
 
-def _poses(
+def _check_poses(
     rays: list[Rays], cameras: list[Camera | None], poses: Array, stated: Stated
 ) -> tuple[Finding, Array | None, Correction | None]:
-    """Judge poses, where necessary with corrected cameras or in another order."""
+    """Check poses, if necessary with corrected cameras or in another order."""
     finding, read = check_poses(rays, poses)
     if finding.verdict is Verdict.UNKNOWN:
         return finding, poses, None
     pairs = [r.pair for r in rays]
     if finding.fault != "poses-inexact":
-        found = correction(pairs, cameras, read)
+        fitted = correction(pairs, cameras, read)
         ordered = find_order(rays, read, stated.names)
         if finding.verdict is Verdict.RIGHT and ordered is not None:
-            return *ordered, found
-        return finding, read, found
-    found = correction(pairs, cameras, poses)
-    if found is not None:
-        straight = rays_of(pairs, _better(cameras, found))
-        if share(straight, poses) >= RIGHT_SHARE:
-            return check_poses(straight, poses)[0], poses, found
+            return *ordered, fitted
+        return finding, read, fitted
+    fitted = correction(pairs, cameras, poses)
+    if fitted is not None:
+        corrected = rays_of(pairs, _correct_cameras(cameras, fitted))
+        if share(corrected, poses) >= RIGHT_SHARE:
+            return check_poses(corrected, poses)[0], poses, fitted
     ordered = find_order(rays, poses, stated.names)
     return (finding, poses, None) if ordered is None else (*ordered, None)
 
 
-def _better(cameras: list[Camera | None], found: Correction) -> list[Camera | None]:
-    shift = found.shift.tolist()
-    return [c and correct_camera(c, found.focal, shift) for c in cameras]
+def _correct_cameras(cameras: list[Camera | None], fitted: Correction) -> list[Camera | None]:
+    shift = fitted.shift.tolist()
+    return [c and correct_camera(c, fitted.focal, shift) for c in cameras]

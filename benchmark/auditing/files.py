@@ -1,4 +1,4 @@
-"""The photographs as files: missing, damaged, of another size than their camera, or the same."""
+"""Check of the photographs as files: missing, damaged, of a wrong size, or duplicate."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Photographs:
-    """What is kept of the N photographs of a data set.
+    """Sizes, metadata and digests of the N photographs of a data set.
 
     Attributes:
-        sizes: width and height of each, None where it cannot be read.
-        exif: its metadata, likewise.
-        digests: digest of its bytes, likewise.
-        faults: what is wrong with those that cannot be read, by name.
+        sizes: width and height of each; None if it cannot be read.
+        exif: metadata of each, likewise.
+        digests: digest of the bytes of each, likewise.
+        faults: error messages of those that cannot be read, by name.
     """
 
     sizes: tuple[tuple[int, int] | None, ...]
@@ -40,16 +40,16 @@ class Photographs:
 
     @property
     def duplicates(self) -> set[int]:
-        """Return the rows of photographs whose bytes an earlier one has."""
+        """The rows of photographs with the same bytes as an earlier one."""
         first: dict[str, int] = {}
         rows = [(digest, row) for row, digest in enumerate(self.digests) if digest is not None]
         return {row for digest, row in rows if first.setdefault(digest, row) != row}
 
 
-def look_at(stated: Stated) -> Photographs:
-    """Read every photograph whole, and keep its size, metadata and digest.
+def read_photographs(stated: Stated) -> Photographs:
+    """Read the size, metadata and digest of every photograph.
 
-    A header tells the size of half a file, too.
+    Each is decoded whole, because the header of a truncated file is intact.
     """
     sizes: list[tuple[int, int] | None] = []
     exif: list[Exif | None] = []
@@ -63,19 +63,19 @@ def look_at(stated: Stated) -> Photographs:
         for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
             try:
                 height, width = read_rgb(file).shape[:2]
-                found, digest = above_ellipsoid(read_exif(file)), sha256_of(file)
+                tags, digest = above_ellipsoid(read_exif(file)), sha256_of(file)
             except (InputError, OSError) as error:
                 faults[name] = str(error)
                 sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]
             else:
-                sizes, exif = [*sizes, (width, height)], [*exif, found]
+                sizes, exif = [*sizes, (width, height)], [*exif, tags]
                 digests.append(digest)
             advance(done)
     return Photographs(tuple(sizes), tuple(exif), tuple(digests), faults)
 
 
 def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
-    """Yield what is wrong with the photographs as files."""
+    """Yield the findings on the photographs as files."""
     if stated.files is None:
         why = "no photograph of the data set was found: give their folder with --images"
         yield unknown(THERE, why)
@@ -87,11 +87,11 @@ def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
         yield wrong(THERE, "photographs-missing", detail, photographs=count)
     else:
         yield right(THERE, f"{len(stated)} photographs")
-    yield _sizes(stated, photographs)
-    yield _duplicates(stated, photographs)
+    yield _check_sizes(stated, photographs)
+    yield _check_duplicates(stated, photographs)
 
 
-def _sizes(stated: Stated, photographs: Photographs) -> Finding:
+def _check_sizes(stated: Stated, photographs: Photographs) -> Finding:
     known = [
         (name, size, (camera.width, camera.height))
         for name, size, camera in zip(stated.names, photographs.sizes, stated.cameras, strict=True)
@@ -110,7 +110,7 @@ def _sizes(stated: Stated, photographs: Photographs) -> Finding:
     return wrong(SIZES, "sizes", detail, photographs=float(len(off)))
 
 
-def _duplicates(stated: Stated, photographs: Photographs) -> Finding:
+def _check_duplicates(stated: Stated, photographs: Photographs) -> Finding:
     owners: dict[str, str] = {}
     twice = []
     for name, digest in zip(stated.names, photographs.digests, strict=True):
@@ -124,13 +124,13 @@ def _duplicates(stated: Stated, photographs: Photographs) -> Finding:
 
 
 def fit_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
-    """Return the cameras at the size of their photographs, and guesses where none is stated.
+    """Return the cameras scaled to the size of their photographs.
 
-    The size is a finding of its own, so that the checks after it go on with a camera that fits. A
-    guess takes the focal length of EXIF.
+    A wrong size is a finding of its own, so that later checks use a camera that fits. A camera that
+    is not stated is guessed from the focal length in EXIF.
     """
-    read = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
-    return [_fit_camera(camera, size, told) for camera, size, told in read]
+    rows = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
+    return [_fit_camera(camera, size, tags) for camera, size, tags in rows]
 
 
 def _fit_camera(
@@ -147,5 +147,5 @@ def _fit_camera(
         return camera
     try:
         return camera.resize(*size)
-    except InputError:  # another shape
+    except InputError:  # another aspect ratio
         return None

@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Verdict(StrEnum):
-    """What an audit says of one property of a data set."""
+    """The verdict of an audit on one property of a data set."""
 
     RIGHT = "right"
     WRONG = "wrong"
@@ -21,13 +21,13 @@ class Finding:
     """The verdict of one check.
 
     Attributes:
-        check: what was checked.
-        verdict: what came out.
-        detail: one line: what was measured and, if wrong, what it looks like; if it cannot be
-            told, why.
+        check: the checked property.
+        verdict: the verdict.
+        detail: one line: what was measured and, if wrong, what the fault looks like, or why it
+            cannot be told.
         fault: short name of the fault for programs, such as ``poses-inverted``; empty unless the
             verdict is wrong.
-        figures: the numbers behind it.
+        figures: the measured numbers.
     """
 
     check: str
@@ -73,12 +73,12 @@ class Audit:
 
     @property
     def ok(self) -> bool:
-        """Return whether nothing is wrong; what cannot be told is not wrong."""
+        """Whether nothing is wrong; a property that cannot be told is not wrong."""
         return not self.faults
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Return the short names of all faults."""
+        """The short names of all faults."""
         return tuple(f.fault for f in self.findings if f.verdict is Verdict.WRONG)
 
     def text(self) -> str:

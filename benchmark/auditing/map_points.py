@@ -1,4 +1,4 @@
-"""The points of a map against its keypoints, with poses and cameras as they must be read."""
+"""Check of the points of a map against its keypoints, with corrected poses and cameras."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def check_points(
     cameras: Sequence[Camera | None],
     photographs_agree: bool,
 ) -> Finding:
-    """Judge the points of the data set's map.
+    """Check the points of the data set's map.
 
     Args:
         stated: the data set, which has a map.
         poses: cam_from_world (N, 4, 4), in the convention that agrees with the photographs.
         cameras: cameras of the photographs, corrected by them.
-        photographs_agree: whether poses and cameras were compared with the photographs; keypoints
-            rather than cameras are then at fault.
+        photographs_agree: whether poses and cameras agree with the photographs; the keypoints, not
+            the cameras, are then wrong.
     """
     sparse_map = stated.sparse_map
     assert sparse_map is not None
@@ -42,14 +42,14 @@ def check_points(
             images[name] = replace(images[name], cam_from_world=pose, camera=used)
     if not any((image.point_rows >= 0).any() for image in images.values()):
         return unknown(CHECK, "the map has no observation")
-    found = check_map(replace(sparse_map, images=images))
-    if found.ok:
-        return right(CHECK, found.detail, **found.figures)
+    check = check_map(replace(sparse_map, images=images))
+    if check.ok:
+        return right(CHECK, check.detail, **check.figures)
     halves = {reading.fault: reading.principal_shift for reading in PIXEL_READINGS}
-    if found.detail not in halves:
-        return wrong(CHECK, "points-off", found.detail, **found.figures)
+    if check.detail not in halves:
+        return wrong(CHECK, "points-off", check.detail, **check.figures)
     if not photographs_agree:
-        return wrong(CHECK, "half-pixel", found.detail, **found.figures)
-    where = "high" if halves[found.detail] > 0 else "low"
+        return wrong(CHECK, "half-pixel", check.detail, **check.figures)
+    where = "high" if halves[check.detail] > 0 else "low"
     detail = f"keypoints are half a pixel {where}, while cameras and photographs agree"
-    return wrong(CHECK, "half-pixel", detail, **found.figures)
+    return wrong(CHECK, "half-pixel", detail, **check.figures)

@@ -1,4 +1,4 @@
-"""Points that photographs share, found by SIFT without any pose."""
+"""SIFT matches between photographs, found without poses."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ WORKING_SIDE = 1000
 # Most keypoints of a photograph.
 _FEATURES = 3000
 _RATIO = 0.8
-# Photographs that each is matched with: its successors in order, and those that look alike.
+# Number of photographs that each is matched with: its successors, and the most similar ones.
 _SUCCESSORS = 2
 _ALIKE = 4
-# The threshold of the fundamental matrix, in thousandths of the longer side.
+# Inlier threshold of the fundamental matrix, in thousandths of the longer side.
 _INLIER = 2.0
-# Two photographs with fewer matches that agree do not overlap.
+# Two photographs with fewer inliers do not overlap.
 LEAST_MATCHES = 30
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Matches between two photographs that agree on a fundamental matrix.
+    """Inliers of a fundamental matrix between two photographs.
 
     Attributes:
         first: row of one photograph.
         second: row of the other.
-        xy_first: pixels (K, 2) of the matches in the first, as the file is stored.
+        xy_first: pixels (K, 2) of the matches in the first, at the size of the file.
         xy_second: pixels (K, 2) in the second.
     """
 
@@ -75,20 +75,20 @@ def match_photographs(
         files: all photographs of the data set.
         cameras: their cameras; where one is known, its distortion is removed before matches are
             checked against a fundamental matrix.
-        rows: which photographs to match; those that cannot be read are left out.
+        rows: photographs to match; those that cannot be read are left out.
     """
     extract = SiftExtractor(SiftOptions(max_features=_FEATURES))
     seen: dict[int, _Seen] = {}
     with progress_bar("features", len(rows)) as advance:
         for done, row in enumerate(rows, 1):
-            found = _features(files[row], extract)
-            if found is not None:
-                seen[row] = found
+            features = _extract(files[row], extract)
+            if features is not None:
+                seen[row] = features
             advance(done)
-    wanted = _candidates(seen)
+    candidates = _choose_pairs(seen)
     pairs = []
-    with progress_bar("matches", len(wanted)) as advance:
-        for done, (a, b) in enumerate(wanted, 1):
+    with progress_bar("matches", len(candidates)) as advance:
+        for done, (a, b) in enumerate(candidates, 1):
             pair = _match(a, b, seen, cameras)
             if pair is not None:
                 pairs.append(pair)
@@ -96,11 +96,11 @@ def match_photographs(
     return pairs
 
 
-def _features(file: Path, extract: SiftExtractor) -> _Seen | None:
+def _extract(file: Path, extract: SiftExtractor) -> _Seen | None:
     try:
         rgb = read_rgb(file)
     except InputError:
-        return None  # the check of files has said so
+        return None  # the check of files reports it
     height, width = rgb.shape[:2]
     scale = min(1.0, WORKING_SIDE / max(height, width))
     small = rgb
@@ -108,25 +108,25 @@ def _features(file: Path, extract: SiftExtractor) -> _Seen | None:
         size = (max(round(scale * width), 1), max(round(scale * height), 1))
         small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     features = extract(small)
-    # Pixels count from the corner, so that sizes alone convert them.
+    # Pixels count from the corner, so that the ratio of the sizes converts them.
     factor = np.array([width / small.shape[1], height / small.shape[0]])
     xy = features.xy.astype(np.float64) * factor
     return _Seen(xy, unit_descriptors(features.descriptors), max(height, width))
 
 
-def _candidates(seen: dict[int, _Seen]) -> list[tuple[int, int]]:
-    """Return the pairs to match: neighbours in order, and photographs that look alike."""
+def _choose_pairs(seen: dict[int, _Seen]) -> list[tuple[int, int]]:
+    """Return the pairs to match: neighbours in order, and similar photographs."""
     rows = [row for row in seen if len(seen[row].xy) >= LEAST_MATCHES]
     if len(rows) < 2:
         return []
-    described = [seen[row].unit.numpy() for row in rows]
-    index = VladIndex.build(described)
-    wanted = set()
+    descriptors = [seen[row].unit.numpy() for row in rows]
+    index = VladIndex.build(descriptors)
+    pairs = set()
     for k in range(len(rows)):
         successors = range(k + 1, min(k + 1 + _SUCCESSORS, len(rows)))
-        alike = [int(j) for j in index.rank(described[k], _ALIKE + 1) if j != k][:_ALIKE]
-        wanted |= {(min(k, j), max(k, j)) for j in (*successors, *alike)}
-    return [(rows[a], rows[b]) for a, b in sorted(wanted)]
+        alike = [int(j) for j in index.rank(descriptors[k], _ALIKE + 1) if j != k][:_ALIKE]
+        pairs |= {(min(k, j), max(k, j)) for j in (*successors, *alike)}
+    return [(rows[a], rows[b]) for a, b in sorted(pairs)]
 
 
 def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | None]) -> Pair | None:
@@ -135,10 +135,10 @@ def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | No
         return None
     xy_a, xy_b = seen[a].xy[matches[:, 0]], seen[b].xy[matches[:, 1]]
     threshold = _INLIER / 1000 * max(seen[a].side, seen[b].side)
-    flat_a, flat_b = straight(xy_a, cameras[a]), straight(xy_b, cameras[b])
+    flat_a, flat_b = undistort(xy_a, cameras[a]), undistort(xy_b, cameras[b])
     try:
         _, mask = cv2.findFundamentalMat(flat_a, flat_b, cv2.USAC_MAGSAC, threshold, 0.999, 5000)
-    except cv2.error:  # of matches to which no geometry fits, it fails an assertion of its own
+    except cv2.error:  # OpenCV fails an assertion if no geometry fits the matches
         return None
     if mask is None or int(mask.sum()) < LEAST_MATCHES:
         return None
@@ -146,8 +146,8 @@ def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | No
     return Pair(a, b, xy_a[kept], xy_b[kept])
 
 
-def straight(xy: Array, camera: Camera | None) -> Array:
-    """Return pixels (K, 2) without the distortion of a camera."""
+def undistort(xy: Array, camera: Camera | None) -> Array:
+    """Return pixels (K, 2) without the distortion of the camera."""
     if camera is None or not any(camera.distortion):
         return xy
     rays, _ = camera.unproject(torch.from_numpy(xy))

@@ -1,4 +1,4 @@
-"""Data sets of every known format as what they state of their photographs."""
+"""Readers of the statements of a data set, for every known format."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from objconnect.scene.storage.tables import read_table
 Array = NDArray[np.float64]
 
 _ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
-# Where the files of poses lie in the projects of other programs.
+# Files of poses in the projects of other programs.
 _POSE_FILES: Final = (
     "sparse/0",
     "sparse",
@@ -39,7 +39,7 @@ _POSE_FILES: Final = (
     "opensfm/reconstruction.json",
     "cameras.xml",
 )
-# Folders of photographs, seen from the file or folder of poses.
+# Folders of photographs, relative to the file or folder of poses.
 _PHOTOGRAPHS: Final = (
     ".", "images", "rgb", "photos", "../images", "../rgb", "../photos", "../../images", "..",
 )  # fmt: skip
@@ -57,13 +57,13 @@ def open_data(
     Args:
         path: a scene, a flight, Extended CMU Seasons, or poses of another program: a file, its
             folder, or the folder of a project.
-        images: folder of the photographs; None looks where the format has them.
-        camera: camera of the photographs where the data set states none.
-        frame: frame of another program's poses, where their file leaves it open.
+        images: folder of the photographs; None tries the usual folders of the format.
+        camera: camera of the photographs if the data set states none.
+        frame: frame of another program's poses, if their file does not state it.
 
     Raises:
-        InputError: no reader knows the path, a file is damaged, ``images`` is no folder, or a frame
-            is stated of what leaves no doubt of it.
+        InputError: no reader knows the path, a file is damaged, ``images`` is not a folder, or
+            ``frame`` is given for a format that states its frame.
     """
     if images is not None and not images.is_dir():
         raise InputError(f"folder of photographs {images} does not exist")
@@ -72,7 +72,7 @@ def open_data(
         raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
     if is_scene(path):
         if images is not None:
-            raise InputError(f"{path} is a scene, which holds its photographs: leave out --images")
+            raise InputError(f"{path} is a scene with its own photographs: leave out --images")
         return [_of_scene(Scene.open(path))]
     if not foreign:
         return [_of_dataset(dataset, images) for dataset in open_datasets(path)]
@@ -80,7 +80,7 @@ def open_data(
 
 
 def _is_dataset(path: Path) -> bool:
-    """Return whether a folder is a flight or of CMU; a folder ``sparse`` alone is COLMAP's."""
+    """Return whether a folder is a flight or CMU; a folder ``sparse`` alone is a COLMAP project."""
     if (path / "queries.txt").exists() or (path / "reference_poses.txt").exists():
         return True
     return bool(READERS.load("cmu").is_one(path))
@@ -141,7 +141,7 @@ def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
 
 
 def _gps(dataset: Dataset) -> dict[str, Array]:
-    """Return the positions that a data set keeps as measured, by photograph."""
+    """Return the measured positions that a data set stores, by photograph."""
     table = dataset.images.parent / "gps.csv"
     if table.is_file():
         return read_gps(table)
@@ -149,7 +149,7 @@ def _gps(dataset: Dataset) -> dict[str, Array]:
 
 
 def _pose_file(path: Path) -> Path:
-    """Return the file of poses in a project, or the path itself where it is one."""
+    """Return the file of poses in a project; the path itself if it is one."""
     if path.is_dir() and not any((path / f"images.{end}").is_file() for end in ("bin", "txt")):
         for name in _POSE_FILES:
             if (path / name).exists():
@@ -221,9 +221,9 @@ def _kind(path: Path) -> str:
 
 
 def _table_places(path: Path) -> dict[str, list[float]] | None:
-    """Return the rows of a table of places, unchecked; None for a table of local positions.
+    """Return the rows of a table of geodetic positions, unchecked; None for local positions.
 
-    Latitudes beyond 90 degrees are what an audit is to find, and not an error here.
+    A latitude beyond 90 degrees is a finding of the audit, not an error here.
     """
     places: dict[str, list[float]] = {}
     for where, row in read_table(path, "table of positions", ("name",)):
@@ -236,7 +236,7 @@ def _table_places(path: Path) -> dict[str, list[float]] | None:
         if not np.isfinite(values).all():
             raise InputError(f"{where}: lat, lon and alt must be numbers")
         if row["name"] in places:
-            raise InputError(f"{where}: {row['name']!r} is there twice")
+            raise InputError(f"{where}: {row['name']!r} is listed twice")
         places[row["name"]] = values
     if not places:
         raise InputError(f"{path} lists no photograph")
@@ -244,7 +244,7 @@ def _table_places(path: Path) -> dict[str, list[float]] | None:
 
 
 def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path, ...] | None:
-    """Return where the photographs lie, or should; None where no folder has any of them."""
+    """Return the paths of the photographs; None if no folder has any of them."""
     base = path if path.is_dir() else path.parent
     folders = [images] if images is not None else [base / name for name in _PHOTOGRAPHS]
     best: dict[str, Path] = {}
@@ -255,14 +255,14 @@ def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path,
         if len(best) == len(names):
             break
     if not best and images is not None:
-        raise InputError(f"{images} holds none of the photographs of {path}: {names[0]!r}, ...")
+        raise InputError(f"{images} has none of the photographs of {path}: {names[0]!r}, ...")
     if not best:
         return None
     return tuple(best.get(name, chosen / name) for name in names)
 
 
 def _find_by_name(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
-    """Return the files of a folder by the names that mean them: paths in it, or files in it."""
+    """Return the files of a folder by stated name, which may be a path or a file name."""
     exact = {name: folder / name for name in names if (folder / name).is_file()}
     if len(exact) == len(names):
         return exact
@@ -284,9 +284,9 @@ def _are_times(names: Sequence[str]) -> bool:
 
 
 def _by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Path]:
-    """Return photographs by the time of their trajectory's pose.
+    """Return photographs by the time of their pose in a trajectory.
 
-    Where there are as many as poses they belong to each other in order; else EXIF tells the time.
+    As many photographs as poses are matched in order; otherwise by their time in EXIF.
     """
     in_order = sorted(names, key=float)
     if len(files) == len(names):
@@ -312,7 +312,7 @@ def _read_times(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
 
 
 def _sort(stated: Stated) -> Stated:
-    """Return the same with photographs in the order of their names; trajectories go by time."""
+    """Return the photographs in the order of their names; those of a trajectory by time."""
     key: Callable[[int], float | str] = stated.names.__getitem__
     if _are_times(stated.names):
         key = lambda row: float(stated.names[row])  # noqa: E731

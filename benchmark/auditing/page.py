@@ -20,7 +20,7 @@ _KINDS: Final = {Verdict.RIGHT: "right", Verdict.WRONG: "wrong", Verdict.UNKNOWN
 
 
 def check_page(out: Path, inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, a page that cannot be written.
+    """Refuse a page that cannot be written.
 
     Raises:
         InputError: the name does not end in .html, or as for ``check_outputs``.

@@ -1,6 +1,6 @@
-"""Poses that belong to other photographs: shifted in time, swapped, shuffled, or single bad ones.
+"""Detection of poses that belong to other photographs: shifted, swapped, shuffled, or single ones.
 
-Only poses that do not agree with the photographs in any convention come here.
+It runs for poses that do not agree with the photographs in any convention.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from benchmark.auditing.statements import centres
 Array = NDArray[np.float64]
 
 SHIFTS = tuple(k for distance in range(1, 6) for k in (distance, -distance))
-"""By how many photographs poses may be late; positive numbers are poses of later ones."""
+"""The shifts to try, in photographs; a positive one gives a photograph the pose of a later one."""
 
 # A photograph with a smaller share of agreeing matches contradicts the others.
 _CONTRADICTS = 0.3
-# Most photographs that are looked at for swapped names; every two of them are tried.
+# Most bad photographs among which swapped names are sought; every two of them are tried.
 _MOST_SWAPPED = 12
-# Photographs that overlap stand nearer to each other than this share of the usual distance.
+# Photographs that overlap are closer together than this share of the usual distance.
 _NEAR = 0.7
 # Most photographs that a line names.
 _NAMED = 4
@@ -33,9 +33,9 @@ _NAMED = 4
 def find_order(
     rays: Sequence[Rays], poses: Array, names: Sequence[str]
 ) -> tuple[Finding, Array | None] | None:
-    """Return the finding where poses belong to other photographs; None where nothing shows it.
+    """Return a finding if poses belong to other photographs, and the poses in the right order.
 
-    The poses in their right order come with it, or None where that is not known.
+    The result is None without such a finding; the poses are None if their order is unknown.
 
     Args:
         rays: matches of the photographs.
@@ -44,25 +44,25 @@ def find_order(
     """
     ours = share(rays, poses)
     if ours < RIGHT_SHARE:
-        moved = {k: share(rays, np.roll(poses, -k, axis=0)) for k in SHIFTS}
-        best = max(moved, key=lambda k: moved[k])
-        # The poses at the ends have no photograph, so that a little less agrees.
-        if moved[best] > max(2 * ours, RIGHT_SHARE - 0.15):
+        shifted = {k: share(rays, np.roll(poses, -k, axis=0)) for k in SHIFTS}
+        best = max(shifted, key=lambda k: shifted[k])
+        # Poses at the ends wrap around to wrong photographs, so that fewer matches agree.
+        if shifted[best] > max(2 * ours, RIGHT_SHARE - 0.15):
             when = "earlier" if best > 0 else "later"
             detail = (
                 f"poses are those of photographs {_count(abs(best))} {when}: so read, "
-                f"{moved[best]:.0%} of the matches agree, as stated {ours:.0%}"
+                f"{shifted[best]:.0%} of the matches agree, as stated {ours:.0%}"
             )
-            found = wrong(CHECK, "poses-shifted", detail, agreeing=ours, photographs=-best)
-            return found, np.roll(poses, -best, axis=0)
-    return _single(rays, poses, names, ours)
+            finding = wrong(CHECK, "poses-shifted", detail, agreeing=ours, photographs=-best)
+            return finding, np.roll(poses, -best, axis=0)
+    return _find_single(rays, poses, names, ours)
 
 
 def _count(k: int) -> str:
     return "one" if k == 1 else str(k)
 
 
-def _single(
+def _find_single(
     rays: Sequence[Rays], poses: Array, names: Sequence[str], ours: float
 ) -> tuple[Finding, Array | None] | None:
     """Find single photographs that contradict the others, and whether two are swapped."""
@@ -70,7 +70,7 @@ def _single(
     bad = [row for row, value in each.items() if value < _CONTRADICTS]
     if not bad:
         return None
-    swapped = _swaps(rays, poses, bad)
+    swapped = _find_swaps(rays, poses, bad)
     if swapped:
         pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in swapped[:_NAMED])
         read = poses.copy()
@@ -81,8 +81,8 @@ def _single(
     ratio = _overlap_distance(rays, poses)
     if len(bad) > len(each) / 2 and ratio > _NEAR:
         detail = (
-            f"{ours:.0%} of the matches agree, and photographs that overlap stand {ratio:.1f} "
-            "times as far apart as any two: names are shuffled, or positions are of another flight"
+            f"{ours:.0%} of the matches agree, and photographs that overlap are {ratio:.1f} times "
+            "as far apart as any two: names are shuffled, or positions are of another flight"
         )
         return wrong(CHECK, "names-shuffled", detail, agreeing=ours, ratio=ratio), None
     if len(bad) > len(each) / 2:
@@ -95,18 +95,18 @@ def _single(
 
 def by_photograph(rays: Sequence[Rays], poses: Array) -> dict[int, float]:
     """Return the median over its pairs of the share of matches that agree, by photograph."""
-    found: dict[int, list[float]] = {}
+    by_row: dict[int, list[float]] = {}
     for r, value in zip(rays, shares(rays, poses), strict=True):
         for row in (r.pair.first, r.pair.second):
-            found.setdefault(row, []).append(float(value))
-    return {row: float(np.median(values)) for row, values in found.items() if len(values) > 1}
+            by_row.setdefault(row, []).append(float(value))
+    return {row: float(np.median(values)) for row, values in by_row.items() if len(values) > 1}
 
 
-def _swaps(rays: Sequence[Rays], poses: Array, bad: Sequence[int]) -> list[tuple[int, int]]:
+def _find_swaps(rays: Sequence[Rays], poses: Array, bad: Sequence[int]) -> list[tuple[int, int]]:
     """Return the pairs of photographs that agree with the others once their poses are swapped."""
-    found: list[tuple[int, int]] = []
+    swaps: list[tuple[int, int]] = []
     if len(bad) > _MOST_SWAPPED:
-        return found
+        return swaps
     read, left = poses.copy(), set(bad)
     for a, b in combinations(bad, 2):
         if a not in left or b not in left:
@@ -118,14 +118,14 @@ def _swaps(rays: Sequence[Rays], poses: Array, bad: Sequence[int]) -> list[tuple
         if min(after.get(a, 0.0), after.get(b, 0.0)) > RIGHT_SHARE:
             read = trial
             left -= {a, b}
-            found.append((a, b))
-    return found
+            swaps.append((a, b))
+    return swaps
 
 
 def _overlap_distance(rays: Sequence[Rays], poses: Array) -> float:
-    """Return how far apart photographs that share matches stand, over the usual distance."""
-    places = centres(poses)
+    """Return the distance of photographs that share matches, over that of any two."""
+    positions = centres(poses)
     rows = sorted({row for r in rays for row in (r.pair.first, r.pair.second)})
-    near = [np.linalg.norm(places[r.pair.first] - places[r.pair.second]) for r in rays]
-    every = [np.linalg.norm(places[a] - places[b]) for a, b in combinations(rows, 2)]
+    near = [np.linalg.norm(positions[r.pair.first] - positions[r.pair.second]) for r in rays]
+    every = [np.linalg.norm(positions[a] - positions[b]) for a, b in combinations(rows, 2)]
     return float(np.median(near) / max(float(np.median(every)), 1e-9))

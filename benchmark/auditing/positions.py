@@ -1,7 +1,7 @@
-"""Positions against those that the photographs tell in their EXIF.
+"""Check of stated positions against the GPS positions in the photographs' EXIF.
 
-Poses in a world of their own are compared up to a similarity, whose scale tells whether the world
-is in metres. Positions on earth are compared as they are.
+Poses in a world of their own are compared up to a similarity, whose scale shows whether the world
+is in metres. Positions on earth are compared directly.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ EAST_NORTH = "positions lie where the photographs' GPS is"
 HEIGHTS = "heights are those of the photographs"
 
 FEWEST = 3
-# Positions follow GPS if they are off by less than this share of the flight's extent.
+# Positions follow GPS if the residual is below this share of the flight's extent.
 _FOLLOWS = 0.3
-# Another reading of positions explains GPS if the distance shrinks to this share.
+# Another reading of positions explains GPS if the residual shrinks to this share.
 _SHRINKS = 0.2
-# Scales nearer to one than this are metric; GPS and timing cost a few per cent.
+# Scales within this of one are metric; errors of GPS and timing change it by a few per cent.
 _METRIC = 0.05
-# Uncertainty of the scale beyond which it is not told.
+# Uncertainty of the scale above which it is unknown.
 _VAGUE = 0.1
-# The least constant offset (m) that is no error of a receiver.
+# Smallest constant offset (m) that is not an error of the receiver.
 _OFFSET_M = 6.0
-# Receivers put a photograph this far from where it was at most (m) for a comparison to mean much.
+# Largest scatter (m) of the photographs' altitudes that still allows a comparison.
 _SCATTER_M = 8.0
 _FEET = 0.3048
-# Positions so far from the photographs' (m) are of another place; the earth curves between them.
+# Positions farther than this (m) from the photographs' are elsewhere; the earth curves between.
 _ELSEWHERE_M = 20_000.0
 
 
 @dataclass(frozen=True)
 class _Latlon:
-    """A way to misread latitudes and longitudes."""
+    """A frequent mistake in latitudes and longitudes."""
 
     fault: str
     looks: str
@@ -69,14 +69,13 @@ _LATLONS = (
 
 @dataclass(frozen=True)
 class _Compared:
-    """Stated positions beside measured ones, metres, of the n photographs that have both.
+    """Stated and measured positions of the n photographs that have both, metres.
 
     Attributes:
         stated: (n, 3).
         measured: (n, 3) east, north, up.
-        absolute: whether both are in one frame; else the stated ones are in a world of their own.
-        high: whether the height of each was measured, (n,). Where it was not, the stated one
-            stands for it.
+        absolute: whether both are in the same frame; else the stated ones have their own world.
+        high: whether the height of each was measured, (n,); else it is the stated one.
     """
 
     stated: Array
@@ -94,24 +93,25 @@ class _Compared:
 def check_positions(
     stated: Stated, positions: Array | None, exif: Sequence[Exif | None], named: bool
 ) -> tuple[list[Finding], Array]:
-    """Return what the photographs' GPS says of positions.
+    """Check positions against the photographs' GPS.
 
-    East and north (m) of the photographs come with it, as stated and as measured, (n, 4).
+    Returns:
+        The findings, and east and north (m) of the photographs as stated and as measured, (n, 4).
 
     Args:
         stated: the data set.
-        positions: camera centres (N, 3) in its world, read in the right convention; None for a
-            table of places.
-        exif: metadata of each photograph, None where it cannot be read.
-        named: whether the photographs themselves already showed that names and poses belong
-            together; a GPS that lags behind is then no fault of the names.
+        positions: camera centres (N, 3) in its world, in the right convention; None for a table of
+            geodetic positions.
+        exif: metadata of each photograph; None if it cannot be read.
+        named: whether the photographs already showed that names and poses belong together; a
+            delayed GPS is then not taken for wrong names.
     """
     findings: list[Finding] = []
     places = [None if e is None else e.position for e in exif]
     there = np.array([place is not None for place in places])
     high = np.array([place is not None and not np.isnan(place.altitude) for place in places])
     if stated.places is None:
-        there = high  # poses of a world of their own are compared in three dimensions
+        there = high  # poses in a world of their own are compared in three dimensions
     if there.sum() >= FEWEST:
         read = stated.places
         known = _with_heights(places, there, read)
@@ -135,17 +135,17 @@ def check_positions(
 def _with_heights(
     places: Sequence[Geodetic | None], there: NDArray[np.bool_], read: Array | None
 ) -> list[Geodetic]:
-    """Return places of which those without an altitude are as high as the table says.
+    """Return the measured places, with stated heights for those without an altitude.
 
-    Its heights are moved to those of the other photographs, so that another height system is no
-    step between the two.
+    The stated heights are shifted by their median difference to the measured ones, so that another
+    height system causes no step between the two.
     """
     known = [(row, place) for row, place in enumerate(places) if place is not None and there[row]]
     if read is None:
         return [place for _, place in known]
     up = [place.altitude - float(read[row, 2]) for row, place in known]
-    told = [each for each in up if not np.isnan(each)]
-    above = float(np.median(told)) if told else 0.0
+    known_up = [each for each in up if not np.isnan(each)]
+    above = float(np.median(known_up)) if known_up else 0.0
     return [
         place._replace(altitude=float(read[row, 2]) + above) if np.isnan(place.altitude) else place
         for row, place in known
@@ -153,7 +153,7 @@ def _with_heights(
 
 
 def _plan(compared: _Compared) -> Array:
-    """Return what is drawn: a world of its own is first laid over the measured positions."""
+    """Return the plan to draw; a world of its own is first aligned to the measured positions."""
     stated = compared.stated
     if not compared.absolute:
         fitted, _ = _fit(stated, compared.measured)
@@ -162,25 +162,25 @@ def _plan(compared: _Compared) -> Array:
 
 
 def _no_gps(stated: Stated, count: int) -> Finding:
-    """Return the finding without GPS; coordinates of no place on earth are wrong all the same."""
+    """Return the finding without GPS; coordinates that are nowhere on earth are still wrong."""
     if stated.places is not None:
         off = [not is_on_earth(Geodetic(*row)) for row in stated.places.tolist()]
         if any(off):
             name, row = stated.names[off.index(True)], stated.places[off.index(True)]
-            turned = is_on_earth(Geodetic(float(row[1]), float(row[0]), float(row[2])))
+            swapped = is_on_earth(Geodetic(float(row[1]), float(row[0]), float(row[2])))
             fault, looks = (
                 ("latlon-swapped", "latitude and longitude are swapped")
-                if turned
-                else ("not-on-earth", "they are no degrees")
+                if swapped
+                else ("not-on-earth", "they are not degrees")
             )
-            detail = f"{name} is at {row[0]:g}, {row[1]:g}, no place on earth: {looks}"
+            detail = f"{name} is at {row[0]:g}, {row[1]:g}, which is not on earth: {looks}"
             return wrong(LATLON, fault, detail)
     what = "a GPS position" if stated.places is not None else "a GPS position with its altitude"
-    return unknown(FOLLOW, f"{count} photographs tell {what}, {FEWEST} are needed")
+    return unknown(FOLLOW, f"{count} photographs have {what}, {FEWEST} are needed")
 
 
 def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Array]:
-    """Judge latitudes and longitudes, and return them as they must be read."""
+    """Check latitudes and longitudes, and return them corrected."""
     origin = median_place(known)
     measured = np.array([enu_from_geodetic(place, origin) for place in known])
 
@@ -194,8 +194,8 @@ def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Ar
     )
     if best < _SHRINKS * ours and ours > 1000:
         detail = f"{reading.looks}: so read they are {best:.0f} m from GPS, as stated {ours:.4g} m"
-        found = wrong(LATLON, reading.fault, detail, metres=ours, explained_metres=best)
-        return found, reading.read(places)
+        finding = wrong(LATLON, reading.fault, detail, metres=ours, explained_metres=best)
+        return finding, reading.read(places)
     if ours > _ELSEWHERE_M:
         why = f"they are {ours / 1000:.4g} km from GPS, however they are read"
         return unknown(LATLON, why, metres=ours), places
@@ -225,7 +225,7 @@ def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]
     fitted, residual = _fit(compared.stated, compared.measured)
     scale = float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0)))
     if residual > _FOLLOWS * extent:
-        yield _why_not(compared, residual, named)
+        yield _explain(compared, residual, named)
         return
     yield right(
         FOLLOW,
@@ -238,13 +238,13 @@ def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]
         detail = f"one unit is {scale:.4g} m: {looks}"
         yield wrong(SCALE, "scale", detail, scale=scale)
     elif vague > _VAGUE:
-        yield unknown(SCALE, f"GPS tells the scale to {vague:.0%} only", scale=scale)
+        yield unknown(SCALE, f"GPS determines the scale to {vague:.0%} only", scale=scale)
     else:
         yield right(SCALE, f"one unit is {scale:.3f} m by GPS", scale=scale)
     if compared.absolute:
         yield from _offsets(compared)
     elif posed:
-        yield unknown(HEIGHTS, "the data set does not say where its world lies on earth")
+        yield unknown(HEIGHTS, "the data set does not state where its world is on earth")
 
 
 def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
@@ -260,8 +260,8 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
     return fitted, float(np.median(off))
 
 
-def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
-    """Return why positions do not follow GPS: shifted, shuffled, mirrored or simply off."""
+def _explain(compared: _Compared, residual: float, named: bool) -> Finding:
+    """Return why positions do not follow GPS: shifted, shuffled, mirrored or inexact."""
     figures = {"residual_m": residual}
     stated, measured = compared.stated, compared.measured
     if len(stated) > 2 * max(SHIFTS) and not named:
@@ -285,12 +285,12 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
         )
         return unknown(FOLLOW, why, **figures)
     if compared.absolute:
-        apart = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
-        nearest = float(np.median(apart.min(1)))
-        if nearest < _SHRINKS * float(np.median(np.diag(apart))):
+        distances = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
+        nearest, own = float(np.median(distances.min(1))), float(np.median(np.diag(distances)))
+        if nearest < _SHRINKS * own:
             detail = (
                 f"names are shuffled: every position is {nearest:.1f} m from the GPS of some "
-                f"photograph, but {np.median(np.diag(apart)):.1f} m from that of its own"
+                f"photograph, but {own:.1f} m from that of its own"
             )
             return wrong(FOLLOW, "names-shuffled", detail, **figures)
     detail = f"{residual:.1f} m (median) from GPS after the best motion and scale"
@@ -298,7 +298,7 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
 
 
 def _shift_pairs(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:
-    """Return both without the ends, with the positions of photographs ``k`` later."""
+    """Return both without the ends, with the stated positions of photographs ``k`` later."""
     return (stated[k:], measured[:-k]) if k > 0 else (stated[:k], measured[-k:])
 
 
@@ -321,7 +321,7 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
         yield unknown(HEIGHTS, f"the photographs' GPS is {away / 1000:.4g} km away")
         return
     if heights < FEWEST:
-        why = f"{heights} photographs tell an altitude (GPSAltitude), {FEWEST} are needed"
+        why = f"{heights} photographs have an altitude (GPSAltitude), {FEWEST} are needed"
         yield unknown(HEIGHTS, why)
         return
     if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(heights)):
@@ -332,7 +332,8 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
     else:
         detail = (
             f"all are {_height(up)} those of the photographs, scattered by {rough:.1f} m: another "
-            "height system, such as sea level beside the ellipsoid (-106 to 85 m) or the take-off"
+            "height system, such as sea level instead of the ellipsoid (-106 to 85 m), or the "
+            "take-off"
         )
         yield wrong(HEIGHTS, "height-datum", detail, up_m=up, scatter_m=rough)
 

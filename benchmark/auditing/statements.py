@@ -1,4 +1,4 @@
-"""What a data set states of its photographs, whatever its format."""
+"""The cameras, poses and positions that a data set states, whatever its format."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Stated:
-    """N photographs, in the order of their names, and what is stated of them.
+    """N photographs in the order of their names, with the stated cameras, poses and positions.
 
     Attributes:
         subject: the data set, for people.
@@ -29,10 +29,10 @@ class Stated:
         cam_from_world: poses (N, 4, 4) in the world of the data set, or None for a table of
             positions.
         places: stated latitude, longitude (degrees) and height (m), unchecked, (N, 3); None where
-            the data set has no place on earth. For a data set with poses they are the camera
-            centres, placed by its origin.
-        measured: positions (N, 3) east, north, up in metres that the data set itself keeps as
-            measured, in its own world, NaN where there is none; None without any.
+            the data set has no position on earth. For a data set with poses they are the camera
+            centres, converted by its origin.
+        measured: measured positions (N, 3) that the data set itself stores: east, north, up in
+            metres in its own world, NaN for a photograph without one; None without any.
         sparse_map: points with their observations, or None.
     """
 
@@ -51,7 +51,7 @@ class Stated:
 
     @property
     def positions(self) -> Array | None:
-        """Return the stated camera centres (N, 3) in the world of the data set."""
+        """The stated camera centres (N, 3) in the world of the data set."""
         return None if self.cam_from_world is None else centres(self.cam_from_world)
 
 
@@ -62,9 +62,9 @@ def centres(cam_from_world: Array) -> Array:
 
 
 def sample(count: int, most: int, run: int) -> Sequence[int]:
-    """Return rows of a sequence to look at: all, or several runs of neighbours spread over it.
+    """Return rows of a sequence to examine: all, or several runs of neighbours spread over it.
 
-    Neighbours in the order of names were mostly taken one after the other, so that they overlap.
+    Neighbours in the order of names were mostly taken one after another, so that they overlap.
 
     Args:
         count: length of the sequence.

@@ -1,7 +1,8 @@
 """The command line ``objconnect``.
 
-Each group of commands is a module of this package, listed in ``benchmark.cli.commands`` and loaded
-when one of its commands is asked for, so that the help and mistyped commands answer at once.
+Each group of commands is a module of this package, listed in ``benchmark.cli.commands``. A module
+is imported only when one of its commands is used, so that the help and mistyped commands answer at
+once.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ def main() -> None:
         app()
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import PackageNotFoundError, version
 
         try:

@@ -1,4 +1,4 @@
-"""Reading and checking of the arguments of commands before their work begins."""
+"""Parsing and checking of the arguments of commands before their work begins."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from objconnect.scene.geometry.camera import Camera
     from objconnect.scene.localizer import Localizer
 
-# A plain value with a second setting behind it.
+# A plain value followed by a second KEY=VALUE.
 _ANOTHER: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
 
 
@@ -46,18 +46,18 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
             settings[key] = yaml.safe_load(value)
         except (yaml.YAMLError, ValueError, RecursionError):
             raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
-        # null is a value where an option can be switched off; nothing at all is none.
+        # null switches an option off; an empty value is an error.
         if settings[key] is None and not value.strip():
             raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
 
 
 def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None) -> Localizer:
-    """Build a localizer that takes the risk of ``--risk``; None leaves the method's own.
+    """Create a localizer with the accepted risk of ``--risk``; None keeps the method's own.
 
     Raises:
-        InputError: the method has no such setting, ``--set`` gives it too, or the method cannot be
-            made with its settings.
+        InputError: the method has no such option, ``--set`` gives it too, or the method cannot be
+            created with its settings.
     """
     from objconnect.methods import create
 
@@ -65,7 +65,7 @@ def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None)
     if risk is None:
         return localizer
     if not hasattr(getattr(localizer.config, "search", None), "risk"):
-        raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
+        raise InputError(f"{method} predicts no probability of its poses: leave out --risk")
     search = settings.get("search")
     if "search.risk" in settings or (isinstance(search, Mapping) and "risk" in search):
         raise InputError("--risk and --set search.risk are the same: give one of them")
@@ -73,23 +73,23 @@ def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None)
 
 
 def check_jobs(jobs: int, cluster: str | None) -> None:
-    """Refuse a number of jobs beside a cluster, whose cores it would not count.
+    """Refuse ``--jobs`` together with ``--cluster``, which uses all cores of its nodes.
 
     Raises:
         InputError: both are given.
     """
     if cluster is not None and jobs != 1:
         raise InputError(
-            f"--jobs {jobs} is for this machine alone, and --cluster takes the cores of its nodes: "
+            f"--jobs {jobs} is for this machine alone, and --cluster uses all cores of its nodes: "
             "leave one out"
         )
 
 
 def check_methods(names: Sequence[str]) -> None:
-    """Refuse a method that is given twice, whose results would be written twice.
+    """Refuse a method that is given twice, because its results would overwrite each other.
 
     Raises:
-        InputError: there is one.
+        InputError: a method is given twice.
     """
     for name, count in Counter(names).items():
         if count > 1:
@@ -100,7 +100,7 @@ def parse_camera(words: str | None) -> Camera | None:
     """Read the value of ``--camera``, "MODEL W H PARAMS".
 
     Raises:
-        InputError: the words describe no camera.
+        InputError: the words do not describe a camera.
     """
     from objconnect.scene.geometry.camera import Camera
 
@@ -134,21 +134,23 @@ def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:
     """
     from benchmark.datasets.open import open_datasets
 
-    places = list(paths)
-    for place, count in Counter(path.resolve() for path in places).items():
+    paths = list(paths)
+    for resolved, count in Counter(path.resolve() for path in paths).items():
         if count > 1:
-            raise InputError(f"{place} is given {count} times: give it once")
-    datasets = [dataset for path in places for dataset in open_datasets(path)]
+            raise InputError(f"{resolved} is given {count} times: give it once")
+    datasets = [dataset for path in paths for dataset in open_datasets(path)]
     names = set()
     for dataset in datasets:
         if dataset.name in names:
-            raise InputError(f"two data sets are called {dataset.name!r}: evaluate them apart")
+            raise InputError(
+                f"two data sets are called {dataset.name!r}: evaluate them in separate runs"
+            )
         names.add(dataset.name)
     return datasets
 
 
 def claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
-    """Refuse folders to write to that lie inside an input of the command.
+    """Refuse output folders that lie inside an input of the command.
 
     Files written there would change the input: the next run would read another data set.
 

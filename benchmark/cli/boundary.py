@@ -52,7 +52,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _StoppedError(Exception):
-    """Stands for Ctrl-C or a signal. Unlike KeyboardInterrupt, typer does not handle it."""
+    """Ctrl-C or a signal, as an exception that typer passes on, unlike KeyboardInterrupt."""
 
     def __init__(self, cause: KeyboardInterrupt) -> None:
         super().__init__()
@@ -70,13 +70,13 @@ class Boundary(TyperGroup):
             raise _StoppedError(error) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """See ``TyperGroup.resolve_command``; words that were meant otherwise are refused."""
-        found = super().resolve_command(ctx, args)
-        _, command, words = found
+        """See ``TyperGroup.resolve_command``; also refuses words that click would misread."""
+        resolved = super().resolve_command(ctx, args)
+        _, command, words = resolved
         if command is not None:
             refuse_taken_options(command, words)
             refuse_stray_settings(command, words)
-        return found
+        return resolved
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run a command and end the process with its exit code; never returns."""
@@ -85,42 +85,43 @@ class Boundary(TyperGroup):
         # typer then raises errors instead of printing them on several lines.
         extra["standalone_mode"] = False
         with _end_like_ctrl_c():
-            sys.exit(_exit_code(lambda: super(Boundary, self).main(*args, **extra)))
+            sys.exit(_run_command(lambda: super(Boundary, self).main(*args, **extra)))
 
 
-def _exit_code(run: Callable[[], Any]) -> int:
-    """Run a command, print its fault on standard error, and return its exit code."""
+def _run_command(run: Callable[[], Any]) -> int:
+    """Run a command, print its error on standard error, and return the exit code."""
     try:
         code = run()
         # A full disk must be noticed here, not when the interpreter flushes at its end.
         if sys.stdout is not None:
             sys.stdout.flush()
     except InputError as error:
-        return _say(str(error), INPUT_AT_FAULT)
+        return _print_error(str(error), INPUT_AT_FAULT)
     except _StoppedError as stopped:
         word = "interrupted" if stopped.number == signal.SIGINT else "terminated"
-        return _say(word, _SIGNALLED + stopped.number)
+        return _print_error(word, _SIGNALLED + stopped.number)
     except (BrokenPipeError, SystemExit):  # typer ends the process when it meets a closed pipe
         return _abandon_output(_CLOSED_PIPE)
     except _INPUT_ERRORS as error:
-        return _say(_describe(error), INPUT_AT_FAULT)
+        return _print_error(_describe(error), INPUT_AT_FAULT)
     except Exception as error:
         if _is_cyclic_link(error):
-            return _say(f"{error}: a symbolic link leads to itself", INPUT_AT_FAULT)
+            return _print_error(f"{error}: a symbolic link leads to itself", INPUT_AT_FAULT)
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
             return INPUT_AT_FAULT
         if _is_usage_error(error):
-            return _say(_describe_usage(error), INPUT_AT_FAULT)
+            return _print_error(_describe_usage(error), INPUT_AT_FAULT)
         traceback.print_exc()
-        return _say(f"{_describe(error)}: this is a fault of the program", PROGRAM_AT_FAULT)
+        return _print_error(f"{_describe(error)}: this is a fault of the program", PROGRAM_AT_FAULT)
     return code if isinstance(code, int) else 0
 
 
-def _say(message: str, code: int) -> int:
+def _print_error(message: str, code: int) -> int:
     """Print one line on standard error and return the exit code."""
+    level = "error: " if code in (INPUT_AT_FAULT, PROGRAM_AT_FAULT) else ""
     with suppress(OSError, ValueError):  # standard error is closed or full
-        print(f"objconnect: {_level(code)}{_one_line(message)}", file=sys.stderr)
+        print(f"objconnect: {level}{_one_line(message)}", file=sys.stderr)
     return _abandon_output(code)
 
 
@@ -129,10 +130,6 @@ def _one_line(message: str) -> str:
     line = for_terminal(" ".join(message.split()))
     half = _LONGEST // 2
     return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
-
-
-def _level(code: int) -> str:
-    return "error: " if code in (INPUT_AT_FAULT, PROGRAM_AT_FAULT) else ""
 
 
 def _abandon_output(code: int) -> int:
@@ -174,17 +171,17 @@ def _is_usage_error(error: Exception) -> bool:
 
 
 def _describe_usage(error: Any) -> str:
-    """Return the message of click, with the command whose help to read."""
+    """Return the message of click, followed by the command that prints the help."""
     message: str = error.format_message()
     context = getattr(error, "ctx", None)
     return message if context is None else f"{message} See '{context.command_path} --help'."
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams that were closed before the start as the null device.
+    """Open closed standard streams as the null device.
 
-    Otherwise the next file to be opened would have the number of the stream, and the output of
-    libraries would be written to it.
+    Otherwise the next file that is opened gets the number of the stream, and the output of
+    libraries is written to it.
     """
     for number in range(3):
         try:
@@ -207,16 +204,16 @@ def _end_like_ctrl_c() -> Iterator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         raise Terminated(number)
 
-    before = {}
+    previous = {}
     for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)  # Windows knows one of them
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             with suppress(ValueError):  # not in the main thread
-                before[number] = signal.signal(number, end)
+                previous[number] = signal.signal(number, end)
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 

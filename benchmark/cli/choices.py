@@ -1,7 +1,7 @@
 """Options of the command line that take a name from a registry.
 
-The built-in names stand in the help. Names of installed packages are looked up when the option is
-used, so that building the help reads no installed package.
+The help lists the built-in names. Names that installed packages add are looked up only when the
+option is used, so that the help is printed at once.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ def describe_choices(registry: Registry[Any]) -> str:
 
 
 def one_of(registry: Registry[Any]) -> Callable[[str | None], str | None]:
-    """Return the callback of an option that takes the names of a registry alone.
+    """Return the callback of an option that accepts only the names of a registry.
 
-    Raises:
-        typer.BadParameter: by the callback, for a name that the registry does not have; the message
-            lists all names, those of installed packages too.
+    The callback raises ``typer.BadParameter`` for any other name; the message lists all names,
+    including those of installed packages.
     """
 
     def check(name: str | None) -> str | None:

@@ -14,31 +14,32 @@ from benchmark.cli.boundary import Boundary
 COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "simulation": {
         "simulate": "Render a scene with exact camera poses.",
-        "track": "Render and map the places of a track of the leaderboard.",
+        "track": "Render and map the sites of a leaderboard track.",
         "calibrate": "Calibrate the simulated camera from rendered chessboards.",
     },
     "scenes": {
         "ingest": "Turn a folder of photographs with GPS positions into a scene.",
         "export": "Write the poses and cameras of a scene in the format of another program.",
         "validate": "Check the conventions and the exactness of a scene or a flight.",
-        "audit": "Check the poses of any data set against its photographs, without truth.",
+        "audit": "Check the poses of any data set against its photographs, without ground truth.",
     },
     "maps": {
         "map": "Build the sparse map of a scene, or of an orthophoto with a surface model.",
-        "landmarks": "Find the objects of a map: cars, trees, roofs, lamps and the like.",
-        "dense": "Estimate depth maps of a map's photographs and fuse them to a point cloud.",
+        "landmarks": "Find the objects in a map: cars, trees, roofs, lamps and the like.",
+        "dense": "Estimate depth maps of a map's photographs and fuse them into a point cloud.",
         "diagnose": "Report which objects in a map's photographs have points in the map.",
         "supplement": "Add points on small standing objects that have none in the map.",
-    },
-    "learning": {
-        "train": "Train a method on rendered scenes, or resume its training.",
     },
     "localization": {
         "localize": "Find the poses of new photographs, or of the frames of a video, in a map.",
         "evaluate": "Localize the queries of data sets and score the poses.",
         "basin": "Measure how recall falls with the error of the prior pose.",
-        "score": "Score poses that another program found.",
+        "score": "Score the poses that another program estimated.",
         "submit": "Write the poses of all query images in the format of visuallocalization.net.",
+    },
+    "methods": {
+        "options": "List the options of a localizer with their defaults.",
+        "train": "Train a method on rendered scenes, or resume its training.",
     },
     "planning": {
         "forecast": "Forecast where along a flight a method finds a fix, by season and light.",
@@ -52,14 +53,13 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "doctor": "Report what is installed, what is missing and how to install it.",
     },
 }
-"""Modules of this package, and of each the commands with the first sentence of their help."""
+"""The commands of each module of this package, with the first sentence of their help."""
 
 
 class CommandGroup(Boundary):
     """The group of all commands in ``COMMANDS``.
 
-    A command's module is imported when the command is asked for. The help of the group itself
-    needs none of them.
+    A command's module is imported when the command is used; the help of the group imports none.
     """
 
     def __init__(self, **attributes: Any) -> None:

@@ -1,4 +1,4 @@
-"""Commands that localize: on data sets, on new photographs, from wrong priors."""
+"""Commands that localize new photographs or the queries of data sets, and that score poses."""
 
 from __future__ import annotations
 
@@ -56,17 +56,17 @@ Sequenced = Annotated[
     bool,
     typer.Option(
         "--sequence",
-        help="The photographs are of one flight: each is looked for where those before it lead.",
+        help="Localize the photographs as one flight: earlier poses give the prior of the next.",
     ),
 ]
 Rate = Annotated[
     float | None,
     typer.Option(
-        help="Frames of the video to localize a second. With --sequence, photographs a second, "
-        "in the order of their names, instead of the times in EXIF.",
+        help="Number of frames per second of the video to localize. With --sequence, number of "
+        "photographs per second, in the order of their names, instead of the times in EXIF.",
         min=0.01,
         max=240,
-        show_default="2 of a video",
+        show_default="2 for a video",
     ),
 ]
 Priors = Annotated[
@@ -74,14 +74,14 @@ Priors = Annotated[
     typer.Option(
         metavar="CSV",
         help="Table of positions: name,e,n,u in metres in the map's frame or name,lat,lon,alt, "
-        "and perhaps sigma_m and attitudes. Without it, they are read from EXIF and XMP.",
+        "optionally with sigma_m and attitudes. By default they are read from EXIF and XMP.",
     ),
 ]
 GpsSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of EXIF positions, metres, and of those of --priors without "
-        "sigma_m. Fixed positions of RTK have the standard deviations of their XMP instead.",
+        help="Standard deviation of EXIF positions, metres, and of positions in --priors without "
+        "sigma_m. Fixed RTK positions use the standard deviations in their XMP instead.",
         min=0.01,
         max=1e6,
     ),
@@ -89,27 +89,27 @@ GpsSigma = Annotated[
 GimbalSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of the gimbal attitudes in XMP, degrees, and of attitudes of "
+        help="Standard deviation of gimbal attitudes in XMP, degrees, and of attitudes in "
         "--priors without sigma_deg.",
         min=0.01,
         max=180,
     ),
 ]
-Further = Annotated[
+AdditionalOutputs = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="FILE",
-        help="Further file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe, a "
-        "telemetry log of MAVLink (.tlog) for an autopilot's filter, a ROS 2 bag (.mcap); repeat "
+        help="Additional file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe, a "
+        "MAVLink telemetry log (.tlog) for an autopilot's filter, or a ROS 2 bag (.mcap); repeat "
         "the option for several.",
     ),
 ]
 Undulation = Annotated[
     float | None,
     typer.Option(
-        help="Height of the geoid above the ellipsoid at the place, metres, for heights above sea "
-        "level. Without it, it is that of the grid us_nga_egm96_15.tif of PROJ, where this is "
-        "installed; else marks of KML lie on the ground.",
+        help="Height of the geoid above the ellipsoid, metres, for heights above sea level. By "
+        "default it is read from PROJ's grid us_nga_egm96_15.tif where that is installed; "
+        "otherwise KML placemarks lie on the ground.",
         min=-200,
         max=200,
         show_default="unknown",
@@ -120,7 +120,7 @@ Crs = Annotated[
     typer.Option(
         metavar="EPSG:N",
         help="Coordinate reference system of additional columns x (east), y (north) and h, such "
-        "as EPSG:32632; with heights of its own as EPSG:7415.",
+        "as EPSG:32632, or EPSG:7415 with heights of its own.",
         show_default="none",
     ),
 ]
@@ -129,8 +129,8 @@ Crs = Annotated[
 @app.command()
 # More than six parameters: each is an option or argument of the command.
 def localize(
-    place: Annotated[
-        Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
+    source: Annotated[
+        Path, typer.Option("--map", metavar="MAP", help="Scene with its map, or a flight.")
     ],
     out: Poses,
     images: Images = None,
@@ -143,7 +143,7 @@ def localize(
     priors: Priors = None,
     gps_sigma: GpsSigma = 10.0,
     gimbal_sigma: GimbalSigma = 5.0,
-    also: Further = None,
+    also: AdditionalOutputs = None,
     undulation: Undulation = None,
     crs: Crs = None,
     risk: Risk = None,
@@ -155,19 +155,19 @@ def localize(
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
     latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance,
-    the probability that the pose is right, the camera that was used and, for photographs that were
-    not found or cannot be read, the reason.
-    Without --camera, a photograph has the map's camera of its size, else its calibration in XMP,
-    the map's camera scaled, the focal length in EXIF, or an estimate. A video and --sequence take
-    each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
-    goes on where it stopped.
+    the probability that the pose is right, the camera that was used and, for photographs that are
+    not localized or cannot be read, the reason.
+    Without --camera, the calibration is the first of these that is known: the map's camera of the
+    same size, the calibration in XMP, the map's camera scaled, the focal length in EXIF, an
+    estimate. With a video or --sequence, each pose gives the prior of the next; a JSON file beside
+    POSES records how. An interrupted run goes on where it stopped.
     """
     from objconnect.localization.pipeline import localize as job
     from objconnect.localization.pipeline.localization_map import open_map
     from objconnect.localization.pipeline.options import LocalizeOptions
     from objconnect.localization.pipeline.tracking import sequence_config
 
-    flown = _choose_source(images, video, srt, priors, sequence, rate)
+    queries = _choose_queries(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
     config = sequence_config(settings) if video is not None or sequence else None
     options = LocalizeOptions(
@@ -183,17 +183,17 @@ def localize(
         projection=parse_crs(crs),
         cache=cache,
     )
-    claim_folders([place, flown], cache)
+    claim_folders([source, queries], cache)
     localizer = create_at_risk(method, settings, risk)
     run = job.localize if video is None else job.localize_video
-    located = run(open_map(place), flown, localizer, out, options)
-    localized = sum(item.is_localized for item in located)
-    what = "photographs" if video is None else "frames"
-    text = f"{out}: {localized} of {len(located)} {what} found"
-    emit(Summary(text, {"poses": str(out), what: len(located), "found": localized}), as_json)
+    answers = run(open_map(source), queries, localizer, out, options)
+    localized = sum(answer.is_localized for answer in answers)
+    unit = "photographs" if video is None else "frames"
+    text = f"{out}: {localized} of {len(answers)} {unit} found"
+    emit(Summary(text, {"poses": str(out), unit: len(answers), "found": localized}), as_json)
 
 
-def _choose_source(
+def _choose_queries(
     images: Path | None,
     video: Path | None,
     srt: Path | None,
@@ -201,10 +201,10 @@ def _choose_source(
     sequence: bool,
     rate: float | None,
 ) -> Path:
-    """Return the photographs or the video that are asked for.
+    """Return the folder of photographs or the video to localize.
 
     Raises:
-        InputError: there is neither or both, or an option is of the other.
+        InputError: neither or both are given, or an option belongs to the other one.
     """
     if video is not None and images is None:
         if priors is not None or sequence:
@@ -215,7 +215,7 @@ def _choose_source(
     if srt is not None:
         raise InputError("--srt is the telemetry of a video: give --video instead of --images")
     if rate is not None and not sequence:
-        raise InputError("--rate is that of a sequence: give --sequence too")
+        raise InputError("--rate describes a sequence: give --sequence too")
     return images
 
 
@@ -236,10 +236,9 @@ def evaluate(
 ) -> None:
     """Localize the queries of data sets and score the poses.
 
-    Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
-    last query is done, and once per data set album.h5, which the leaderboard's page shows. An
-    interrupted run goes on where it stopped. Older results of the same name are replaced unless
-    score wrote them; no other file is.
+    Writes RESULTS/<dataset>/<method>.json, a picture of the query with the median error, and once
+    per data set album.h5 with the pictures of the leaderboard's page. An interrupted run goes on
+    where it stopped. Replaces older results of the same name unless score wrote them.
     """
     from benchmark.evaluation.evaluate import claim_evaluation, results_path
     from benchmark.evaluation.evaluate import evaluate as run
@@ -251,7 +250,7 @@ def evaluate(
     check_methods(method)
     settings = parse_settings(overrides)
     localizers = {name: create(name, settings) for name in method}
-    started_from = parse_start(start)
+    starting_information = parse_start(start)
     opened = open_distinct_datasets(datasets)
     claim_folders(datasets, out, cache)
     for dataset in opened:
@@ -260,7 +259,7 @@ def evaluate(
     written = []
     for dataset in opened:
         for localizer in localizers.values():
-            run(dataset, localizer, out, started_from, cache, jobs, cluster)
+            run(dataset, localizer, out, starting_information, cache, jobs, cluster)
             written.append(results_path(out, dataset, localizer))
     emit(_summarize(written), as_json)
 
@@ -277,7 +276,7 @@ def basin(
         str | None,
         typer.Option(
             metavar="LIST",
-            help="Sizes of the error, written 1m/2deg,3m/5deg. By default they go from 0m/0deg to "
+            help="Sizes of the error, such as 1m/2deg,3m/5deg. By default six from 0m/0deg to "
             "30m/30deg.",
         ),
     ] = None,
@@ -290,7 +289,7 @@ def basin(
 
     Each query is localized once for each size, from its reference pose shifted and rotated by
     exactly that much, in the same direction for every method. Refiners start from this pose; sift
-    looks at the map photographs nearest to it.
+    matches the map photographs nearest to it.
     """
     from benchmark.evaluation.basin import DEFAULT_SIZES, basin_path, parse_sizes
     from benchmark.evaluation.basin import basin as run
@@ -336,11 +335,11 @@ def score(
     start: Start = "none",
     as_json: Json = False,
 ) -> None:
-    """Score poses that another program found.
+    """Score the poses that another program estimated.
 
-    A query without a line counts as failed. The start is what you declare, and nothing verifies it:
-    tables print it "as declared". Older results of the same name are replaced if score
-    wrote them; those of evaluate never are.
+    A query without a line counts as failed. Nothing verifies the start: tables print it "as
+    declared". Replaces older results of the same name if score wrote them, and never those of
+    evaluate.
     """
     from benchmark.evaluation.external_poses import score as run
 
@@ -377,7 +376,7 @@ def submit(
 
 
 def _summarize(results: list[Path]) -> Summary:
-    """Return the report of a command that wrote results files: their names and their tables."""
+    """Return the summary of results files: their paths and their tables."""
     from benchmark.report.markdown import markdown
     from benchmark.report.tables import tables
 

@@ -1,4 +1,4 @@
-"""Commands that build maps, measure them and add to them."""
+"""Commands that build maps, measure them and add points to them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Masks = Annotated[
         metavar="MASKS",
         help="Object masks of the map's photographs, for a scene without its own: a folder of "
         "label pictures, NAME.png for NAME.jpg, or a JSON file of COCO annotations with run-length "
-        "masks. Without them, diagnose takes the objects that the scene knows, and supplement "
-        "searches the whole photographs.",
+        "masks. By default diagnose takes the objects that the scene knows, and supplement "
+        "searches whole photographs.",
     ),
 ]
 
@@ -30,8 +30,8 @@ Orthophoto = Annotated[
     Path | None,
     typer.Option(
         metavar="GEOTIFF",
-        help="Orthophoto of 8 bits to make a scene of, in place of SCENE. Its coordinate reference "
-        "system is in metres. Needs --dsm and --out.",
+        help="8-bit orthophoto to build the scene and map from, instead of SCENE. Its coordinate "
+        "reference system is in metres. Needs --dsm and --out.",
     ),
 ]
 
@@ -39,7 +39,7 @@ SurfaceModel = Annotated[
     Path | None,
     typer.Option(
         metavar="GEOTIFF",
-        help="Surface model of the orthophoto: heights, with buildings and trees.",
+        help="Surface model of the orthophoto: heights in metres, with buildings and trees.",
     ),
 ]
 
@@ -47,9 +47,8 @@ Undulation = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Height of the geoid above the ellipsoid at the place, for a surface model with "
-        "heights above sea level; 0 says that they are above the ellipsoid, which is also what is "
-        "taken without it.",
+        help="Height of the geoid above the ellipsoid, for a surface model with heights above sea "
+        "level. By default heights are taken as above the ellipsoid, as with 0.",
         min=-200,
         max=200,
     ),
@@ -60,7 +59,7 @@ Altitude = Annotated[
     typer.Option(
         metavar="METRES",
         help="Height of the virtual cameras above the ground, such as that of your flights.",
-        show_default="a pixel of a view is one of the orthophoto",
+        show_default="a pixel of a view covers one of the orthophoto",
         min=1,
         max=10_000,
     ),
@@ -69,7 +68,7 @@ Altitude = Annotated[
 Overlap = Annotated[
     float | None,
     typer.Option(
-        help="Share of a virtual view that the next one shows too.",
+        help="Share of a virtual view that overlaps with the next one.",
         show_default="0.7",
         min=0,
         max=0.95,
@@ -80,8 +79,8 @@ Tilt = Annotated[
     float | None,
     typer.Option(
         metavar="DEGREES",
-        help="Angle against the vertical of further virtual views to the north, east, south and "
-        "west; 0 takes none.",
+        help="Tilt from the vertical of additional virtual views to the north, east, south and "
+        "west; 0 adds none.",
         show_default="0",
         min=0,
         max=60,
@@ -93,8 +92,8 @@ Horizontal = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Standard deviation of the orthophoto's horizontal place on earth, east and north "
-        "together. Without it, how exact answers are on earth (eph_m, epv_m) is unknown.",
+        help="Standard deviation of the orthophoto's horizontal position on earth, east and north "
+        "together. Without it, the accuracy of answers on earth (eph_m, epv_m) is unknown.",
         show_default="unknown",
         min=0,
         max=10_000,
@@ -115,7 +114,7 @@ Vertical = Annotated[
 
 
 class MapMethod(StrEnum):
-    """The ways to build a map."""
+    """The methods that build a map."""
 
     TRIANGULATE = "triangulate"
     SFM = "sfm"
@@ -158,15 +157,15 @@ def build_map(
     """Build the sparse map of a scene, or of an orthophoto with a surface model.
 
     The map of a scene is built from its sessions of role map and measured against the true poses.
-    Localization needs it; run this command after simulate. With --ortho, virtual photographs of the
-    orthophoto become a new scene with its map, in which photographs are localized as in any other.
+    Localization needs it; run this command after simulate. With --ortho, virtual photographs are
+    rendered from the orthophoto and become a new scene with its map.
     """
     from objconnect.mapping.build import build_map as run
 
     views = {"altitude": altitude, "overlap": overlap, "tilt": tilt}
-    placed = {"georeference": georeference, "georeference-height": georeference_height}
+    accuracy = {"georeference": georeference, "georeference-height": georeference_height}
     if ortho is None:
-        others = {"dsm": dsm, "out": out, "undulation": undulation, **views, **placed}
+        others = {"dsm": dsm, "out": out, "undulation": undulation, **views, **accuracy}
         for name, value in others.items():
             if value is not None:
                 raise InputError(f"--{name} describes the map of an orthophoto: give --ortho too")
@@ -177,24 +176,23 @@ def build_map(
     if scene is not None or dsm is None or out is None:
         raise InputError("--ortho needs --dsm and --out, and no SCENE")
     if georeference is None and georeference_height is not None:
-        raise InputError("--georeference-height needs --georeference, the horizontal one")
+        raise InputError("--georeference-height needs --georeference, the horizontal accuracy")
     from objconnect.ingestion.virtual.command import photograph_orthophoto
     from objconnect.ingestion.virtual.options import ViewOptions
     from objconnect.scene.bundle.georeference import Georeference
 
-    given = {name: value for name, value in views.items() if value is not None}
-    options = ViewOptions.model_validate(given)
-    stated = None
+    options = ViewOptions.model_validate({k: v for k, v in views.items() if v is not None})
+    on_earth = None
     if georeference is not None:
-        stated = Georeference(
+        on_earth = Georeference(
             horizontal_m=georeference, vertical_m=georeference_height, source="stated"
         )
-    made = photograph_orthophoto(
-        ortho, dsm, out, undulation=undulation, options=options, georeference=stated
+    virtual = photograph_orthophoto(
+        ortho, dsm, out, undulation=undulation, options=options, georeference=on_earth
     )
     report = run(out, method.value, cluster)
-    summary = {"virtual": made.as_dict(), **report.as_dict()}
-    emit(Summary(f"{made.text()}\n{report.text()}", summary), as_json)
+    summary = {"virtual": virtual.as_dict(), **report.as_dict()}
+    emit(Summary(f"{virtual.text()}\n{report.text()}", summary), as_json)
 
 
 @app.command()
@@ -210,16 +208,16 @@ def landmarks(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="Table of the objects to write too: places, sizes."),
+        typer.Option(metavar="CSV", help="Table of the objects to write: positions, sizes."),
     ] = None,
     device: DeviceName = "auto",
     as_json: Json = False,
 ) -> None:
-    """Find the objects of a map: cars, trees, roofs, lamps and the like.
+    """Find the objects in a map: cars, trees, roofs, lamps and the like.
 
-    They are learned objects of no class, each seen in several photographs, with its place, its
-    size, its height above ground and a vector. Writes SCENE/landmarks.h5, which view draws. The
-    localizer objconnect finds them by itself and does not need the file.
+    The objects are learned and have no class. Each is seen in several photographs and has a
+    position, a size, a height above ground and a descriptor. Writes SCENE/landmarks.h5, which view
+    draws. The localizer objconnect finds them by itself and does not need the file.
     """
     from objconnect.network.scene_landmarks import find_landmarks as run
 
@@ -233,16 +231,18 @@ def dense(
     size: Annotated[
         int,
         typer.Option(
-            help="Longest side of a depth map, pixels; photographs are never enlarged.", min=64
+            help="Longer side of a depth map, pixels; photographs are never enlarged.", min=64
         ),
     ] = 1024,
     sources: Annotated[
         int,
-        typer.Option(help="Greatest number of photographs to match each photograph with.", min=2),
+        typer.Option(help="Largest number of photographs to match each photograph with.", min=2),
     ] = 6,
     stereo: Annotated[
         Stereo,
-        typer.Option(help="PatchMatch of this project, or of COLMAP where pycolmap has CUDA."),
+        typer.Option(
+            help="PatchMatch stereo of this project, or of COLMAP (needs pycolmap with CUDA)."
+        ),
     ] = Stereo.OWN,
     seed: Annotated[
         int, typer.Option(help="Random seed; the same seed gives the same depth maps.", min=0)
@@ -251,7 +251,7 @@ def dense(
     device: DeviceName = "auto",
     as_json: Json = False,
 ) -> None:
-    """Estimate depth maps of a map's photographs and fuse them to a point cloud.
+    """Estimate depth maps of a map's photographs and fuse them into a point cloud.
 
     Writes SCENE/dense as a COLMAP workspace and measures it against the true depths where the scene
     has them. An interrupted run goes on where it stopped.
@@ -286,8 +286,8 @@ def diagnose(
 ) -> None:
     """Report which objects in a map's photographs have points in the map.
 
-    Also reports how many points they have, how far these lie from the true surface, and how evenly
-    they cover the ground. Draws SCENE/pictures/diagnosis.png. Where supplement added points, also
+    Also reports how many points each has, how far they lie from the true surface, and how evenly
+    they cover the ground. Draws SCENE/pictures/diagnosis.png. If supplement added points, also
     reports and shows the map without them.
     """
     from objconnect.mapping.diagnosis.command import diagnose as run
@@ -302,22 +302,22 @@ def supplement(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Weights of an object-connect network, whose object centres become candidates "
-            "too. Without it, candidates come from the photographs alone.",
+            help="Weights of an object-connect network, whose object centres are tried as points "
+            "too. By default points come from the photographs alone.",
         ),
     ] = None,
     masks: Masks = None,
     remove: Annotated[
         bool,
-        typer.Option("--remove", help="Remove the added points, which restores the earlier map."),
+        typer.Option("--remove", help="Remove the added points again."),
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Add points on small standing objects that have none in the map.
 
-    The new points are listed in SCENE/map/supplement.json, and another run replaces them. Nothing
-    else in the map changes. The command draws SCENE/pictures/diagnosis.png and reports figures of
-    the map before and after.
+    Lists the new points in SCENE/map/supplement.json; another run replaces them. Nothing else in
+    the map changes. Draws SCENE/pictures/diagnosis.png and reports figures of the map with and
+    without the points.
     """
     from objconnect.mapping.supplement.command import supplement as run
     from objconnect.mapping.supplement.map import remove_from_map

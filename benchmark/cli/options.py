@@ -18,17 +18,17 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change one value of the configuration of the method, in train of its training; "
-        "repeat the option for each value. Values of a sequence and of a forecast are written "
-        "sequence.KEY and forecast.KEY.",
+        help="Set one option of the method, or of its training in train; repeat for each option. "
+        "'objconnect options METHOD' lists those of a method. Options of a sequence or a forecast "
+        "are written sequence.KEY and forecast.KEY.",
     ),
 ]
 
 Risk = Annotated[
     float | None,
     typer.Option(
-        help="Probability with which an answer may be wrong by more than 5 m or 10 degrees, of "
-        "methods that predict it (search.risk); 1 believes every pose.",
+        help="Largest probability of an error above 5 m or 10 degrees at which a pose is accepted, "
+        "for methods that predict it (search.risk); 1 accepts every pose.",
         min=1e-6,
         max=1,
         show_default="0.05",
@@ -38,7 +38,7 @@ Risk = Annotated[
 Jobs = Annotated[
     int,
     typer.Option(
-        help="How much is done at a time on this machine: queries, or frames to render.", min=1
+        help="Number of queries, or of frames to render, at a time on this machine.", min=1
     ),
 ]
 
@@ -46,7 +46,7 @@ Cache = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder where methods keep what they compute once per map, for later runs.",
+        help="Folder for what a method computes once per map; later runs reuse it.",
     ),
 ]
 
@@ -54,7 +54,7 @@ Datasets = Annotated[
     list[Path],
     typer.Argument(
         metavar="DATASET",
-        help="Scenes, folders of flights, Extended CMU Seasons or one slice of it. A flight with a "
+        help="Scene, folder of a flight, Extended CMU Seasons or one slice of it. A flight with a "
         "hard split is two data sets; FLIGHT-sparse names the hard split alone.",
     ),
 ]
@@ -71,10 +71,10 @@ Start = Annotated[
     typer.Option(
         metavar="START",
         help="What the method is told about a query: prior (the pose that the data set gives), "
-        "none, retrieval[=K] (the K map photographs that look most like it), pairs=FILE (a pair "
-        "list of hloc), error=3m,5deg (the reference pose with an error of this size), "
-        "gravity[=3deg] (which way is down, but neither heading nor position), or gps=50m (the "
-        "position alone).",
+        "none, retrieval[=K] (the K most similar map photographs), pairs=FILE (a pair list of "
+        "hloc), error=3m,5deg (the reference pose with an error of this size), gravity[=3deg] "
+        "(which way is down, without heading and position), or gps=50m (a position with an error "
+        "of this size, without attitude).",
     ),
 ]
 
@@ -87,8 +87,7 @@ ValidationScenes = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="SCENE",
-        help="Scene to measure the loss on, without learning from it; repeat the option for "
-        "several.",
+        help="Scene to measure the validation loss on; repeat the option for several.",
     ),
 ]
 
@@ -98,7 +97,8 @@ CameraWords = Annotated[
     str | None,
     typer.Option(
         metavar="'MODEL W H PARAMS'",
-        help="Calibration of the photographs: COLMAP's camera model, width, height and parameters.",
+        help="Calibration of the photographs: COLMAP's camera model, width and height in pixels, "
+        "and parameters.",
     ),
 ]
 
@@ -139,18 +139,18 @@ def options_of(
     defaults: Mapping[str, object] | None = None,
     metavars: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command one option for each of these fields of a configuration class.
+    """Return a decorator that gives a command one option for each field of a configuration.
 
     The option has the name and the type of the field, and its help is the field's description. The
-    command takes one parameter called ``settings`` in place of the options: a dictionary of the
-    fields' values, where the value of an option that was left out is its default.
+    command takes the values as a dictionary in one parameter called ``settings``; an option that
+    was left out has its default there.
 
     Args:
         config: pydantic model.
         fields: names of its fields.
-        defaults: defaults of single options. All others have the default None, so that the value
-            of a configuration file, or of the class, stands.
-        metavars: placeholders of single options, such as the names that it takes.
+        defaults: defaults of single options. All others default to None, so that the value of a
+            configuration file, or of the class, is used.
+        metavars: placeholders of single options, such as the names that they take.
     """
     options = []
     for name in fields:
@@ -168,8 +168,8 @@ def options_of(
     def with_options(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
         others = list(signature.parameters.values())
-        place = [parameter.name for parameter in others].index("settings")
-        parameters = [*others[:place], *options, *others[place + 1 :]]
+        index = [parameter.name for parameter in others].index("settings")
+        parameters = [*others[:index], *options, *others[index + 1 :]]
 
         def run(**values: Any) -> None:
             command(settings={name: values.pop(name) for name in fields}, **values)

@@ -20,12 +20,7 @@ class Report(Protocol):
 
 @dataclass(frozen=True)
 class Summary:
-    """The report of a command whose work does not return one itself.
-
-    Attributes:
-        words: the result for a person.
-        values: the result for a program.
-    """
+    """The result of a command in words and as values for a program."""
 
     words: str
     values: Mapping[str, Any]

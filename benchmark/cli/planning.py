@@ -1,4 +1,4 @@
-"""Commands that look ahead: what a flight will find."""
+"""The command that forecasts where along a planned flight a method localizes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ Plan = Annotated[Path | None, typer.Option(metavar="FILE", help="Mission plan of
 Flight = Annotated[
     str | None,
     typer.Option(
-        metavar="FLIGHT", help="A flight of simulate instead: nadir, grid, oblique or corridor."
+        metavar="FLIGHT",
+        help="Flight pattern of simulate instead of --plan: nadir, grid, oblique or corridor.",
     ),
 ]
 Seasons = Annotated[
@@ -41,14 +42,14 @@ Twin = Annotated[
     Path | None,
     typer.Option(
         metavar="TWIN",
-        help="Finished twin of the site (simulate --preset site). By default it is made of "
-        "SCENE, whose photographs then need depth.",
+        help="Finished twin of the site (simulate --preset site). By default the twin is built "
+        "from SCENE, whose photographs then need depth maps.",
     ),
 ]
 Views = Annotated[
     int | None,
     typer.Option(
-        help="Views that are rendered of each waypoint in each season.",
+        help="Number of views to render at each waypoint in each season.",
         min=1,
         max=50,
         show_default="2",
@@ -86,15 +87,14 @@ def forecast(
 
     if (plan is None) == (flight is None):
         raise InputError("give the flight with --plan FILE, or with --flight")
-    given = {"seasons": season or None, "views": views, "start": start}
-    told = {key: value for key, value in given.items() if value is not None}
+    options = {"seasons": season or None, "views": views, "start": start}
     settings = parse_settings(overrides)
-    config = forecast_config(settings, told)
+    config = forecast_config(settings, {k: v for k, v in options.items() if v is not None})
     try:
         localizer = create(method, settings)
     except InputError as error:
         raise InputError(f"{error}{forecast_hint(settings)}") from None
     claim_folders([scene, *([twin] if twin is not None else [])], out, cache)
-    words = f"plan={plan}" if plan is not None else str(flight)
-    made = run(scene, words, localizer, out, config, twin=twin, cache=cache, jobs=jobs)
-    emit(made, as_json)
+    route = f"plan={plan}" if plan is not None else str(flight)
+    report = run(scene, route, localizer, out, config, twin=twin, cache=cache, jobs=jobs)
+    emit(report, as_json)

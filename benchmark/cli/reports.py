@@ -19,7 +19,7 @@ app = typer.Typer(rich_markup_mode=None)
 
 @dataclass(frozen=True)
 class _Leaderboard:
-    """The leaderboard as Markdown; its tables are read again only where JSON is asked for."""
+    """The leaderboard as Markdown; its tables are read again only for ``--json``."""
 
     results: Sequence[Path]
     markdown: str
@@ -48,7 +48,7 @@ def leaderboard(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of tracks with the results that are kept of them, instead of RESULTS; "
+            help="Folder of tracks, whose stored results are shown instead of RESULTS; "
             "leaderboard.tex is not written.",
         ),
     ] = None,
@@ -56,8 +56,8 @@ def leaderboard(
         Path | None,
         typer.Option(
             metavar="TRACK",
-            help="Folder of a track, such as benchmark/tracks/uav-seasons, to keep the results in: "
-            "rounded and compressed to a tenth, with the same figures.",
+            help="Folder of a track, such as benchmark/tracks/uav-seasons, to store RESULTS in: "
+            "rounded and compressed to a tenth of their size, with the same figures.",
         ),
     ] = None,
     as_json: Json = False,
@@ -65,10 +65,10 @@ def leaderboard(
     """Compare results in one table per data set and starting information.
 
     Prints Markdown. With --out, also writes it as LaTeX tables and as one HTML page that opens as a
-    file, with charts, paired comparisons, and every query with its pictures. The page shows albums
-    and basins that lie beside the results.
+    file, with charts, paired comparisons, and every query with its pictures. The page shows the
+    albums and basins beside the results.
 
-    With --board, the queries of all places of a track are pooled: by start, season and part.
+    With --board, the queries of all sites of a track are pooled by start, season and part.
     """
     from benchmark.report.board.command import board as run_board
     from benchmark.report.leaderboard import leaderboard as run
@@ -79,13 +79,13 @@ def leaderboard(
         raise InputError("give either RESULTS or --board")
     if board is not None:
         if store is not None:
-            raise InputError("--store keeps RESULTS, and --board shows those that are kept")
+            raise InputError("--store stores RESULTS and --board shows stored ones: give one")
         emit(run_board(board, out), as_json)
         return
-    given = results or []
-    targets = {} if store is None else targets_of(given, store)
-    text = run(given, out)
-    emit(_Leaderboard(given, text, keep(targets)), as_json)
+    paths = results or []
+    targets = {} if store is None else targets_of(paths, store)
+    text = run(paths, out)
+    emit(_Leaderboard(paths, text, keep(targets)), as_json)
 
 
 @app.command()
@@ -101,8 +101,8 @@ def regress(
 ) -> None:
     """Compare recall with recorded results and exit with 1 if it dropped.
 
-    A drop is one that chance does not explain: McNemar's exact test on the same queries, at 5 % for
-    each method and data set together. Use it in continuous integration.
+    A drop is a loss that is significant in McNemar's exact test on the same queries, at 5 % over
+    all comparisons of a method on a data set. Use it in continuous integration.
     """
     from benchmark.regression import regress as run
     from benchmark.regression import update as record
@@ -126,8 +126,8 @@ def view(
         list[Path] | None,
         typer.Option(
             metavar="RESULTS",
-            help="Results file, or folder that evaluate wrote, with poses of the scene's queries "
-            "to show; repeat the option for several.",
+            help="Results file, or folder that evaluate wrote, whose poses of the scene's queries "
+            "are shown; repeat the option for several.",
         ),
     ] = None,
     out: Annotated[
@@ -142,8 +142,8 @@ def view(
     """Write a scene as an interactive page and as a picture.
 
     The page shows the cameras with their photographs, the points of the map and those added to it,
-    the dense cloud, objects with and without a point, and the poses that methods gave the queries.
-    It opens as a file, without a server or a network.
+    the dense cloud, objects with and without a point, and the estimated poses of the queries. It
+    opens as a file, without a server or a network.
     """
     import webbrowser
 

@@ -1,4 +1,4 @@
-"""Commands that make scenes of photographs, check scenes and export them."""
+"""Commands that turn photographs into scenes, and check and export scenes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ app = typer.Typer(rich_markup_mode=None)
 
 
 class MapperName(StrEnum):
-    """The mappers of structure from motion."""
+    """The structure-from-motion mappers."""
 
     INCREMENTAL = "incremental"
     GLOBAL = "global"
@@ -33,7 +33,7 @@ class FrameName(StrEnum):
 
 
 class SplitBy(StrEnum):
-    """The units that photographs are divided by into map and queries."""
+    """The units by which photographs are divided into map and queries."""
 
     PHOTO = "photo"
     LINE = "line"
@@ -52,18 +52,17 @@ GivenPoses = Annotated[
 PosesFrame = Annotated[
     FrameName | None,
     typer.Option(
-        help="Frame of a reconstruction.json where neither it nor the files beside it tell: "
-        "'topocentric', in metres east and north, as OpenSfM writes, or 'projected', as ODM leaves "
-        "it, which needs odm_georeferencing/coords.txt.",
+        help="Frame of a reconstruction.json that neither it nor the files beside it state: "
+        "'topocentric', metres east and north, as OpenSfM writes, or 'projected', as ODM writes, "
+        "which needs odm_georeferencing/coords.txt.",
     ),
 ]
 AddTo = Annotated[
     Path | None,
     typer.Option(
         metavar="OLD",
-        help="Finished scene to add the photographs to. OLD stays as it is, and SCENE becomes a "
-        "scene of both: the frames of OLD keep their poses, and the new photographs are registered "
-        "in its map.",
+        help="Finished scene to add the photographs to. OLD does not change, and SCENE holds both: "
+        "the frames of OLD keep their poses, and the new photographs are registered in its map.",
     ),
 ]
 ControlList = Annotated[
@@ -71,14 +70,15 @@ ControlList = Annotated[
     typer.Option(
         metavar="FILE",
         help="Ground control points in ODM's format: first line EPSG:n, then lines "
-        "'x y z px py PHOTO NAME'. The report tells their residuals and names wrong points.",
+        "'x y z px py PHOTO NAME'. The report states their residuals and names wrong points.",
     ),
 ]
 CheckPoints = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME",
-        help="Ground control point that is only compared; repeat the option for several.",
+        help="Ground control point to use as a check point, not in the fit; repeat the option for "
+        "several.",
     ),
 ]
 ControlSigma = Annotated[
@@ -114,18 +114,18 @@ def ingest(
     gcp_sigma: ControlSigma = 0.05,
     camera: CameraWords = None,
     size: Annotated[
-        int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
+        int, typer.Option(help="Longer side of photographs in the scene, pixels.", min=64)
     ] = 1600,
     mapper: Annotated[
         MapperName,
-        typer.Option(help="Structure from motion: one photograph after the other, or all at once."),
+        typer.Option(help="Structure from motion: one photograph after another, or all at once."),
     ] = MapperName.INCREMENTAL,
     split: Annotated[
-        SplitBy, typer.Option(help="What queries are: single photographs, flight lines or none.")
+        SplitBy, typer.Option(help="What becomes queries: photographs, flight lines or nothing.")
     ] = SplitBy.PHOTO,
     every: Annotated[
         int,
-        typer.Option(help="One of this many photographs or flight lines becomes a query.", min=2),
+        typer.Option(help="One in this many photographs or flight lines becomes a query.", min=2),
     ] = 4,
     as_json: Json = False,
 ) -> None:
@@ -182,7 +182,7 @@ def export(
     resolution: Annotated[
         float | None,
         typer.Option(
-            help="Pixel of --format ortho, metres.",
+            help="Pixel size of --format ortho, metres.",
             min=0.001,
             max=1000,
             show_default="that of the photographs on the ground",
@@ -219,8 +219,8 @@ def validate(
 ) -> None:
     """Check the conventions and the exactness of a scene or a flight.
 
-    Names every check with its figures, and exits with 2 if one fails. Use it on data that you made
-    or changed, before you trust results on it.
+    Prints every check with its figures, and exits with 2 if one fails. Use it on data that you
+    made or changed, before you trust results on it.
     """
     from benchmark.validation import validate as run
 
@@ -246,22 +246,22 @@ def audit(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the photographs. By default it is looked for where the format has it.",
+            help="Folder of the photographs. By default the usual folders of the format are tried.",
         ),
     ] = None,
     camera: CameraWords = None,
     poses_frame: PosesFrame = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="HTML", help="Page of the verdicts to write.")
+        Path | None, typer.Option(metavar="HTML", help="HTML page of the verdicts to write.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Check the poses of any data set against its photographs, without truth.
+    """Check the poses of any data set against its photographs, without ground truth.
 
-    Says for each property whether it is right, wrong and what it looks like, or cannot be told and
-    why: conventions of poses, focal length, principal point, names, times, scale, positions,
-    heights, and the files themselves. Evidence is what photographs share, their EXIF, and the
-    map's points. Exits with 2 if something is wrong.
+    Reports for each property whether it is right, wrong (and what the fault looks like) or cannot
+    be told (and why): conventions of poses, focal length, principal point, names, times, scale,
+    positions, heights, and the files themselves. The evidence is matches between photographs, their
+    EXIF, and the map's points. Exits with 2 if something is wrong.
     """
     from benchmark.auditing.command import audit as run
 
@@ -272,7 +272,7 @@ def audit(
         out,
         frame=None if poses_frame is None else poses_frame.value,
     )
-    text = "\n\n".join(one.text() for one in audits)
-    emit(Summary(text, {"audits": [one.as_dict() for one in audits]}), as_json)
-    if not all(one.ok for one in audits):
+    text = "\n\n".join(report.text() for report in audits)
+    emit(Summary(text, {"audits": [report.as_dict() for report in audits]}), as_json)
+    if not all(report.ok for report in audits):
         raise typer.Exit(INPUT_AT_FAULT)

@@ -1,4 +1,4 @@
-"""Commands that render: scenes, pictures of all kinds of places, chessboards."""
+"""Commands that render scenes, the sites of a track, and chessboards."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Sessions = Annotated[
         metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
         help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
         "several. FLIGHT is nadir, grid, oblique, corridor, free, street, plan=FILE (a plan of "
-        "QGroundControl) or flown=SCENE (a scene's photographs again). ROLE is map or query; by "
-        "default the first flight builds the map and the others are queries. CHANGE says what has "
-        "changed since the place was built, such as "
+        "QGroundControl) or flown=SCENE (the poses of a scene's photographs). ROLE is map or "
+        "query; by default the first flight builds the map and the others are queries. CHANGE "
+        "changes the site, such as "
         "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
     ),
 ]
@@ -34,12 +34,12 @@ SiteScene = Annotated[
     typer.Option(
         "--from",
         metavar="SCENE",
-        help="Scene with depth, exact or from dense, that the preset site is made of.",
+        help="Scene with depth maps, exact or from dense, to build the preset site from.",
     ),
 ]
 SiteOrthophoto = Annotated[
     Path | None,
-    typer.Option(metavar="TIF", help="Orthophoto that the preset site is made of, with --dsm."),
+    typer.Option(metavar="TIF", help="Orthophoto to build the preset site from; needs --dsm."),
 ]
 SiteSurface = Annotated[
     Path | None, typer.Option(metavar="TIF", help="Surface model of the preset site.")
@@ -48,15 +48,15 @@ SiteClasses = Annotated[
     Path | None,
     typer.Option(
         metavar="TIF",
-        help="Classes of the surface of the preset site; by default they are found.",
+        help="Surface classes of the preset site; by default they are estimated.",
     ),
 ]
 SiteTime = Annotated[
     str | None,
     typer.Option(
         metavar="TIME",
-        help="When the photographs of the preset site were taken, such as 2026-07-01T10:30:00Z: "
-        "shadows in them are softened. By default the time of --from.",
+        help="When the photographs of the preset site were taken, such as 2026-07-01T10:30:00Z, "
+        "to soften the shadows in them. By default the time of --from.",
     ),
 ]
 
@@ -87,7 +87,7 @@ def simulate(
         typer.Option(
             metavar="YAML",
             help="Configuration: a file, or the name of one that comes with objconnect, such as "
-            "demo or uav-sim. The options of this command win over it.",
+            "demo or uav-sim. Options of this command override it.",
         ),
     ] = None,
     jobs: Jobs = 1,
@@ -105,7 +105,7 @@ def simulate(
 ) -> None:
     """Render a scene with exact camera poses.
 
-    An option that is left out takes its value from the configuration file, else its default. An
+    An option that is left out has its value in the configuration file, or else its default. An
     interrupted run goes on where it stopped. Run map on the scene next.
     """
     from objconnect.mapping.build import build_map as build
@@ -117,16 +117,16 @@ def simulate(
 
     check_jobs(jobs, cluster)
     site = {"ortho": ortho, "dsm": dsm, "scene": from_scene, "classes": classes, "taken": taken}
-    sited = {f"site.{name}": value for name, value in site.items()}
-    wanted = SimulateConfig.load(config, settings | sited | {"sessions": session})
+    site_settings = {f"site.{name}": value for name, value in site.items()}
+    chosen = SimulateConfig.load(config, settings | site_settings | {"sessions": session})
     target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
     if target is not None and file_format is not None:
         FORMATS.load(file_format)
         require_empty(target)
-    scene = run(wanted, out, jobs, cluster)
+    scene = run(chosen, out, jobs, cluster)
     text = f"{scene.path}: {', '.join(scene.sessions)}"
     values: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
-    if wanted.site is not None:
+    if chosen.site is not None:
         report = read_json(out / REPORT, SiteReport, "report of the site")
         text = "\n".join((text, report.text()))
         values["site"] = report.model_dump(mode="json")
@@ -148,14 +148,14 @@ def track(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of the scenes, one for each place.")
+        Path, typer.Option(metavar="FOLDER", help="Folder of the scenes, one for each site.")
     ],
     place: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PLACE",
-            help="Place to render, such as park-1; repeat the option for several.",
-            show_default="all places",
+            help="Site to render, such as park-1; repeat the option for several.",
+            show_default="all sites",
         ),
     ] = None,
     jobs: Jobs = 1,
@@ -172,16 +172,16 @@ def track(
         bool,
         typer.Option(
             "--update",
-            help="Record the digests, and how hard each query is, in the folder of --board.",
+            help="Record the digests and the difficulty of each query in the folder of --board.",
         ),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Render and map the places of a track of the leaderboard.
+    """Render and map the sites of a leaderboard track.
 
-    Prints one line a place: its digest, and whether the data set is the one that the leaderboard's
-    results are of. Places with streets are exported to the tree of Extended CMU Seasons too. An
-    interrupted run goes on where it stopped, and a finished place is not rendered again.
+    Prints one line per site: its digest, and whether the data set is the one behind the
+    leaderboard's results. Sites with streets are also exported in the layout of Extended CMU
+    Seasons. An interrupted run goes on where it stopped, and finished sites are not rendered again.
     """
     from benchmark.tracks.command import track as run
     from benchmark.tracks.description import BOARD
@@ -201,7 +201,7 @@ def calibrate(
         typer.Option(
             metavar="YAML",
             help="File of the camera: model, width, height and params, or preset and size. By "
-            "default the camera is that of simulate.",
+            "default the camera of simulate.",
         ),
     ] = None,
     views: Annotated[int, typer.Option(help="Number of chessboard views.", min=4, max=1000)] = 20,
@@ -210,8 +210,8 @@ def calibrate(
 ) -> None:
     """Calibrate the simulated camera from rendered chessboards.
 
-    Prints the calibration beside the true camera. Use it to see that a camera model is rendered as
-    OpenCV understands it.
+    Prints the calibration beside the true camera. Use it to check that a camera model is rendered
+    as OpenCV defines it.
     """
     from objconnect.scene.config import load_config
     from simulate.calibration import calibrate as run

@@ -1,8 +1,7 @@
-"""Words of a command line that are not taken as they were meant.
+"""Detection of words that click would assign to the wrong option or argument.
 
-``--set a=1 b=2`` gives ``--set`` one value, and the command an argument ``b=2``. Where a command
-takes data sets, the second word would be looked for as one. ``--start --out DIR`` gives ``--start``
-the value ``--out``, and the command an argument ``DIR``.
+In ``--set a=1 b=2``, click passes ``b=2`` to the command as an argument, such as a data set. In
+``--start --out DIR``, it takes ``--out`` as the value of ``--start``, and ``DIR`` as an argument.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ _SETTING: Final = re.compile(r"[A-Za-z_][\w.]*=.*", re.DOTALL)
 
 
 def refuse_stray_settings(command: Any, words: Sequence[str]) -> None:
-    """Refuse a word KEY=VALUE that no option takes, in a command that has ``--set``.
+    """Refuse a word KEY=VALUE without its own ``--set``, in a command that has this option.
 
     Args:
         command: a command of click.
-        words: what follows its name.
+        words: the words after its name.
 
     Raises:
         InputError: there is such a word, and no file or folder has its name.
@@ -39,14 +38,14 @@ def refuse_stray_settings(command: Any, words: Sequence[str]) -> None:
 
 
 def refuse_taken_options(command: Any, words: Sequence[str]) -> None:
-    """Refuse an option of a command that another one, which was given no value, takes as its own.
+    """Refuse an option name that click would take as the value of the option before it.
 
     Args:
         command: a command of click.
-        words: what follows its name.
+        words: the words after its name.
 
     Raises:
-        InputError: there is such an option. Behind an equals sign, any value may stand.
+        InputError: there is such a name. A value after an equals sign may be any word.
     """
     options = _options(command)
     following = iter(words)
@@ -75,7 +74,7 @@ def _arguments(options: dict[str, Any], words: Sequence[str]) -> Iterator[str]:
         elif word.startswith("--"):
             name, equals, _ = word.partition("=")
             option = options.get(name)
-            # Whoever parses the line refuses an unknown option; nothing is known of its value.
+            # click refuses an unknown option; whether it takes a value is unknown.
             if option is None:
                 return
             if not equals and not option.is_flag:

@@ -1,9 +1,9 @@
 """Reader of Extended CMU Seasons: the slices whose query poses are public.
 
-The reader takes the download as it is. Its README and public loaders mislead in some points: pose
-files hold the camera's centre, not a translation; the name of each image tells its camera, c0 or
-c1; pose files may be empty; images are distorted, although an example calls them "rect"; the
-reference traversal is that of April 21, 2011, as its timestamps show.
+The reader takes the download as it is. In some points it differs from its README and from public
+loaders: pose files hold the camera's centre, not a translation; the name of each image states its
+camera, c0 or c1; pose files may be empty; images are distorted, although an example calls them
+"rect"; the reference traversal is that of April 21, 2011, as its timestamps show.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Slice:
     cameras: Mapping[str, Camera]
 
     def camera(self, name: str) -> Camera:
-        """Return the camera that took an image; the image's name tells it."""
+        """Return the camera that the name of an image states."""
         return self.cameras[ImageName.parse(name).camera]
 
 
@@ -131,7 +131,7 @@ def open_slices(path: Path) -> list[Slice]:
 
 
 def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
-    """Return the folders of the slices that a path means, and the two cameras."""
+    """Return the folders of the slices at a path, and the two cameras."""
     root = path.resolve()
     chosen = _slices(root)
     if _SLICE.fullmatch(root.name):
@@ -175,7 +175,7 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
         return None
     for name in references:
         if not (folder / "query" / name).is_file():
-            raise InputError(f"image {folder / 'query' / name} does not exist, but has a pose")
+            raise InputError(f"{folder / 'query' / name} does not exist, but {listed} has its pose")
     sparse_map = read_model(folder / "sparse")
     queries = tuple(
         BenchmarkQuery(
@@ -203,6 +203,6 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
 
 
 def _track(root: Path) -> str:
-    """Return the track, which tells simulated photographs from the data set's own."""
+    """Return the track: simulated photographs, or those of the data set itself."""
     simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
     return SIMULATED_TRACK if simulated else TRACK

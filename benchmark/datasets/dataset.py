@@ -86,7 +86,7 @@ class Dataset:
     queries: tuple[BenchmarkQuery, ...]
 
     def __post_init__(self) -> None:
-        """Check that every name can stand in a results file.
+        """Check that a results file can hold every name.
 
         Raises:
             InputError: a name is not UTF-8.

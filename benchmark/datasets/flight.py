@@ -161,13 +161,13 @@ def _conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, st
     require_same_case(table, conditions, photographs)
     for name in photographs:
         if name not in conditions:
-            raise InputError(f"{table} does not tell the condition of {name}: add a row for it")
+            raise InputError(f"{table} has no condition for {name}: add a row for it")
     return conditions
 
 
 def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
-    """Return the starting information by photograph; it is empty where the flight has none."""
-    # A link to a file that does not exist is an error, too: somebody meant it to be read.
+    """Return the prior of each photograph that has one."""
+    # lexists: a broken link is an error, because somebody meant the file to be read.
     if os.path.lexists(path / "priors.csv"):
         stated = read_priors(path / "priors.csv")
         require_same_case(path / "priors.csv", stated.rows, photographs)
@@ -182,7 +182,7 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
 
 
 def _assume_sigmas(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> AssumedSigmas:
-    """Return the standard deviations of priors whose table states none."""
+    """Return the standard deviations to assume for priors whose table states none."""
     if stated.states_all_sigmas:
         return AssumedSigmas()
     sigma = gps_sigma(stated.positions(frame, sparse_map.images), sparse_map)
@@ -194,8 +194,8 @@ def gps_sigma(
 ) -> NDArray[np.float64] | None:
     """Measure the accuracy of GPS on the map's photographs.
 
-    The table states no accuracy. The queries take no part, because their poses are the answer. A
-    constant offset counts, because a localizer cannot remove it either.
+    The queries are not used, because their poses are the answer. A constant offset counts as error,
+    because a localizer cannot remove it either.
 
     Args:
         fixes: (3,) east, north, up in metres by photograph.

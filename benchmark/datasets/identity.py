@@ -1,7 +1,8 @@
-"""The identity of a data set: digests of its bytes on disk and of what is known of each query.
+"""Digests that identify a data set: of its files, and of the poses and priors of its queries.
 
-The digests cover the photographs of the queries and of the map, and the files of the map. None is
-taken from a manifest. Names are relative, so that a copy in another folder is the same data set.
+The digests cover the photographs of the queries and of the map, and the files of the map. All are
+computed from the bytes on disk, not taken from a manifest. Names are relative, so that a copy in
+another folder is the same data set.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ def parts_of(
     parts = {f"map file {name}": of for name, of in digests_in(model, MODEL_FILES).items()}
     photographs = digests_in(images, sorted(map_names), _MISSING)
     parts |= {f"map photograph {name}": of for name, of in photographs.items()}
-    asked = digests(query.image for query in queries)
-    for query, photograph in zip(queries, asked, strict=True):
+    query_digests = digests(query.image for query in queries)
+    for query, photograph in zip(queries, query_digests, strict=True):
         parts[f"query photograph {query.name}"] = photograph
-        parts[f"condition, camera, prior or reference pose of {query.name}"] = _prior_digest(query)
+        parts[f"condition, camera, prior or reference pose of {query.name}"] = _digest_values(query)
     return parts
 
 
@@ -58,7 +59,7 @@ def changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
 
 
 def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
-    """Make sure that a data set is still the one that was opened.
+    """Refuse a data set that has changed since it was opened.
 
     Args:
         dataset: as it was opened.
@@ -72,26 +73,26 @@ def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
         raise InputError(f"the data set {dataset.name} was changed during the run: {changed}")
 
 
-def _prior_digest(query: BenchmarkQuery) -> str:
-    """Return the digest of what is known of a query besides its photograph.
+def _digest_values(query: BenchmarkQuery) -> str:
+    """Return the digest of a query's condition, camera, prior and reference pose.
 
-    Numbers are rounded to nanometres, because their last bits depend on the processor.
+    Numbers are rounded to nine decimals, because their last bits depend on the processor.
     """
     reference, prior = query.reference, query.prior
-    told: list[list[float] | None] = [
+    values: list[list[float] | None] = [
         reference.rotation.flatten().tolist(),
         reference.translation.tolist(),
     ]
     if prior is not None:
         sigma, attitude = prior.position_sigma, prior.cam_from_world_rotation
-        told += [
+        values += [
             prior.position.tolist(),
             None if sigma is None else sigma.tolist(),
             None if attitude is None else attitude.ravel().tolist(),
             None if prior.attitude_sigma_deg is None else [prior.attitude_sigma_deg],
         ]
         if prior.heading_sigma_deg is not None:
-            told.append([prior.heading_sigma_deg])
-    numbers = [None if some is None else [f"{x + 0.0:.9f}" for x in some] for some in told]
+            values.append([prior.heading_sigma_deg])
+    numbers = [None if row is None else [f"{x + 0.0:.9f}" for x in row] for row in values]
     words = [query.name, query.condition, str(query.camera), numbers]
     return sha256(json.dumps(words))

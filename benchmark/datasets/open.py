@@ -47,7 +47,7 @@ READERS: Final[Registry[Reader]] = Registry(
         "cmu": Lazy("benchmark.datasets.cmu:READER"),
         "flight": Lazy("benchmark.datasets.flight:READER"),
     },
-    accepts=lambda found: isinstance(found, Reader),
+    accepts=lambda reader: isinstance(reader, Reader),
 )
 
 

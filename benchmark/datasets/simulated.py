@@ -1,6 +1,6 @@
 """Reader of scenes.
 
-Simulated scenes have exact reference poses and many conditions over one ground. Scenes of real
+Simulated scenes have exact reference poses and show one site under many conditions. Scenes of real
 photographs have reference poses from structure from motion.
 """
 
@@ -88,7 +88,7 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
 
 
 def _prior(frames: Frames, row: int, what: str) -> Prior | None:
-    """Return what was measured of a frame, or None when its position was not.
+    """Return the measured position and attitude of a frame, or None without a position.
 
     Raises:
         InputError: the attitude is not a rotation, or the position is not finite; ``what`` names

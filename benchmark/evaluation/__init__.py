@@ -1,1 +1,1 @@
-"""Localizers are run on data sets, and poses of other programs are scored."""
+"""Evaluation of localizers on data sets, and of the poses of other programs."""

@@ -1,4 +1,4 @@
-"""The basin of convergence of a method: its recall against the error of the prior.
+"""The command ``basin``, which measures the recall of a method against the error of the prior.
 
 Every query is localized once for each size of error. Its prior is the reference pose, shifted by
 exactly this many metres and rotated by exactly this many degrees. The directions are drawn from the
@@ -7,8 +7,8 @@ states the size of its error as its standard deviation.
 
 Methods use the prior in different ways. A refiner starts its optimization there. ``sift`` matches
 the map photographs nearest to it and, with ``use_gnss``, weighs its position in the refinement. It
-needs no starting pose, so its recall falls only where the nearest photographs no longer show the
-ground that the query shows.
+needs no initial pose, so its recall falls only if the nearest photographs no longer show the ground
+that the query shows.
 """
 
 from __future__ import annotations
@@ -125,18 +125,22 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
     """Read sizes of error, written like ``1m/2deg,3m/5deg``.
 
     Raises:
-        InputError: the text is written otherwise, or lists a size twice or one that is too large.
+        InputError: the text has another form, or a size is listed twice or too large.
     """
     sizes = []
     for word in text.split(","):
         match = _SIZE.fullmatch(word.strip())
         if match is None:
-            raise InputError(f"errors are listed as 1m/2deg,3m/5deg; got {word.strip()!r}")
+            raise InputError(f"write errors as 1m/2deg,3m/5deg; got {word.strip()!r}")
         size = Size(float(match.group(1)), float(match.group(2)))
         if size.metres > FARTHEST_M:
-            raise InputError(f"a position cannot be wrong by {size.metres:g} metres")
+            raise InputError(
+                f"a position error is at most {FARTHEST_M:g} metres; got {size.metres:g} metres"
+            )
         if size.degrees > 180:
-            raise InputError(f"an attitude cannot be wrong by {size.degrees:g} degrees")
+            raise InputError(
+                f"an attitude error is at most 180 degrees; got {size.degrees:g} degrees"
+            )
         if size in sizes:
             raise InputError(f"the error {size} is listed twice")
         sizes.append(size)

@@ -42,13 +42,12 @@ def evaluate(
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
-    Two files are written beside it: ``<method>-query.png``, which shows the map drawn into the
-    query of median error, and ``album.h5``, which holds what the leaderboard's page shows of each
-    query. Where a method raises an exception on a query, it has failed on that query, and the run
-    goes on. Finished queries are kept in a hidden journal until the run ends, so that an
-    interrupted run goes on where it stopped. Queries that were finished on another version of the
-    data set are not reused, and a warning names what changed. If the data set changes during the
-    run, no results are written.
+    Two files are written beside it: ``<method>-query.png``, the map drawn into the query of median
+    error, and ``album.h5``, the pictures of each query for the leaderboard's page. If a method
+    raises an exception on a query, that query counts as failed and the run goes on. A hidden
+    journal keeps finished queries, so that an interrupted run goes on where it stopped. Queries
+    that were finished on another version of the data set are not reused, and a warning names what
+    changed. If the data set changes during the run, no results are written.
 
     Args:
         dataset: data set to run on.
@@ -60,8 +59,8 @@ def evaluate(
             at work.
         cluster: address of a cluster whose cores localize the queries instead; see
             ``worker_pool``. Its nodes must see the data set and the cache under the same paths as
-            this process. The seconds of preparation are then those of the first worker, with its
-            own start; the peak memory is that of the largest worker.
+            this process. The preparation time is then that of the first worker, including its
+            launch; the peak memory is that of the largest worker.
 
     Returns:
         The results that were written.
@@ -122,7 +121,7 @@ def _earlier(target: Path, dataset: DatasetId, method: Method, start: Start) -> 
     other += ["other options or weights"] if earlier.method != method else []
     if other and earlier.dataset == dataset:
         log.warning(
-            "%s will be replaced, which holds results of %s: choose another --out to keep both",
+            "%s holds results of %s and will be replaced: choose another --out to keep both",
             target,
             " and ".join(other),
         )
@@ -192,7 +191,7 @@ def _available_start(start: Start, dataset: Dataset) -> Start:
 
 
 def _key(method: Method, dataset: Dataset, start: Start) -> str:
-    """Return the digest of everything that decides the results of a run."""
+    """Return the digest of everything that determines the results of a run."""
     environment = Environment.current().model_dump_json()
     return digest_of(method.model_dump_json(), dataset.sha256, start.name, environment)
 

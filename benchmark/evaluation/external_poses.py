@@ -1,4 +1,4 @@
-"""The command ``score``, which scores poses that another program found."""
+"""The command ``score``, which scores the poses that another program estimated."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def score(
     """
     require_name(method, "method")
     if f"{method}.json".endswith(BASIN):
-        raise InputError(f"method {method!r}: files that end in {BASIN} are of basins")
+        raise InputError(f"method {method!r}: the ending {BASIN} is reserved for basin files")
     starting_information = parse_start(start)
     pose_of = read_poses(poses)
     digest = sha256_of(poses)
     unused = set(pose_of)
     results: dict[Path, Results] = {}
     for dataset in datasets:
-        names = _name_in_file(pose_of, dataset, poses)
+        names = _match_names(pose_of, dataset, poses)
         if not names:
             continue
         unused -= set(names.values())
@@ -72,27 +72,28 @@ def score(
         )
     if unused:
         raise InputError(
-            f"{poses}: {len(unused)} poses are of no query of the reference, such as {min(unused)}"
+            f"{poses}: {len(unused)} poses belong to no query of the data sets, such as "
+            f"{min(unused)}"
         )
     if not results:
-        raise InputError(f"{poses} holds no pose")
+        raise InputError(f"{poses} contains no pose")
     for target, scores in results.items():
         scores.write(target)
     return list(results)
 
 
-def _name_in_file(posed: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
+def _match_names(in_file: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
     """Return the name in the file by the name of the query, for queries that have a line."""
     short: dict[str, list[str]] = {}
     for query in dataset.queries:
         short.setdefault(Path(query.name).name, []).append(query.name)
     names: dict[str, str] = {}
     whole = {query.name for query in dataset.queries}
-    for name in posed:
+    for name in in_file:
         matching = [name] if name in whole else short.get(name, [])
         if len(matching) > 1:
             raise InputError(
-                f"{poses}: {name} may be {matching[0]} or {matching[1]}; write whole names"
+                f"{poses}: {name} may be {matching[0]} or {matching[1]}; write the full names"
             )
         for match in matching:
             if match in names:

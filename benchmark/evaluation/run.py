@@ -1,4 +1,4 @@
-"""A run of a method over the queries of a data set: in threads of this process or on a cluster."""
+"""A run of a method on the queries of a data set, in threads of this process or on a cluster."""
 
 from __future__ import annotations
 
@@ -23,26 +23,27 @@ from objconnect.scene.runtime.cluster import WorkerPool, split_work, worker_pool
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak
 from objconnect.scene.storage.scratch import cache_or_scratch, scratch
 
-# The greatest number of queries that a worker of a cluster is handed at once.
+# Largest number of queries that a worker of a cluster gets at once.
 _MOST_QUERIES_AT_ONCE = 16
-# Photographs of the map that a worker prepares at once.
+# Number of map photographs that a worker prepares at once.
 _FEWEST_PREPARED, _MOST_PREPARED = 8, 64
-# Work without a query: a worker that is handed it only prepares the method.
+# Work without a query: a worker only prepares the method.
 _ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 
 Scored = tuple[QueryResult, float | None]
 """The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
 Keep = Callable[[QueryResult], None]
-"""Keeps the result of a query. Threads call it: no signal parts an answer from its keeping."""
+"""Stores the result of a query. Worker threads call it, so that no signal interrupts between
+localizing a query and storing its result."""
 Unit = Sequence[BenchmarkQuery] | MapPart
-"""What a worker of a cluster is handed: queries to localize, or a part of the map to prepare."""
+"""Work for a worker of a cluster: queries to localize, or a part of the map to prepare."""
 LocalizeAll = Callable[[Sequence[BenchmarkQuery], Keep], Generator[float | None, None, None]]
 
 
 class Run:
-    """A method that is prepared on the map of a data set and localizes its queries.
+    """A method on a data set: prepares the map and localizes queries.
 
-    An unprepared run can be pickled, so that the workers of a cluster prepare one each.
+    An unprepared run can be pickled, so that each worker of a cluster prepares its own.
     """
 
     def __init__(
@@ -60,8 +61,8 @@ class Run:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle an unprepared run.
 
-        A localizer of the registry is pickled as its name and configuration, because objects of
-        libraries inside it cannot be pickled.
+        A registered localizer is pickled as its name and configuration, because it may hold objects
+        of libraries that cannot be pickled.
         """
         localizer: Any = self._localizer
         if localizer.name in method_names():
@@ -73,7 +74,7 @@ class Run:
 
     @cached_property
     def sparse_map(self) -> SparseMap:
-        """Return the map of the data set."""
+        """The map of the data set."""
         return self._dataset.load_map()
 
     def prepare(self) -> float:
@@ -84,9 +85,9 @@ class Run:
         with cache_or_scratch(self._cache, self._scratch) as cache:
             began = perf_counter()
             self._localizer.prepare(sparse_map, self._dataset.images, cache)
-            took = perf_counter() - began
+            seconds = perf_counter() - began
             self._load = self._start.loader(self._dataset, sparse_map, cache)
-        return took
+        return seconds
 
     def localize(self, query: BenchmarkQuery) -> Scored:
         """Localize a query and score its pose."""
@@ -98,8 +99,8 @@ class Run:
         return score_query(query, estimate, self.sparse_map, seconds), peak_megabytes()
 
     def __call__(self, unit: Unit) -> Iterator[Scored]:
-        """Localize queries in a worker, which prepares the method before its first queries; or
-        compute what the cache is to hold of a part of the map, which yields nothing."""
+        """Localize queries in a worker, after preparing the method once; or compute the cache of a
+        part of the map and yield nothing."""
         if isinstance(unit, MapPart):
             assert isinstance(self._localizer, PreparesParts) and self._cache is not None
             images = self._dataset.images
@@ -111,15 +112,17 @@ class Run:
 
     @contextmanager
     def parts(self, cores: int) -> Iterator[Sequence[MapPart]]:
-        """Divide the preparation among the cores of a cluster, where the method can be prepared in
-        parts; their files are there while the block runs, which prepares the whole."""
+        """Divide the preparation among the cores of a cluster, if the method supports parts.
+
+        The files of the parts exist while the block runs; it prepares the whole map from them.
+        """
         if self._cache is None or not isinstance(self._localizer, PreparesParts):
             yield []
             return
         names = self.sparse_map.names
         with scratch(self._cache) as folder:
-            some = split_work(names, cores, _FEWEST_PREPARED, _MOST_PREPARED)
-            yield [MapPart(part, folder.absolute()) for part in some]
+            parts = split_work(names, cores, _FEWEST_PREPARED, _MOST_PREPARED)
+            yield [MapPart(part, folder.absolute()) for part in parts]
 
 
 def _create_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> Run:
@@ -131,17 +134,17 @@ def prepare_method(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[f
     """Prepare the method here or on a cluster.
 
     Yields:
-        The seconds that preparing took, and a function that localizes queries in threads of this
-        process or on the cluster, keeps each result, and yields the peak memory of its process.
+        The preparation time in seconds, and a function that localizes queries, stores each result,
+        and yields the peak memory of the process that localized it.
     """
     if cluster is None:
-        yield run.prepare(), lambda queries, keep: _in_threads(run, queries, jobs, keep)
+        yield run.prepare(), lambda queries, keep: _localize_in_threads(run, queries, jobs, keep)
         return
     with worker_pool(cluster, run) as workers:
-        yield _prepare_workers(run, workers), partial(_on_cluster, workers)
+        yield _prepare_workers(run, workers), partial(_localize_on_cluster, workers)
 
 
-def _on_cluster(
+def _localize_on_cluster(
     workers: WorkerPool[Unit, Scored],
     queries: Sequence[BenchmarkQuery],
     keep: Keep,
@@ -154,9 +157,9 @@ def _on_cluster(
 
 
 def _prepare_workers(run: Run, workers: WorkerPool[Unit, Scored]) -> float:
-    """Let all workers prepare the map in parts and one of them the whole, and return the seconds.
+    """Prepare the map in parts on all workers, then whole on one; return the time in seconds.
 
-    This fills the cache, which the other workers then read instead of preparing all at once.
+    This fills the cache, so that the other workers read it instead of preparing the same again.
     """
     began = perf_counter()
     with run.parts(workers.cores) as parts:
@@ -165,10 +168,10 @@ def _prepare_workers(run: Run, workers: WorkerPool[Unit, Scored]) -> float:
     return perf_counter() - began
 
 
-def _in_threads(
+def _localize_in_threads(
     run: Run, queries: Sequence[BenchmarkQuery], jobs: int, keep: Keep
 ) -> Generator[float | None, None, None]:
-    """Localize queries in threads, and yield the peak memory as soon as a result is kept."""
+    """Localize queries in threads, and yield the peak memory whenever a result is stored."""
     failed = Event()
 
     def localize(query: BenchmarkQuery) -> float | None:
@@ -188,7 +191,7 @@ def _in_threads(
             waiting = set(order)
             while waiting:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                # Of several errors at once, the one of the earliest query ends the run.
+                # If several queries raise at once, the error of the first query is raised.
                 for future in sorted(done, key=order.__getitem__):
                     yield future.result()
         except BaseException:

@@ -1,8 +1,6 @@
-"""One query: localized whatever the method does, and compared with its reference pose."""
+"""Comparison of the estimate of one query with its reference pose."""
 
 from __future__ import annotations
-
-import logging
 
 import torch
 
@@ -13,8 +11,6 @@ from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.localizer import Estimate, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.answers import pose_of
-
-log = logging.getLogger(__name__)
 
 
 def score_query(
@@ -33,7 +29,7 @@ def score_query(
     if pose is not None:
         pose = pose.to(dtype=torch.float64, device=torch.device("cpu"))
         numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())
-        # The pose is scored as it is written to the file, so that the figures can be recomputed.
+        # The pose is scored as the file stores it, so that the figures can be recomputed.
         metres, degrees = pose_of(numbers).error_to(query.reference)
         t_err, r_err = float(metres), float(degrees)
         nees = compute_nees(pose_of(numbers), query.reference, estimate.covariance)

@@ -1,6 +1,6 @@
 """Starting information: what a method is told about a query besides its image.
 
-Results record it, and methods are compared only where it is the same.
+Results record it, and methods are compared only with the same starting information.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _GRAVITY: Final = re.compile(r"gravity(?:=([0-9.]+)deg)?")
 _GPS: Final = re.compile(r"gps=([0-9.]+)m")
 _TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
 _USUAL_TOP: Final = 10
-# What a gimbal knows of its tilt.
+# Usual error of a gimbal's tilt.
 _USUAL_TILT_DEG: Final = 3.0
 # No rotation has a larger angle.
 _MOST_DEG: Final = 180.0
@@ -96,7 +96,7 @@ class Start:
                 position_prior(query.reference, query.name, self.metres)
             )
         if self.kind == "retrieval":
-            similar = _similar(dataset, sparse_map, self.top, cache)
+            similar = _create_retriever(dataset, sparse_map, self.top, cache)
             return lambda query: query.load(references=similar(query))
         if self.kind == "pairs":
             self._check_pairs(dataset, sparse_map)
@@ -125,7 +125,7 @@ def parse_start(text: str) -> Start:
     A pair list is hloc's: lines "query reference".
 
     Raises:
-        InputError: the text is none of these, or the pair list cannot be read.
+        InputError: the text has another form, or the pair list cannot be read.
     """
     if text in ("prior", "none"):
         return PRIOR if text == "prior" else NONE
@@ -133,29 +133,29 @@ def parse_start(text: str) -> Start:
         top = int(match.group(1) or _USUAL_TOP)
         return Start(f"retrieval={top}", "retrieval", top=top)
     if match := _ERROR.fullmatch(text):
-        metres, degrees = _size(text, match.group(1)), _size(text, match.group(2))
+        metres, degrees = _parse_size(text, match.group(1)), _parse_size(text, match.group(2))
         name = f"error={_format_size(metres)}m,{_format_size(degrees)}deg"
         return Start(name, "error", metres=metres, degrees=degrees)
     if match := _GRAVITY.fullmatch(text):
-        degrees = _size(text, match.group(1) or str(_USUAL_TILT_DEG))
+        degrees = _parse_size(text, match.group(1) or str(_USUAL_TILT_DEG))
         return Start(f"gravity={_format_size(degrees)}deg", "gravity", degrees=degrees)
     if match := _GPS.fullmatch(text):
-        metres = _size(text, match.group(1))
+        metres = _parse_size(text, match.group(1))
         return Start(f"gps={_format_size(metres)}m", "gps", metres=metres)
     if text.startswith("pairs="):
-        return _pairs(Path(text.removeprefix("pairs=")))
+        return _read_pair_list(Path(text.removeprefix("pairs=")))
     raise InputError(
         f"unknown start {text!r}: prior, none, retrieval[=K], pairs=FILE, error=3m,5deg, "
         "gravity[=3deg] or gps=50m"
     )
 
 
-def _size(text: str, number: str) -> float:
+def _parse_size(text: str, number: str) -> float:
     """Return a number of metres or degrees of a start."""
     try:
         size = float(number)
     except ValueError:
-        raise InputError(f"start {text!r}: not a number of metres and degrees") from None
+        raise InputError(f"start {text!r}: {number!r} is not a number") from None
     if size > FARTHEST_M or (f"{number}deg" in text and size > _MOST_DEG):
         raise InputError(
             f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} degrees"
@@ -164,17 +164,17 @@ def _size(text: str, number: str) -> float:
 
 
 def _format_size(size: float) -> str:
-    """Return a number as it can be read again: 1e+06 could not."""
+    """Return a number without an exponent, which ``parse_start`` cannot read."""
     return np.format_float_positional(size, trim="-")
 
 
 def _generator(name: str) -> np.random.Generator:
-    """Return random numbers that the name of a query decides."""
+    """Return a random generator seeded with the name of a query."""
     return np.random.default_rng(int.from_bytes(bytes.fromhex(sha256(name))[:8], "little"))
 
 
 def tilt_prior(reference: Pose, name: str, degrees: float) -> Prior:
-    """Return a prior that knows gravity alone, as a gimbal without a compass does.
+    """Return a prior of gravity alone, such as that of a gimbal without a compass.
 
     Args:
         reference: true pose ``cam_from_world``, float64.
@@ -196,7 +196,7 @@ def tilt_prior(reference: Pose, name: str, degrees: float) -> Prior:
 
 
 def position_prior(reference: Pose, name: str, metres: float) -> Prior:
-    """Return a prior that knows the position alone.
+    """Return a prior of the position alone, with an error of exactly this size.
 
     Args:
         reference: true pose ``cam_from_world``, float64.
@@ -208,10 +208,9 @@ def position_prior(reference: Pose, name: str, metres: float) -> Prior:
 
 
 def move_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
-    """Return a prior with an error of exactly this size, in directions that the name decides.
+    """Return a prior with an error of exactly this size.
 
-    Its stated standard deviations are those of the error: per axis of the position, and of the
-    attitude.
+    Its standard deviations match the error: per axis of the position, and of the attitude.
 
     Args:
         reference: true pose ``cam_from_world``, float64.
@@ -229,12 +228,12 @@ def move_prior(reference: Pose, name: str, metres: float, degrees: float) -> Pri
     )
 
 
-def _similar(
+def _create_retriever(
     dataset: Dataset, sparse_map: SparseMap, top: int, cache: Path | None
 ) -> Callable[[BenchmarkQuery], tuple[str, ...]]:
-    """Return the function that retrieves the ``top`` map photographs most like a query.
+    """Return a function that retrieves the ``top`` map photographs most similar to a query.
 
-    It compares VLAD descriptors of SIFT features, and is the same for every method.
+    It compares VLAD descriptors of SIFT features and is the same for every method.
     """
     sift = Sift(SiftConfig().max_features)
     with open_cache(sparse_map, dataset.images, cache) as kept:
@@ -253,7 +252,7 @@ def _similar(
     return similar
 
 
-def _pairs(path: Path) -> Start:
+def _read_pair_list(path: Path) -> Start:
     """Return the start of a pair list, named by the digest of the file."""
     pairs = read_pairs(path)
     digest = sha256(read_text(path, "pair list"))

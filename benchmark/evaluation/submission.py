@@ -32,8 +32,8 @@ def submit(
 
     Its lines are ``name qw qx qy qz tx ty tz`` for the images of all slices, with names without a
     folder. The translation is that of the pose from world to camera, although the data set's own
-    files hold camera centres. Images that were not found are left out, as the server asks. Finished
-    slices are kept in ``OUT/slices``, and an interrupted run goes on after them.
+    files hold camera centres. Images that were not localized are left out, as the server requires.
+    Finished slices are kept in ``OUT/slices``, and an interrupted run goes on after them.
 
     Args:
         path: folder of the data set, or of one of its slices.
@@ -42,7 +42,7 @@ def submit(
         cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
 
     Returns:
-        The number of images that were found, and the number of all images.
+        The number of localized images, and the number of all images.
 
     Raises:
         InputError: a file of the data set is missing or damaged, two slices share an image name, or
@@ -53,10 +53,10 @@ def submit(
     finished = [out / "slices" / f"{part.folder.name}.txt" for part in chosen]
     check_outputs([*(OutputFile(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
     if (out / SUBMISSION).exists() and not any(file.is_file() for file in finished):
-        # A submission can hold nothing but poses, so no mark in it tells who wrote it.
+        # A submission holds only poses, so nothing in it tells which program wrote it.
         raise WriteError(
-            f"cannot write {out / SUBMISSION}: it stands there without the slices of an earlier "
-            "run: choose another --out"
+            f"cannot write {out / SUBMISSION}: it exists without the slices of an earlier run, so "
+            "another program may have written it: choose another --out"
         )
     seen: dict[str, Slice] = {}
     for part in chosen:

@@ -1,10 +1,10 @@
-"""From what is seen in a twin to the probability of a fix: pooled evidence and a logistic model.
+"""Probability of a fix from views of a twin: pooled evidence and a logistic model.
 
-A twin is not the site, and rendered snow is not the next winter's: the share of views that are
-found is no probability yet. A small logistic model turns the evidence around a waypoint into one.
-Its parameters were fitted to training towns, whose true winters are known
-(``experiments.forecast``). It is drawn towards the smoothed share itself, which is also what
-methods without a calibration get.
+A twin is not the site, and rendered snow is not the next winter's snow, so that the share of
+localized views is not yet a probability. A small logistic model turns the evidence around a
+waypoint into one. Its parameters were fitted to training towns, whose true winters are known
+(``experiments.forecast``), and regularized towards the smoothed share itself, which is the
+probability for methods without a calibration.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ Array = NDArray[np.float64]
 FEATURES: Final = ("constant", "logit of the share found", "log of inliers", "log of points")
 _PRIOR: Final = np.array([0.0, 1.0, 0.0, 0.0])  # the smoothed share itself
 _CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])  # usual values, so that the constant is small
-_RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])  # how strongly the fit is drawn to the prior
+_RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])  # strength of the ridge penalty towards the prior
 _STEPS: Final = 50
-_ADDED: Final = 0.5  # found and not found are each seen half a time more than they were
-# The false-fix risk is the pooled share, drawn to the usual one as by so many views.
+_ADDED: Final = 0.5  # pseudo-counts of localized and of failed views
+# Pseudo-count of views with the usual false-fix share, in the false-fix risk.
 _USUAL_VIEWS: Final = 6.0
 # Views of a neighbour at this distance (m) count 61 % of a waypoint's own: one sigma.
 _POOL_M: Final = 20.0
 
 
 class Calibration(Record):
-    """What was learned of a method from training towns.
+    """The calibration of a method, fitted on training towns.
 
     Attributes:
-        weights: of ``FEATURES``.
+        weights: weights of ``FEATURES``.
         across_scale: factor of predicted horizontal standard deviations.
         up_scale: factor of predicted vertical ones.
         false_share: share of the true queries that were false fixes.
-        queries: number of true queries it was fitted to; 0 for none.
+        queries: number of true queries that it was fitted to; 0 without a calibration.
         source: the training towns.
     """
 
@@ -58,7 +58,7 @@ UNCALIBRATED: Final = Calibration(weights=(0.0, 1.0, 0.0, 0.0))
 
 
 class Evidence(NamedTuple):
-    """What the views at and around each of N waypoints show in one season.
+    """The pooled results of the views around each of N waypoints in one season.
 
     Attributes:
         views: sum of the weights of views, (N,).
@@ -81,7 +81,7 @@ class Evidence(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """The numbers of one view that evidence is pooled from; sigmas are NaN without a fix."""
+    """The result of one view, from which evidence is pooled; sigmas are NaN without a fix."""
 
     waypoint: int
     fix: bool
@@ -95,16 +95,16 @@ class Seen(NamedTuple):
 def pool(seen: Sequence[Seen], centres: Array) -> Evidence:
     """Pool the views of one season over neighbouring waypoints.
 
-    A view counts by a normal curve of the distance between its waypoint and the one that is asked
-    for, whose standard deviation is 20 m.
+    The weight of a view is a Gaussian of the distance between its waypoint and the pooled one, with
+    a standard deviation of 20 m.
 
     Args:
         seen: the views.
         centres: positions of all waypoints, (N, 3) metres.
     """
     at = np.array([view.waypoint for view in seen])
-    apart = np.linalg.norm(centres[:, None] - centres[at][None], axis=-1)
-    weight = np.exp(-0.5 * np.square(apart / _POOL_M))  # (N, views)
+    distance = np.linalg.norm(centres[:, None] - centres[at][None], axis=-1)
+    weight = np.exp(-0.5 * np.square(distance / _POOL_M))  # (N, views)
     fix = np.array([view.fix for view in seen], float)
 
     def mean(values: Array, counts: Array) -> Array:
@@ -132,7 +132,7 @@ def pool(seen: Sequence[Seen], centres: Array) -> Evidence:
 
 
 def features(evidence: Evidence) -> Array:
-    """Return the numbers (N, 4) that the probability is computed from, see ``FEATURES``."""
+    """Return the features (N, 4) of the logistic model, see ``FEATURES``."""
     share = (evidence.found + _ADDED) / (evidence.views + 2 * _ADDED)
     columns = (np.ones(len(share)), np.log(share / (1 - share)), evidence.inliers, evidence.points)
     return np.asarray(np.stack(columns, -1) - _CENTRE)
@@ -150,10 +150,10 @@ def false_risk(evidence: Evidence, calibration: Calibration) -> Array:
 
 
 def fit(rows: Array, happened: NDArray[np.bool_]) -> tuple[float, float, float, float]:
-    """Return the weights of the features (M, 4) that explain best what happened (M,).
+    """Return the weights of the features (M, 4) that best predict whether a fix happened (M,).
 
-    They minimize the logarithmic loss plus a quadratic penalty on what differs from the smoothed
-    share (Newton's method).
+    They minimize the logarithmic loss plus a quadratic penalty on the difference from the smoothed
+    share, by Newton's method.
     """
     weights = _PRIOR.copy()
     truth = happened.astype(float)
@@ -168,7 +168,7 @@ def fit(rows: Array, happened: NDArray[np.bool_]) -> tuple[float, float, float, 
 
 
 def calibration_of(method: str, wanted: bool = True) -> Calibration:
-    """Return the calibration of a method, or that of none where there is none or none is wanted."""
+    """Return the calibration of a method; ``UNCALIBRATED`` if there is none or none is wanted."""
     return _load_shipped().get(method, UNCALIBRATED) if wanted else UNCALIBRATED
 
 

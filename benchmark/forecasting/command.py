@@ -1,4 +1,4 @@
-"""The command ``forecast``: where along a flight a method will find fixes, by season."""
+"""The command ``forecast``, which predicts where along a flight a method finds fixes, by season."""
 
 from __future__ import annotations
 
@@ -55,32 +55,32 @@ def forecast(
 
     Views of the site's twin are rendered at every waypoint in every season into ``OUT/views``, and
     are localized in the map of the scene. An interrupted run goes on where it stopped, and a second
-    method uses the views again.
+    method reuses the views.
 
     Args:
-        scene: scene with its map; without ``twin`` its map's photographs have depth.
+        scene: scene with its map; without ``twin`` the map's photographs need depth maps.
         flight: "plan=FILE" (a plan of QGroundControl), or a flight of ``simulate``, as "nadir".
         localizer: method to run.
         out: folder of the forecast.
         config: options.
-        twin: finished twin of the site; None makes one of the scene.
+        twin: finished twin of the site; None builds one from the scene.
         cache: folder for what the method keeps per map; None for a scratch folder.
         jobs: number of rendering processes.
 
     Raises:
         InputError: the scene has no map, the flight lies outside it or has no waypoints, the twin
-            is of another place, or ``out`` cannot be written.
+            is of another site, or ``out`` cannot be written.
     """
     opened = Scene.open(scene)
     start_of(config.start)
     sparse_map = opened.sparse_map()
-    other = None if twin is None else Scene.open(twin)
-    views = views_config(opened, sparse_map, flight, config, other)
-    _check_place(out, scene, twin)
+    opened_twin = None if twin is None else Scene.open(twin)
+    views = views_config(opened, sparse_map, flight, config, opened_twin)
+    _check_outputs(out, scene, twin)
     with scratch(cache):
-        pass  # the cache can be written, before an hour of rendering
+        pass  # fails if the cache cannot be written, before an hour of rendering
     with write_lock(out):
-        remove_partial(out)  # what a run that was killed left
+        remove_partial(out)  # leftovers of a killed run
         rendered = simulate(views, out / VIEWS, jobs, twin=twin)
         with cache_or_scratch(cache, out) as kept:
             observations = observe(opened, rendered, localizer, config, kept)
@@ -88,12 +88,12 @@ def forecast(
         calibration = _calibration(localizer, config.calibrated)
         waypoints = waypoints_of(observations, route, views.origin, config, calibration)
         first = views.sessions[0].flight
-        made = Forecast(
+        report = Forecast(
             scene=opened.name,
             scene_sha256=sparse_map.sha256,
             flight=first.file.name if isinstance(first, PlanFlight) else flight,
             flight_sha256=first.sha256 if isinstance(first, PlanFlight) else None,
-            twin=None if other is None else other.name,
+            twin=None if opened_twin is None else opened_twin.name,
             method=Method.of(localizer),
             config=config,
             calibration=calibration,
@@ -104,27 +104,26 @@ def forecast(
             photographs=request_photographs(waypoints, config),
             views=tuple(o.model_dump(mode="json") for o in observations),
         )
-        _write(made, views, out)
-    return made
+        _write(report, views, out)
+    return report
 
 
 def _calibration(localizer: Localizer, wanted: bool) -> Calibration:
-    """Return the calibration of a method, which was measured with its usual settings alone."""
-    found = calibration_of(localizer.name, wanted)
-    if found is UNCALIBRATED or localizer.config == type(localizer.config)():
-        return found
+    """Return the calibration of a method, which holds for its default configuration only."""
+    if localizer.config == type(localizer.config)():
+        return calibration_of(localizer.name, wanted)
     return UNCALIBRATED
 
 
-def _check_place(out: Path, scene: Path, twin: Path | None) -> None:
-    """Refuse, before any work, outputs that would replace or change something else.
+def _check_outputs(out: Path, scene: Path, twin: Path | None) -> None:
+    """Refuse outputs that would replace or change other files.
 
     Raises:
         InputError: as for ``check_outputs``, or ``out`` lies in an input.
     """
-    for given in (scene, twin):
-        if given is not None and out.resolve().is_relative_to(given.resolve()):
-            raise InputError(f"{out} lies in {given}: choose a folder outside it")
+    for folder in (scene, twin):
+        if folder is not None and out.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{out} lies in {folder}: choose a folder outside it")
     outputs = [
         OutputFile(out / _REPORT, SCHEMA.encode()),
         OutputFile(out / _GEOJSON, b"objconnect forecast"),
@@ -137,25 +136,25 @@ def _check_place(out: Path, scene: Path, twin: Path | None) -> None:
 def _notes(
     out: Path, views: SimulateConfig, localizer: Localizer, calibrated_on: int
 ) -> tuple[str, ...]:
-    """Return what has to be known of the twin and of the probabilities."""
+    """Return notes on the twin and on the probabilities."""
     report = read_json(out / VIEWS / REPORT, SiteReport, "report of the site")
     notes = list(report.notes)
     if not calibrated_on:
         notes.append(
             f"{localizer.name} is not calibrated with these settings: probabilities are the "
-            "smoothed shares of views that were found in the twin"
+            "smoothed shares of localized views of the twin"
         )
     longest = max(views.photo_camera().width, views.photo_camera().height)
     notes.append(f"views have {longest} pixels on their longer side")
     return tuple(notes)
 
 
-def _write(made: Forecast, views: SimulateConfig, out: Path) -> None:
+def _write(report: Forecast, views: SimulateConfig, out: Path) -> None:
     """Write all files; the report is the last."""
     world, _ = base_place(views, out / VIEWS)
     ground = ground_from_above(world)
-    draw(made, ground, views.area, out / _PICTURE)
-    write_text(out / _PAGE, page(made, ground, views.area))
-    features = geojson(made.waypoints, made.seasons)
+    draw(report, ground, views.area, out / _PICTURE)
+    write_text(out / _PAGE, page(report, ground, views.area))
+    features = geojson(report.waypoints, report.seasons)
     write_text(out / _GEOJSON, json.dumps(features, indent=1, allow_nan=False) + "\n")
-    write_text(out / _REPORT, made.model_dump_json(indent=1) + "\n")
+    write_text(out / _REPORT, report.model_dump_json(indent=1) + "\n")

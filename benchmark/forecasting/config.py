@@ -1,4 +1,4 @@
-"""The options of a forecast that change its figures."""
+"""The options of a forecast."""
 
 from __future__ import annotations
 
@@ -17,51 +17,51 @@ SEASONS = ("summer-noon", "winter-noon", "snow-dusk")
 
 
 class ForecastConfig(Config):
-    """A forecast: what is rendered, and how probabilities follow from it."""
+    """What a forecast renders, and how it computes probabilities."""
 
     seasons: tuple[str, ...] = Field(
         SEASONS,
         min_length=1,
-        description="Conditions that are forecast, SEASON-LIGHT[-WEATHER].",
+        description="Conditions to forecast, SEASON-LIGHT[-WEATHER].",
     )
     views: int = Field(
-        2, ge=1, le=50, description="Views that are rendered of each waypoint in each season."
+        2, ge=1, le=50, description="Number of views to render at each waypoint in each season."
     )
     size: int = Field(
         512,
         ge=64,
         le=4096,
-        description="Longer side of the views, pixels; that of the map's photographs where they "
-        "are smaller.",
+        description="Longer side of the views, pixels; smaller if the map's photographs are.",
     )
     seed: int = Field(
         0,
         ge=0,
-        description="Random seed of the views' deviations, of their priors, and of the snow.",
+        description="Random seed of the views' deviations from the waypoints, of their priors, "
+        "and of the snow.",
     )
     start: str = Field(
         "prior", description="What the method is told about a view, as for ``evaluate``."
     )
-    fix_m: float = Field(0.5, gt=0, description="A fix is wrong by less than this, metres.")
-    fix_deg: float = Field(5.0, gt=0, description="And by less than this, degrees.")
+    fix_m: float = Field(0.5, gt=0, description="Largest position error of a fix, metres.")
+    fix_deg: float = Field(5.0, gt=0, description="Largest rotation error of a fix, degrees.")
     calibrated: bool = Field(
         True,
-        description="Whether the probabilities are calibrated for the method, where the project "
-        "has a calibration of it; otherwise they are the smoothed share of views that were found.",
+        description="Whether to calibrate the probabilities if there is a calibration for the "
+        "method; otherwise they are the smoothed share of localized views.",
     )
     weak: float = Field(
         0.5,
         gt=0,
         lt=1,
-        description="Below this probability a waypoint belongs to a weak stretch.",
+        description="Probability of a fix below which a waypoint belongs to a weak stretch.",
     )
     waypoints: int = Field(
-        30, ge=1, description="Number of waypoints of a flight that is no mission plan."
+        30, ge=1, description="Number of waypoints of a flight that is not a mission plan."
     )
     gap_m: float = Field(
         100.0,
         gt=0,
-        description="The longest way without a fix that the aircraft can fly, metres.",
+        description="Longest distance that the aircraft can fly without a fix, metres.",
     )
 
     @field_validator("seasons")
@@ -78,20 +78,21 @@ _PREFIX: Final = "forecast."
 
 
 class _Settings(Record):
-    """What of the settings is of a forecast and not of its method."""
+    """The settings that belong to the forecast, not to the method."""
 
     forecast: ForecastConfig = _DEFAULTS
 
 
-def forecast_config(settings: dict[str, Any], told: Mapping[str, Any]) -> ForecastConfig:
-    """Take the settings of a forecast, ``forecast.KEY``, out of others.
+def forecast_config(settings: dict[str, Any], options: Mapping[str, Any]) -> ForecastConfig:
+    """Remove the settings of the forecast, ``forecast.KEY``, from all settings and read them.
 
     Args:
         settings: values by key; those of the forecast are removed.
-        told: values of the forecast that options of their own give.
+        options: values of the forecast that the command's own options give.
 
     Raises:
-        InputError: a key of the forecast is unknown, its value is bad, or it has an option.
+        InputError: a key of the forecast is unknown, its value is bad, or the command has an option
+            for it.
     """
     own = {key: settings.pop(key) for key in list(settings) if is_of_forecast(key)}
     for key in own:
@@ -100,20 +101,20 @@ def forecast_config(settings: dict[str, Any], told: Mapping[str, Any]) -> Foreca
             raise InputError(f"--set {key}: name one value, as {_PREFIX}size")
         if name in _OPTIONS:
             raise InputError(f"--set {key}: give {_OPTIONS[name]} instead")
-    own |= {f"{_PREFIX}{key}": value for key, value in told.items()}
+    own |= {f"{_PREFIX}{key}": value for key, value in options.items()}
     return load_config(_Settings, None, own).forecast
 
 
-# Values of a forecast that have an option.
+# Fields for which the command has an option.
 _OPTIONS: Final = {"seasons": "--season", "views": "--views", "start": "--start"}
 
 
 def is_of_forecast(key: str) -> bool:
-    """Return whether a key of settings is one of the forecast's."""
+    """Return whether a key of the settings belongs to the forecast."""
     return key.partition(".")[0] == _PREFIX.rstrip(".")
 
 
 def forecast_hint(settings: Mapping[str, Any]) -> str:
-    """Return what to write where a setting of a method has the name of one of the forecast's."""
+    """Return a hint for a setting that lacks the prefix of the forecast; empty for no such one."""
     named = [key for key in settings if key in ForecastConfig.model_fields]
     return f"; of the forecast it is --set {_PREFIX}{named[0]}=VALUE" if named else ""

@@ -1,4 +1,4 @@
-"""What a method answers to the views of a forecast, and what of the map they show."""
+"""Localization of the views of a forecast, and the count of map points in each."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.answers import Named
 from objconnect.scene.storage.digests import digest_of
 
-# A point is in view where the rendered surface is at most this much nearer, as a share of the
-# depth and in metres: maps and twins are less exact than truth.
+# A point counts as visible if the rendered surface is nearer by at most this share of the depth
+# plus so many metres, because maps and twins are not exact.
 _HIDDEN, _HIDDEN_M = 0.03, 1.0
 
 
@@ -70,24 +70,24 @@ class Observation(Named):
     points: int = 0
 
     def is_fix(self, fix_m: float, fix_deg: float) -> bool:
-        """Return whether the answer is right within these errors."""
+        """Return whether the pose is correct within these errors (m, degrees)."""
         return is_correct(self, Threshold(fix_m, fix_deg))
 
     @property
     def is_false(self) -> bool:
-        """Return whether the answer is a false fix."""
+        """Whether the answer is a false fix."""
         return is_false_fix(self)
 
 
-def start_of(words: str) -> Start:
+def start_of(text: str) -> Start:
     """Read what the method is told about a view.
 
     Raises:
-        InputError: there is no such start, or it is a pair list, which names no views.
+        InputError: there is no such start, or it is a pair list, which cannot name the views.
     """
-    start = parse_start(words)
+    start = parse_start(text)
     if start.kind == "pairs":
-        raise InputError("a pair list names no rendered views: forecast with another start")
+        raise InputError("a pair list cannot name rendered views: forecast with another start")
     return start
 
 
@@ -163,7 +163,7 @@ def _observation(
     views: Scene, query: BenchmarkQuery, estimate: Estimate, points: int
 ) -> Observation:
     session, view = query.group, int(query.group.rpartition("-")[2]) - 1
-    told = partial(
+    create = partial(
         Observation,
         name=query.name,
         season=views.sessions[session].condition,
@@ -176,12 +176,12 @@ def _observation(
     )
     pose = estimate.cam_from_world
     if pose is None:
-        return told()
+        return create()
     t_err, r_err = pose.error_to(query.reference)
     off = (pose.centre() - query.reference.centre()).numpy()
     sigmas = Located(query.name, estimate, None).sigmas
     across, up = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
-    return told(
+    return create(
         t_err_m=float(t_err),
         r_err_deg=float(r_err),
         sigma_across_m=across,
@@ -192,7 +192,7 @@ def _observation(
 
 
 def _points_in_view(views: Scene, sparse_map: SparseMap) -> Iterator[int]:
-    """Yield for each view, in order, how many points of the map are not hidden in it."""
+    """Yield for each view, in order, the number of map points visible in it."""
     points = torch.from_numpy(np.asarray(sparse_map.xyz, np.float64))
     for session in views.sessions:
         frames = views.frames(session)

@@ -1,4 +1,4 @@
-"""From the observations of all views to the report: outlooks, verdicts, stretches."""
+"""Outlooks of waypoints, verdicts of seasons and GeoJSON, from the observations of all views."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def waypoints_of(
         season: _outlooks(evidence[season], calibration, points, config)
         for season in config.seasons
     }
-    made = []
+    waypoints = []
     for k, centre in enumerate(centres):
-        place = geodetic_from_enu(centre, origin)
+        position = geodetic_from_enu(centre, origin)
         seasons = {}
         for season in config.seasons:
             views = [o for o in own[k] if o.season == season]
@@ -73,19 +73,19 @@ def waypoints_of(
             counts = {"found": fixes, "views": len(views)}
             seasons[season] = outlooks[season][k].model_copy(update=counts)
         east, north, up = (round(float(value), 3) for value in centre)
-        made.append(
+        waypoints.append(
             Waypoint(
                 number=k + 1,
                 enu_m=(east, north, up),
-                longitude=round(place.longitude, 8),
-                latitude=round(place.latitude, 8),
-                altitude_m=round(place.altitude, 3),
+                longitude=round(position.longitude, 8),
+                latitude=round(position.latitude, 8),
+                altitude_m=round(position.altitude, 3),
                 along_m=round(float(along[k]), 2),
                 points=round(points[k], 1),
                 seasons=seasons,
             )
         )
-    return tuple(made)
+    return tuple(waypoints)
 
 
 def seasons_of(waypoints: Sequence[Waypoint], config: ForecastConfig) -> tuple[Season, ...]:
@@ -113,7 +113,7 @@ def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) ->
 
 
 def _longest_leg(waypoints: Sequence[Waypoint]) -> float:
-    """Return the longest way between successive waypoints, metres."""
+    """Return the longest distance between successive waypoints, metres."""
     along = [waypoint.along_m for waypoint in waypoints]
     return max((b - a for a, b in pairwise(along)), default=0.0)
 
@@ -126,14 +126,14 @@ def _median(values: Iterable[float | None]) -> float | None:
 def _outlooks(
     evidence: Evidence, calibration: Calibration, points: Sequence[float], config: ForecastConfig
 ) -> list[Outlook]:
-    """Return the outlooks of all waypoints in a season; the counts of views are still 0."""
+    """Return the outlooks of all waypoints in a season, with counts of views of 0."""
     chances, risks = probability(evidence, calibration), false_risk(evidence, calibration)
-    made = []
+    outlooks = []
     for k, chance in enumerate(chances.tolist()):
         cause = None
         if chance < config.weak:
             cause = "few points" if points[k] < FEW_POINTS else "look"
-        made.append(
+        outlooks.append(
             Outlook.model_validate(
                 {
                     "probability": round(chance, 4),
@@ -146,7 +146,7 @@ def _outlooks(
                 }
             )
         )
-    return made
+    return outlooks
 
 
 def _scale(sigma: float, scale: float) -> float | None:
@@ -168,30 +168,30 @@ def _summarize(observation: Observation, config: ForecastConfig) -> Seen:
 
 def geojson(waypoints: Sequence[Waypoint], seasons: Sequence[Season]) -> Mapping[str, object]:
     """Return waypoints as points and weak stretches as lines (RFC 7946: longitude, latitude)."""
-    found: list[dict[str, object]] = []
+    features: list[dict[str, object]] = []
     for waypoint in waypoints:
-        told: dict[str, object] = {
+        properties: dict[str, object] = {
             "kind": "waypoint",
             "number": waypoint.number,
             "points": waypoint.points,
         }
         for name, outlook in waypoint.seasons.items():
-            told |= {f"{name} {key}": value for key, value in outlook.model_dump().items()}
-        found.append(_feature("Point", _position(waypoint), told))
+            properties |= {f"{name} {key}": value for key, value in outlook.model_dump().items()}
+        features.append(_feature("Point", _position(waypoint), properties))
     for season in seasons:
         for stretch in season.stretches:
             part = waypoints[max(stretch.first - 2, 0) : stretch.last + 1]
             line = [_position(waypoint) for waypoint in part]
-            told = {"kind": "weak stretch", "season": season.name, **stretch.model_dump()}
+            properties = {"kind": "weak stretch", "season": season.name, **stretch.model_dump()}
             if len(line) > 1:
-                found.append(_feature("LineString", line, told))
-    return {"type": "FeatureCollection", "name": "objconnect forecast", "features": found}
+                features.append(_feature("LineString", line, properties))
+    return {"type": "FeatureCollection", "name": "objconnect forecast", "features": features}
 
 
 def _position(waypoint: Waypoint) -> list[float]:
     return [waypoint.longitude, waypoint.latitude, waypoint.altitude_m]
 
 
-def _feature(kind: str, coordinates: object, told: Mapping[str, object]) -> dict[str, object]:
+def _feature(kind: str, coordinates: object, properties: Mapping[str, object]) -> dict[str, object]:
     geometry = {"type": kind, "coordinates": coordinates}
-    return {"type": "Feature", "geometry": geometry, "properties": dict(told)}
+    return {"type": "Feature", "geometry": geometry, "properties": dict(properties)}

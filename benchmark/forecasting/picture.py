@@ -21,7 +21,7 @@ from objconnect.scene.storage.provenance import PNG_METADATA
 from simulate.place.world import World
 
 COLOURS = ("#c0261c", "#f2b134", "#1f6fb4")
-"""Of the probabilities 0, 0.5 and 1; they differ for the colour-blind, too."""
+"""Colours of the probabilities 0, 0.5 and 1, which the colour-blind can also tell apart."""
 
 _SCALE = LinearSegmentedColormap.from_list("probability", COLOURS)
 _SIDE, _DPI = 5.0, 110
@@ -31,7 +31,7 @@ _FADED = 0.35  # share of white over the ground, on which the colours are seen
 
 
 def ground_from_above(world: World) -> NDArray[np.uint8]:
-    """Return the orthophoto of a place in the season it was taken in, (n, n, 3) sRGB, north up."""
+    """Return the orthophoto of a site in its original season, (n, n, 3) sRGB, north up."""
     imagery = world.imagery
     assert imagery is not None
     whole = len(imagery.albedo)
@@ -54,8 +54,8 @@ def draw(forecast: Forecast, ground: NDArray[np.uint8], area_m: float, path: Pat
 
     Args:
         forecast: the report.
-        ground: the place from above, north up.
-        area_m: side of the place, metres.
+        ground: the site from above, north up.
+        area_m: side of the site, metres.
         path: path of the PNG file.
 
     Raises:

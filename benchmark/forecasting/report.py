@@ -1,4 +1,4 @@
-"""The report of a forecast: every waypoint, a verdict by season, weak stretches, what to do."""
+"""The report of a forecast: waypoints, a verdict per season, weak stretches, and advice."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ VERDICTS: Mapping[Verdict, str] = {
 
 
 class Outlook(Record):
-    """What is expected at a waypoint in one season.
+    """The forecast for a waypoint in one season.
 
     Attributes:
-        probability: of a fix.
+        probability: probability of a fix.
         false_risk: probability of a false fix.
         sigma_across_m: expected horizontal standard deviation of a fix within the map, metres;
-            None where no view of the waypoint or its neighbours was found.
+            None if no view of the waypoint or its neighbours was localized.
         sigma_up_m: the vertical one.
-        found: views of this waypoint that were found.
-        views: its views.
-        cause: why the probability is low; None where it is not.
+        found: number of localized views of this waypoint.
+        views: number of its views.
+        cause: why the probability is low; None if it is not.
     """
 
     probability: float
@@ -54,16 +54,16 @@ class Outlook(Record):
 
 
 class Waypoint(Record):
-    """A waypoint.
+    """A waypoint with its outlooks.
 
     Attributes:
         number: from 1, in flying order.
         enu_m: position in the map's world: east, north, up, metres.
         longitude: degrees.
         latitude: degrees.
-        altitude_m: above the ellipsoid.
-        along_m: way flown up to here.
-        points: points of the map in view, the geometric mean of the views.
+        altitude_m: height above the ellipsoid.
+        along_m: distance flown up to here.
+        points: number of map points in view, geometric mean over the views.
         seasons: outlook by season.
     """
 
@@ -83,9 +83,9 @@ class Stretch(Record):
     Attributes:
         first: number of the first one.
         last: number of the last one.
-        gap_m: way between the likely fixes before and after it.
+        gap_m: distance between the likely fixes before and after it.
         probability: mean probability on it.
-        cause: why, at most of its waypoints.
+        cause: the cause at most of its waypoints.
     """
 
     first: int
@@ -96,14 +96,14 @@ class Stretch(Record):
 
 
 class Season(Record):
-    """What is expected of a flight in one season.
+    """The forecast for a flight in one season.
 
     Attributes:
         name: condition.
-        verdict: whether the flight can go by these fixes.
+        verdict: whether the flight can rely on these fixes.
         share: mean probability of a fix.
         lowest: lowest probability.
-        longest_gap_m: longest way between two likely fixes.
+        longest_gap_m: longest distance between two likely fixes.
         false_risk: mean probability of a false fix.
         sigma_across_m: median of the waypoints' horizontal standard deviations; None without any.
         sigma_up_m: the vertical one.
@@ -122,15 +122,15 @@ class Season(Record):
 
 
 class Request(Record):
-    """A part of the flight that more photographs of the map would help.
+    """A part of the flight where more map photographs would help.
 
     Attributes:
         first: number of its first waypoint.
         last: number of its last one.
-        points: mean number of points of the map in view.
-        lost: fixes that are not expected there, over all seasons.
-        longitude: of its middle, degrees.
-        latitude: of its middle, degrees.
+        points: mean number of map points in view.
+        lost: expected number of missing fixes there, over all seasons.
+        longitude: longitude of its middle, degrees.
+        latitude: latitude of its middle, degrees.
     """
 
     first: int
@@ -145,20 +145,20 @@ class Forecast(Record):
     """The report of a forecast.
 
     Attributes:
-        file: what the file is.
+        file: format of the file.
         scene: name of the scene of the map.
         scene_sha256: digest of its map.
         flight: name of the mission plan, or the flight of ``simulate``.
         flight_sha256: digest of the mission plan; None for other flights.
-        twin: name of the twin that was given; None where it was made of the scene.
+        twin: name of the given twin; None if it was built from the scene.
         method: the method and its configuration.
         config: options of the forecast.
-        calibration: what the probabilities were calibrated by.
-        environment: versions.
-        notes: what has to be known of the twin and of the probabilities.
-        seasons: by season, in the order that was asked for.
-        waypoints: in flying order.
-        photographs: where more photographs of the map would help, the most first.
+        calibration: calibration of the probabilities.
+        environment: versions of the packages.
+        notes: notes on the twin and on the probabilities.
+        seasons: forecasts by season, in the requested order.
+        waypoints: waypoints in flying order.
+        photographs: where more map photographs would help, the most first.
         views: every view: season, waypoint, answer and errors.
     """
 
@@ -227,7 +227,7 @@ def weak_stretches(
 def request_photographs(
     waypoints: Sequence[Waypoint], config: ForecastConfig
 ) -> tuple[Request, ...]:
-    """Return where few points of the map are in view and a fix is unlikely in some season."""
+    """Return where few map points are in view and a fix is unlikely in some season."""
 
     def is_wanted(waypoint: Waypoint) -> bool:
         weakest = min(outlook.probability for outlook in waypoint.seasons.values())
@@ -252,7 +252,7 @@ def request_photographs(
 
 
 def verdict_of(share: float, longest_gap_m: float, config: ForecastConfig) -> Verdict:
-    """Return whether a flight can go by its fixes."""
+    """Return whether a flight can rely on its fixes."""
     if share < config.weak:
         return "fails"
     return "gaps" if longest_gap_m > config.gap_m else "holds"

@@ -1,4 +1,4 @@
-"""The views of a forecast: photographs of a site's twin along a flight, in every season."""
+"""The rendered views of a forecast: the site's twin, seen along a flight in every season."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from simulate.twin.options import SiteConfig
 
 Array = NDArray[np.float64]
 
-# A map's origin and its twin's are one when their heights differ by no more, metres.
+# Largest difference of height between equal origins of map and twin, metres.
 _SAME_UP_M = 0.1
-# Standard deviation of the views from the waypoint, per axis, and of their attitude: wind, as
-# ``simulate`` has it.
+# Standard deviation of the views from the waypoint per axis (m) and of their attitude (deg), as the
+# wind of ``simulate``.
 _DEVIATION_M: Final = 0.7
 _DEVIATION_DEG: Final = 1.5
 # A flight with more waypoints is refused, because it would take hours.
@@ -53,7 +53,7 @@ def views_config(
         sparse_map: its map.
         flight: the flight, as a session of ``simulate`` names it: "plan=FILE" or "nadir".
         config: options of the forecast.
-        twin: a finished twin; None makes one of ``scene``.
+        twin: a finished twin; None builds one from ``scene``.
 
     Raises:
         InputError: the flight, a season or the site cannot be used.
@@ -83,15 +83,15 @@ def views_config(
         "attitude_jitter_deg": _DEVIATION_DEG,
     }
     try:
-        made = SimulateConfig.model_validate(values)
+        views = SimulateConfig.model_validate(values)
     except ValidationError as error:
         raise InputError(describe(error, SimulateConfig, "forecast")) from None
-    _check_plan(made, config)
-    return made
+    _check_plan(views, config)
+    return views
 
 
 def route_of(views: SimulateConfig, folder: Path) -> Array:
-    """Return the waypoints (N, 3) of rendered views, world metres, as they are without wind."""
+    """Return the waypoints (N, 3) of rendered views without wind, world metres."""
     world, _ = base_place(views, folder)
     calm = views.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     session = _as_query(calm.sessions[0])
@@ -104,10 +104,10 @@ def _as_query(session: SessionConfig) -> SessionConfig:
 
 
 def usual_camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
-    """Return the camera of most photographs of a map, made smaller where it is larger."""
+    """Return the camera of most photographs of a map, at most ``size`` pixels on a side."""
     cameras: list[Camera] = [image.camera for image in sparse_map.images.values()]
     usual = max(cameras, key=cameras.count)
-    # One scale for both axes: a model with one focal length holds no others.
+    # One scale for both axes, because some models have a single focal length.
     scale = min(1.0, size / max(usual.width, usual.height))
     lengths = ("f", "fx", "fy", "cx", "cy")
     return {
@@ -125,26 +125,27 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
     """Return the site of a twin.
 
     Raises:
-        InputError: it is no twin, or its world is not that of the map.
+        InputError: the scene is not a twin, or not of the site of the map.
     """
     site = twin.manifest.config.get("site")
     if twin.manifest.preset != SITE or site is None:
         raise InputError(
-            f"{twin.path} is no twin of a site: make one with 'simulate --preset site --from "
+            f"{twin.path} is not the twin of a site: make one with 'simulate --preset site --from "
             f"{scene.path}', or leave --twin out"
         )
     if not is_same_place(twin.manifest.origin, scene.manifest.origin, _SAME_UP_M):
         raise InputError(
-            f"{twin.path} is the twin of another place than {scene.path}: their origins differ"
+            f"{twin.path} is the twin of another site than {scene.path}: their origins differ; "
+            "leave --twin out"
         )
     return SiteConfig.model_validate(site)
 
 
 def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
-    """Check the flight before any work: that a plan has waypoints in the place, and not too many.
+    """Check that a flight lies inside the site and has not too many waypoints.
 
     Raises:
-        InputError: it has none there, or more than the forecast takes.
+        InputError: a waypoint lies outside, or there are more than ``_MOST_WAYPOINTS``.
     """
     session = views.sessions[0]
     flight = session.flight

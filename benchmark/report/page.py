@@ -254,9 +254,9 @@ def compare_paired(
 ) -> dict[str, Any]:
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
-    With flights enough, the interval and p are those of whole flights. The interval is then at
-    least as wide as that of independent queries: where all flights changed alike, resamples of
-    them do not vary.
+    With enough flights, the interval and p are those of whole flights. The interval is then at
+    least as wide as that of independent queries, because resamples do not vary if all flights
+    changed alike.
 
     Args:
         before: whether each query is correct in the first run.
@@ -332,7 +332,7 @@ def _album(group: Group) -> Album | None:
 
 
 class _PagePhotographs:
-    """The photographs of a page, which has room for the worst and the best queries first.
+    """The photographs that fit on a page; those of the worst and the best queries come first.
 
     Attributes:
         pictures: encoded photographs.
@@ -357,7 +357,7 @@ class _PagePhotographs:
                 advance(done)
 
     def number(self, photograph: bytes) -> int | None:
-        """Return the index of a photograph in ``pictures``; None where there was no room for it."""
+        """Return the index of a photograph in ``pictures``; None if it did not fit."""
         return self._numbers.get(photograph)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of results."""
+"""Picture of a query with map points at its reference pose and at an estimated pose."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.provenance import PNG_METADATA
 
-# Side of the cells, pixels, in each of which one point is drawn, so that the ground stays visible.
+# Side of the cells, pixels; one point is drawn in each, so that the ground stays visible.
 _CELL = 48
 _REFERENCE, _ESTIMATE = "#00e5ff", "#ff2d95"
 _WIDTH_INCHES, _DPI = 9.0, 130

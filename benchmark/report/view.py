@@ -44,9 +44,9 @@ LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
 MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "landmarks": 20_000, "dense": 250_000}
-"""Greatest number of points of each kind on a page, which are chosen at random from more."""
+"""Largest number of points of each kind on a page; from more, they are drawn at random."""
 MOST_PHOTOGRAPHS: Final = 300
-"""Greatest number of photographs on a page, which are chosen at even steps from more."""
+"""Largest number of photographs on a page; from more, they are taken at even steps."""
 
 log = logging.getLogger(__name__)
 
@@ -108,8 +108,8 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
     if others:
         named = ", ".join(for_terminal(name) for name in dict.fromkeys(others))
         if not methods:
-            raise InputError(f"the results are of {named}, none of the scene {scene.name}")
-        log.warning("not shown are %d results of %s", len(others), named)
+            raise InputError(f"the results are of {named}, not of the scene {scene.name}")
+        log.warning("%d results of %s are not shown", len(others), named)
     query_paths = [
         np.array([poses[name].centre().numpy() for name in names])
         for names in scene.splits.queries.values()
@@ -133,7 +133,7 @@ def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Pat
         check_outputs(made, within=path)
         return path / PAGE, path / PICTURE
     if out.suffix.lower() not in _ENDINGS:
-        raise InputError(f"{out} is no name for a page: let it end in .html")
+        raise InputError(f"{out} must end in .html: the view is an HTML page")
     picture = out.with_suffix(".png")
     check_outputs([OutputFile(out, _MARK), OutputFile(picture, PNG_MARK)], [path, *results])
     return out, picture

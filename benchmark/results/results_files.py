@@ -1,4 +1,4 @@
-"""Results files: where they are, who may replace them, and whether they are whole."""
+"""Finding, checking and reading of results files."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ PACKED: Final = f".json{SUFFIX}"
 # The first bytes of every results file and basin file, and of what a compact one holds.
 _HEADS: Final = (b'{\n "schema": 1,\n "method": {', b'{"schema":1,"method":{')
 
-# Stored and recomputed figures that differ relatively by more show that the file was changed.
+# Largest relative difference of stored and recomputed figures; a larger one means that the file was
+# changed.
 _TOLERANCE = 1e-9
-# Figures that files of earlier versions lack; they are computed when the file is read.
+# Figures that files of earlier versions lack; they are computed on reading.
 _ADDED: Final = {"false_fixes"}
 
 
 def method_in(path: Path) -> Method | None:
     """Return the method of the results file or basin file at a path.
 
-    The answer is None where there is no file, or a damaged one that this program wrote.
+    The answer is None for no file, or for a damaged one that this program wrote.
 
     Raises:
-        WriteError: the file is neither of these.
+        WriteError: the file is of another kind.
     """
     if not path.is_file():
         return None
@@ -57,7 +58,7 @@ def method_in(path: Path) -> Method | None:
 
 
 def claim_results(path: Path, method: Method, out: Path) -> None:
-    """Refuse, before any work, to replace a file that is not an older version of these results.
+    """Refuse to replace a file that is not an older version of these results.
 
     Results of ``evaluate`` are replaced only by ``evaluate``, and those of ``score`` by ``score``.
 
@@ -115,11 +116,11 @@ def load(path: Path) -> Results:
         if query.name in seen:
             raise InputError(f"results file {path}: query {query.name} is listed twice")
         seen.add(query.name)
-        given = {query.cam_from_world is None, query.t_err_m is None, query.r_err_deg is None}
-        if given != {query.status is Status.FAILED}:
+        missing = {query.cam_from_world is None, query.t_err_m is None, query.r_err_deg is None}
+        if missing != {query.status is Status.FAILED}:
             raise InputError(
-                f"results file {path}: query {query.name} is '{query.status}' but its pose and "
-                "errors say otherwise"
+                f"results file {path}: query {query.name} has status '{query.status}', which "
+                "contradicts its pose and errors"
             )
     recomputed = rescore(results)
     parts = {"summary", *(f"by_{part}" for part in PARTS)}

@@ -19,7 +19,7 @@ _DRAWS: Final = 4000
 # With k flights, one resample in k^(k-1) repeats a single flight. With fewer than five flights this
 # is too frequent for the ends of a 95 % interval to be meaningful.
 MIN_CLUSTERS: Final = 5
-# Flights of which all signs are tried; of more, so many random ones.
+# Largest number of flights for which all sign patterns are tried; else so many random ones.
 _EXACT: Final = 12
 _FLIPS: Final = 9999
 
@@ -54,9 +54,10 @@ def permutation_p(
 ) -> float | None:
     """Return the two-sided p value of whether two runs differ, for flights as a whole.
 
-    If they did not, the change of each flight would be as likely with the other sign. The p value
-    is the share of all signs whose total change is as large as the one seen; where more than
-    ``_EXACT`` flights changed, of ``_FLIPS`` random signs and those seen.
+    Under the null hypothesis, the change of each flight is equally likely with the other sign. The
+    p value is the share of all sign patterns whose total change is at least as large as the
+    observed one. If more than ``_EXACT`` flights changed, ``_FLIPS`` random patterns and the
+    observed one stand for all.
 
     Args:
         before: whether each query was correct in the first run.
@@ -83,8 +84,7 @@ def permutation_p(
 def _by_cluster(
     before: Sequence[bool], after: Sequence[bool], clusters: Sequence[str]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return how many more queries of each flight are correct after than before, and how many
-    queries it has."""
+    """Return the change of the number of correct queries of each flight, and its queries."""
     if not len(before) == len(after) == len(clusters):
         raise ValueError(f"{len(before)}, {len(after)} and {len(clusters)} queries do not pair")
     names, row = np.unique(np.array(clusters, dtype=object).astype(str), return_inverse=True)
@@ -105,7 +105,7 @@ def _draws(k: int, seed: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=64)
 def _signs(k: int, seed: int) -> NDArray[np.int8]:
-    """Return signs of k flights, a row for each case: all cases, or random ones of many flights."""
+    """Return sign patterns of k flights, one per row: all of them, or random ones for large k."""
     if k <= _EXACT:
         bits = np.arange(2**k)[:, None] >> np.arange(k) & 1
     else:

@@ -32,7 +32,7 @@ THRESHOLDS: Final = (Threshold(0.25, 2), Threshold(0.5, 5), Threshold(5, 10))
 
 
 FALSE_FIX: Final = THRESHOLDS[-1]
-"""A pose that is farther off by either is a false fix, where the method says that it is right."""
+"""A pose of status ``ok`` with a larger position or rotation error is a false fix."""
 
 
 class Outcome(Protocol):
@@ -68,7 +68,7 @@ def is_correct(outcome: Outcome, threshold: Threshold) -> bool:
 def is_false_fix(outcome: Outcome) -> bool:
     """Return whether a pose of status ``ok`` is wrong by more than 5 m or 10 degrees.
 
-    Whoever flies by it is misled, where a fallback or a failed query says that nothing was found.
+    Such a pose misleads whoever flies by it; a fallback or a failed query does not.
     """
     if outcome.status is not Status.OK or outcome.t_err_m is None or outcome.r_err_deg is None:
         return False

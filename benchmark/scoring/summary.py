@@ -56,16 +56,15 @@ class Summary(Record):
     Attributes:
         queries: number of queries; all of them are in every denominator.
         recall: recall by the key of a threshold, such as "0.25m_2deg".
-        false_fixes: share of the queries of status ``ok`` whose pose is wrong by more than
-            5 m or 10 degrees; None only in a file of an earlier version, as it lies on disk.
+        false_fixes: share of the queries with a pose of status ``ok`` that is wrong by more than
+            5 m or 10 degrees; None only as read from a file of an earlier version.
         median_t_m: median position error of the queries with a pose, metres; None without any.
         median_r_deg: median rotation error of the queries with a pose, degrees; None without any.
         failed: number of queries without a pose.
         uncertainty: figures of the localized queries with a covariance; None without any.
         fallback: number of queries whose pose is only the prior's or that of a map photograph; they
             count as wrong.
-        seconds: times; ``prepare`` belongs to the whole run, also where the queries are a part of
-            it.
+        seconds: times; ``prepare`` is that of the whole run, even for a part of its queries.
         peak_memory_mb: peak memory of the process during the whole run (1e6 bytes); None where the
             system does not measure it.
     """

@@ -1,4 +1,4 @@
-"""Tests of predicted covariances: whether they match the errors, and whether they rank poses."""
+"""Measures of predicted covariances: whether they match the errors, and whether they rank poses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from benchmark.scoring.score import Interval, Outcome, Threshold, is_correct, wilson
 from objconnect.scene.geometry.pose import Pose
 
-DEGREES_OF_FREEDOM: Final = 6
 # 95 % quantile of the chi-square distribution with 6 degrees of freedom.
 _CHI2_95: Final = 12.591587243743977
 
@@ -84,10 +83,10 @@ def consistency(outcomes: Sequence[Predicted]) -> Consistency | None:
 
 
 def doubt(outcome: Predicted) -> tuple[float, float]:
-    """Return by what answers are ordered, the surest first.
+    """Return the key that sorts answers from the most to the least certain.
 
-    That is the probability that the pose is wrong, where the method predicts it, then the standard
-    deviation of the position. Failed queries, and answers without either, come last.
+    The key is the predicted probability that the pose is wrong, if the method predicts it, then the
+    standard deviation of the position. Failed queries, and answers without either, come last.
     """
     if outcome.status != "ok" or (outcome.probability is None and outcome.sigma_t_m is None):
         return np.inf, np.inf
@@ -96,7 +95,7 @@ def doubt(outcome: Predicted) -> tuple[float, float]:
 
 
 def risk_coverage(outcomes: Sequence[Predicted], threshold: Threshold) -> list[tuple[float, float]]:
-    """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017) of the surest queries.
+    """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017), most certain first.
 
     Returns:
         One pair (coverage, risk) in percent for each query: the share of queries up to this one,

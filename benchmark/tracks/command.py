@@ -1,4 +1,4 @@
-"""The command ``track``: the places of a track, rendered, mapped and compared with the record."""
+"""The command ``track``, which renders and maps the sites of a track and checks their digests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from objconnect.scene.storage.packed import SUFFIX
 from simulate.command import find_finished, simulate
 from simulate.config import SimulateConfig
 
-# The preset of drives, which are exported to the tree of Extended CMU Seasons too.
+# The preset of drives, which are also exported in the layout of Extended CMU Seasons.
 _STREET: Final = "street"
 _TREE: Final = "cmu"
 # Characters of a digest that are shown.
@@ -37,17 +37,17 @@ _SHOWN: Final = 12
 
 @dataclass(frozen=True)
 class PlaceReport:
-    """A place that is rendered and mapped.
+    """A rendered and mapped site, compared with the recorded one.
 
     Attributes:
         dataset: name of the data set.
         scene: folder of the scene.
-        export: folder of its tree of Extended CMU Seasons; None for places without streets.
+        export: folder in the layout of Extended CMU Seasons; None for sites without streets.
         queries: number of queries.
         sha256: digest of the data set.
-        recorded: digests of the renders that the track records; empty where it records none.
-        unlike: how this render differs from the recorded one by more than rounding; empty where
-            it does not.
+        recorded: digests of the renders that the track records; empty if it records none.
+        unlike: how this render differs from the recorded one by more than rounding; empty if it
+            does not.
     """
 
     dataset: str
@@ -60,31 +60,30 @@ class PlaceReport:
 
     @property
     def same(self) -> bool | None:
-        """Return whether the data set is the recorded one, or differs by rounding only; None where
-        none is recorded."""
+        """Whether the data set equals the recorded one up to rounding; None if none is recorded."""
         return not self.unlike if self.recorded else None
 
     def text(self) -> str:
         """Return one line for a person."""
         if not self.recorded:
-            said = "not recorded yet"
+            verdict = "not recorded yet"
         elif self.sha256 in self.recorded:
-            said = "as recorded"
+            verdict = "as recorded"
         elif not self.unlike:
-            said = f"like the recorded {self.recorded[0][:_SHOWN]} but for rounding"
+            verdict = f"like the recorded {self.recorded[0][:_SHOWN]} but for rounding"
         else:
-            said = f"NOT the recorded {self.recorded[0][:_SHOWN]} ({self.unlike})"
-        return f"{self.dataset}: {self.queries} queries, data set {self.sha256[:_SHOWN]}, {said}"
+            verdict = f"NOT the recorded {self.recorded[0][:_SHOWN]} ({self.unlike})"
+        return f"{self.dataset}: {self.queries} queries, data set {self.sha256[:_SHOWN]}, {verdict}"
 
 
 @dataclass(frozen=True)
 class TrackReport:
-    """The places of a track and how they compare with the record.
+    """The sites of a track, compared with the recorded ones.
 
     Attributes:
         track: name of the track.
         board: folder of all tracks.
-        places: the places that were asked for.
+        places: the requested sites.
         written: files of the board that were written.
     """
 
@@ -95,22 +94,22 @@ class TrackReport:
 
     @property
     def differing(self) -> tuple[str, ...]:
-        """Return the data sets that are not the recorded ones."""
+        """The data sets that are not the recorded ones."""
         return tuple(place.dataset for place in self.places if place.same is False)
 
     def text(self) -> str:
-        """Return one line a place, and a note where some differ from the record."""
+        """Return one line per site, and a note if some differ from the recorded ones."""
         lines = [place.text() for place in self.places]
         lines += [f"wrote {path}" for path in self.written]
         results = f"the results of {', '.join(self.differing)} in {self.board / self.track}"
         if self.differing and self.written:
             lines.append(
-                f"Note: {results} are of earlier data sets: evaluate again and replace them."
+                f"Note: {results} belong to earlier data sets: evaluate again and replace them."
             )
         elif self.differing:
             lines.append(
-                f"Note: {results} cannot be compared with results on these scenes: evaluate every "
-                "method that you compare on the same render."
+                f"Note: {results} cannot be compared with results on these scenes: evaluate all "
+                "methods that you compare on the same render."
             )
         return "\n".join(lines)
 
@@ -147,51 +146,51 @@ def track(
     board: Path = BOARD,
     update: bool = False,
 ) -> TrackReport:
-    """Render and map the places of a track, and compare their data sets with the recorded ones.
+    """Render and map the sites of a track, and compare their data sets with the recorded ones.
 
-    Places that are there already are not rendered again, and an interrupted run goes on where it
-    stopped. Places with streets are exported to the tree of Extended CMU Seasons as well.
+    Finished sites are not rendered again, and an interrupted run goes on where it stopped. Sites
+    with streets are also exported in the layout of Extended CMU Seasons.
 
     Args:
         name: name of the track.
         out: folder of the scenes, ``out/<dataset>``.
-        places: data sets of the places to render; none means all.
+        places: data sets of the sites to render; none means all.
         jobs: number of rendering processes on this machine.
         cluster: cluster that renders and extracts features instead, see
             ``objconnect.scene.runtime.cluster.worker_pool``.
         board: folder of all tracks.
-        update: whether to record these renders, and how hard each query is, in the board.
+        update: whether to record these renders, and the difficulty of each query, in the board.
 
     Raises:
-        InputError: there is no such track or place, the description is wrong, a folder holds
-            something else, rendering or mapping failed, or the board cannot be written.
+        InputError: there is no such track or site, the description is wrong, a folder holds other
+            files, rendering or mapping failed, or the board cannot be written.
     """
     chosen = load_track(name, board)
-    wanted = [(place, _configuration(chosen, place)) for place in chosen.select(tuple(places))]
+    sites = [(place, _configuration(chosen, place)) for place in chosen.select(tuple(places))]
     check_output_folder(out, [board])
     if update:
         files = [_queries, _render]
         check_outputs(
-            [board / name / DESCRIPTION, *(of(board, name, p) for p, _ in wanted for of in files)]
+            [board / name / DESCRIPTION, *(of(board, name, p) for p, _ in sites for of in files)]
         )
-    for place, config in wanted:
-        find_finished(out / place.dataset, config)  # a wrong folder is told before hours of work
-    made = tuple(
-        _make(place, config, out, _render(board, name, place), jobs, cluster)
-        for place, config in wanted
+    for place, config in sites:
+        find_finished(out / place.dataset, config)  # refuses a wrong folder before hours of work
+    reports = tuple(
+        _prepare_site(place, config, out, _render(board, name, place), jobs, cluster)
+        for place, config in sites
     )
-    written = _record(name, board, made) if update else ()
-    return TrackReport(name, board, made, written)
+    written = _record(name, board, reports) if update else ()
+    return TrackReport(name, board, reports, written)
 
 
-def _record(name: str, board: Path, made: Sequence[PlaceReport]) -> tuple[Path, ...]:
-    """Write the renders of places and the difficulty of their queries into the board.
+def _record(name: str, board: Path, reports: Sequence[PlaceReport]) -> tuple[Path, ...]:
+    """Write the renders of sites and the difficulty of their queries into the board.
 
     The digest of a render that differs from the recorded one by rounding joins the recorded ones.
     """
     written: list[Path] = []
     renders = {}
-    for place in made:
+    for place in reports:
         if place.same:
             renders[place.dataset] = tuple(dict.fromkeys([*place.recorded, place.sha256]))
             continue
@@ -201,7 +200,7 @@ def _record(name: str, board: Path, made: Sequence[PlaceReport]) -> tuple[Path, 
         write_queries(queries, measure(scene))
         write_render(render, render_of(scene))
         written += [queries, render]
-    # Read again: another run may have recorded other places meanwhile.
+    # Read again, because another run may have recorded other sites meanwhile.
     write_track(load_track(name, board).with_renders(renders), board)
     return (*written, board / name / DESCRIPTION)
 
@@ -215,11 +214,10 @@ def _render(board: Path, name: str, place: TrackPlace | PlaceReport) -> Path:
 
 
 def _configuration(track: Track, place: TrackPlace) -> SimulateConfig:
-    given = {"preset": place.preset, "seed": place.seed}
-    return SimulateConfig.load(Path(track.config), given)
+    return SimulateConfig.load(Path(track.config), {"preset": place.preset, "seed": place.seed})
 
 
-def _make(
+def _prepare_site(
     place: TrackPlace,
     config: SimulateConfig,
     out: Path,
@@ -227,7 +225,7 @@ def _make(
     jobs: int,
     cluster: str | None,
 ) -> PlaceReport:
-    """Render, map and export a place, each unless it was done before, and compare it."""
+    """Render, map and export a site, unless that is done already, and compare it."""
     path = out / place.dataset
     scene = simulate(config, path, jobs, cluster)
     if not _is_mapped(scene):
@@ -248,14 +246,14 @@ def _make(
 
 
 def _unlike(place: TrackPlace, sha256: str, record: Path, scene: Scene) -> str:
-    """Return how a render differs from the recorded one by more than rounding; empty for not."""
+    """Return how a render differs from the recorded one by more than rounding; empty if not."""
     if not place.renders or sha256 in place.renders:
         return ""
     if not os.path.lexists(record):
-        return f"whose cameras and brightness {record.name} would tell"
+        return f"there is no {record.name} to compare with"
     return difference(read_render(record), render_of(scene))
 
 
 def _is_mapped(scene: Scene) -> bool:
-    """Return whether the map is complete; the manifest records its files after they are written."""
+    """Return whether the map is complete: the manifest lists its files once all are written."""
     return any(name.startswith("map/") for name in scene.manifest.sha256)

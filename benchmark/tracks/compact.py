@@ -1,10 +1,9 @@
-"""Compact results files, for results that a track keeps by the hundred.
+"""Compact results files, because a track stores hundreds of results.
 
-``xz -d`` makes an ordinary results file of one. Its numbers have fewer digits, and every figure of
-it stands for the same queries: errors, predicted sigma and NEES keep ten digits, which changes a
-median or a mean by less than 1e-9 of itself; a query that rounding would move across a threshold
-keeps all their digits. Poses keep 0.1 mm and 1e-7 of a quaternion, heights 1 cm, and seconds three
-digits: repeated runs differ by more.
+``xz -d`` turns one into an ordinary results file with rounded numbers. Errors, predicted sigma and
+NEES keep ten digits, which changes a median or a mean by less than 1e-9 of its value; a query that
+rounding would move across a threshold keeps all their digits. Poses keep 0.1 mm and 1e-7 of a
+quaternion, heights 1 cm, and seconds three digits: repeated runs differ by more.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from objconnect.scene.storage.packed import SUFFIX, pack
 RESULTS: Final = "results"
 """The folder of a track's results: ``results/<start>/<dataset>/<method>.json.xz``."""
 
-# Digits of what is scored, and of measured times.
+# Digits of scored numbers, and of measured times.
 _DIGITS: Final = 10
 _TIME_DIGITS: Final = 3
 # Decimals of heights (m), quaternions and translations (m).
@@ -77,13 +76,13 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
         folder: folder of the track, with its ``track.yaml``.
 
     Raises:
-        InputError: a file is no results file, is not of a data set that the track records, would
-            have the name of another one, or cannot be written.
+        InputError: a file is not a results file, belongs to no data set of the track, would have
+            the name of another one, or cannot be written.
     """
     if not (folder / DESCRIPTION).exists():
         raise InputError(f"{folder} is not the folder of a track: it has no {DESCRIPTION}")
     track = load_track(folder.resolve().name, folder.resolve().parent)
-    files = [file for given in results for file in results_files(given)]
+    files = [file for path in results for file in results_files(path)]
     targets: dict[Path, Results] = {}
     for file in files:
         run = compact(load(file))
@@ -92,8 +91,8 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
         target = folder / RESULTS / run.start / run.dataset.name / f"{method}{PACKED}"
         if targets.get(target, run) != run:
             raise InputError(
-                f"{file}: other results of {method} on {run.dataset.name} from {run.start} are "
-                "given too: give one of the files another name"
+                f"{file}: another file has results of {method} on {run.dataset.name} from start "
+                f"{run.start}: rename one of the files"
             )
         targets[target] = run
     check_outputs([target for target in targets if target not in files], within=folder)
@@ -117,17 +116,17 @@ def _require_results(track: Track, run: Results, file: Path) -> None:
     """Refuse results of another data set than the track's."""
     (place,) = track.select((run.dataset.name,))
     if run.dataset.sha256 not in place.renders:
-        was = ", ".join(digest[:12] for digest in place.renders) or "none"
+        recorded = ", ".join(digest[:12] for digest in place.renders) or "none"
         raise InputError(
             f"{file} is of another {place.dataset} ({run.dataset.sha256[:12]}) than the track "
-            f"{track.name} records ({was}): see objconnect track --update"
+            f"{track.name} records ({recorded}): see objconnect track --update"
         )
 
 
 def _round_query(query: QueryResult) -> QueryResult:
-    """Return a query with rounded numbers that are judged as the exact ones are."""
+    """Return a query with rounded numbers that count the same as the exact ones."""
     pose = query.cam_from_world
-    unjudged: dict[str, Any] = {
+    unscored: dict[str, Any] = {
         "seconds": {stage: _digits(s, _TIME_DIGITS) for stage, s in query.seconds.items()},
         "cam_from_world": pose
         and (
@@ -135,18 +134,18 @@ def _round_query(query: QueryResult) -> QueryResult:
             *(round(x, _SHIFT_DECIMALS) for x in pose[4:]),
         ),
     }
-    judged: dict[str, Any] = {
+    scored: dict[str, Any] = {
         key: _shorten(getattr(query, key)) for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees")
     }
-    judged["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
-    rounded = query.model_copy(update=unjudged | judged)
+    scored["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
+    rounded = query.model_copy(update=unscored | scored)
     if _verdicts(rounded) == _verdicts(query):
         return rounded
-    return query.model_copy(update=unjudged)
+    return query.model_copy(update=unscored)
 
 
 def _verdicts(query: QueryResult) -> tuple[object, ...]:
-    """Return everything that a figure counts of a query: yes or no, or the name of its band."""
+    """Return everything that figures count of a query, and the name of its altitude band."""
     figures = summarize([query], 0.0, None)
     inside = figures.uncertainty and figures.uncertainty.within_95.value
     bands = tuple(summarize_parts([query], 0.0, None)["altitude"])
@@ -154,7 +153,7 @@ def _verdicts(query: QueryResult) -> tuple[object, ...]:
 
 
 def _shorten(value: Any) -> Any:
-    """Return a figure, or figures by name, with as many digits as a reader compares."""
+    """Return a figure, or figures by name, with ten digits."""
     if isinstance(value, dict):
         return {key: _shorten(inner) for key, inner in value.items()}
     return _digits(value, _DIGITS) if isinstance(value, float) else value

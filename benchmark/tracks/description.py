@@ -1,7 +1,8 @@
-"""The description of a track: the places that are rendered, the starts and the methods.
+"""The description of a track: its sites, starts and methods.
 
-A track is the folder ``benchmark/tracks/<track>/``. Its ``track.yaml`` is read here; ``renders/``,
-``queries/`` and ``results/`` beside it are what the track was measured to be.
+A track is the folder ``benchmark/tracks/<track>/``. This module reads its ``track.yaml``. Beside
+it, ``renders/`` holds records of the renders, ``queries/`` the queries with their difficulty, and
+``results/`` the stored results.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ _Words = Annotated[str, Field(min_length=1, max_length=300)]
 
 
 class TrackPlace(Record):
-    """A place of a track, which is one scene and one data set.
+    """A site of a track, which is one scene and one data set.
 
     Attributes:
         dataset: name of the scene's folder and of the data set.
-        preset: kind of place.
-        seed: random seed of the place.
-        renders: digests of the data set as it was rendered and mapped, one for each kind of
-            machine: all are alike (``benchmark.tracks.renders``). Empty before the first render.
+        preset: kind of site.
+        seed: random seed of the site.
+        renders: digests of the rendered and mapped data set, one for each kind of machine; the
+            renders differ by rounding only (``benchmark.tracks.renders``). Empty before the first
+            render.
     """
 
     dataset: _Name
@@ -47,14 +49,14 @@ class TrackPlace(Record):
 
 
 class Track(Record):
-    """A list of places that are rendered alike, and what is run on them.
+    """A list of sites that are rendered with one configuration, and the methods run on them.
 
     Attributes:
         name: name of its folder.
-        title: what it shows, in a line.
-        config: configuration of ``simulate``: a name or a file; places set preset and seed.
-        places: the places.
-        starts: starts of ``benchmark.evaluation.starts`` that methods are run from.
+        title: one line that says what it tests.
+        config: configuration of ``simulate``: a name or a file; sites set preset and seed.
+        places: the sites.
+        starts: starts of ``benchmark.evaluation.starts`` that methods are run with.
         methods: names of the results files.
     """
 
@@ -70,14 +72,14 @@ class Track(Record):
     def _are_distinct(cls, places: tuple[TrackPlace, ...]) -> tuple[TrackPlace, ...]:
         names = [place.dataset for place in places]
         if len(set(names)) < len(names):
-            raise ValueError(f"two places have one name: {', '.join(names)}")
+            raise ValueError(f"two sites have the same name: {', '.join(names)}")
         return places
 
     def select(self, names: tuple[str, ...] = ()) -> tuple[TrackPlace, ...]:
-        """Return the places of these names in the track's order; all of them for no name.
+        """Return the sites with these names in the track's order; all sites for no names.
 
         Raises:
-            InputError: the track has no place of a name.
+            InputError: the track has no site with a name.
         """
         known = [place.dataset for place in self.places]
         for name in names:
@@ -88,7 +90,7 @@ class Track(Record):
         return tuple(place for place in self.places if not names or place.dataset in names)
 
     def with_renders(self, renders: Mapping[str, tuple[str, ...]]) -> Track:
-        """Return the track with the digests of the renders of some places, by data set."""
+        """Return the track with new digests of the renders of some sites, by data set."""
         places = tuple(
             place.model_copy(update={"renders": renders.get(place.dataset, place.renders)})
             for place in self.places
@@ -97,7 +99,7 @@ class Track(Record):
 
 
 def load_track(name: str, board: Path = BOARD) -> Track:
-    """Read the track of a name.
+    """Read a track.
 
     Args:
         name: name of the track.
@@ -109,8 +111,8 @@ def load_track(name: str, board: Path = BOARD) -> Track:
     files = list_files(board, (".yaml",), depth=2)
     known = [path.parent.name for path in files if path.name == DESCRIPTION]
     if name not in known:
-        there = f"; there are {', '.join(known)}" if known else ""
-        raise InputError(f"{board} has no track of the name {name!r}{there}")
+        existing = f"; there are {', '.join(known)}" if known else ""
+        raise InputError(f"{board} has no track named {name!r}{existing}")
     path = board / name / DESCRIPTION
     track = load_config(Track, path, {})
     if track.name != name:

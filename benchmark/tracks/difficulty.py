@@ -1,8 +1,8 @@
-"""How hard each query of a scene is, from what the scene knows of it: overlap, scale, angle, days.
+"""Difficulty of each query of a scene: overlap, scale, view angle and days of the year.
 
-The figures compare a query with the one map photograph that sees most of what it sees, as RUBIK
-bins pairs of images (Loiseau and Bourmaud, "RUBIK: A Structured Benchmark for Image Matching across
-Geometric Challenges", CVPR 2025).
+The figures compare a query with the map photograph that sees most of the same surface. RUBIK bins
+pairs of images in the same way (Loiseau and Bourmaud, "RUBIK: A Structured Benchmark for Image
+Matching across Geometric Challenges", CVPR 2025).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from objconnect.scene.storage.atomic import write_text
 
 # Points per side of the grid that samples the surface in a query.
 _PER_SIDE: Final = 16
-# Shares of the surface that differ by less are one share, because of that grid; of photographs that
-# see one share, the one from the most similar direction is compared.
+# Shares of the surface that differ by less count as equal, because of that grid. Among photographs
+# with equal shares, the one with the most similar view direction is compared.
 _SAME_SHARE: Final = 0.02
 _YEAR_DAYS: Final = 365
 
@@ -40,10 +40,10 @@ class Difficulty(NamedTuple):
 
     Attributes:
         overlap: share of the query's pixels whose surface that photograph sees too, 0 to 1.
-        scale: metres of the surface on a pixel of the query over those on a pixel of the
-            photograph, median of what both see; None where they share nothing.
-        angle_deg: angle between the lines of sight of both, median of what both see; None likewise.
-        days: days of the year between both, 0 to 182; None likewise, or where a time is unknown.
+        scale: ground size of a pixel of the query over that of the photograph, median of what both
+            see; None if they share nothing.
+        angle_deg: angle between the lines of sight, median of what both see; None likewise.
+        days: days of the year between both, 0 to 182; None likewise, or if a time is unknown.
     """
 
     overlap: float
@@ -53,7 +53,7 @@ class Difficulty(NamedTuple):
 
 
 class QueryRow(NamedTuple):
-    """A query, what it is of, and how hard it is; the columns of ``queries/<dataset>.csv``."""
+    """A row of ``queries/<dataset>.csv``: a query and its difficulty."""
 
     name: str
     condition: str
@@ -64,13 +64,7 @@ class QueryRow(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """A frame as a camera somewhere at some time.
-
-    Attributes:
-        camera: camera.
-        cam_from_world: (4, 4).
-        time: seconds since 1970, or NaN.
-    """
+    """The camera, pose (4, 4) and time of a frame (seconds since 1970, or NaN)."""
 
     camera: Camera
     cam_from_world: NDArray[np.float64]
@@ -106,8 +100,8 @@ def days_between(one: float, other: float) -> int | None:
     if not np.isfinite([one, other]).all():
         return None
     first, second = (datetime.fromtimestamp(t, UTC).timetuple().tm_yday for t in (one, other))
-    apart = abs(first - second)
-    return min(apart, abs(_YEAR_DAYS - apart))
+    days = abs(first - second)
+    return min(days, abs(_YEAR_DAYS - days))
 
 
 def measure(scene: Scene) -> list[QueryRow]:
@@ -118,40 +112,40 @@ def measure(scene: Scene) -> list[QueryRow]:
     """
     frames = {session: scene.frames(session) for session in scene.sessions}
     views = {name: view for one in frames.values() for name, view in _views(one)}
-    asked = [name for names in scene.splits.queries.values() for name in names]
-    if unknown := [name for name in (*asked, *scene.splits.map) if name not in views]:
-        raise InputError(f"scene {scene.path}: {unknown[0]} of splits.json is no frame")
-    with progress_bar("difficulty", len(asked) + len(scene.splits.map)) as advance:
+    queries = [name for names in scene.splits.queries.values() for name in names]
+    if unknown := [name for name in (*queries, *scene.splits.map) if name not in views]:
+        raise InputError(f"scene {scene.path}: {unknown[0]} in splits.json is not a frame")
+    with progress_bar("difficulty", len(queries) + len(scene.splits.map)) as advance:
         points = {}
-        for name, depth in _depths(scene, frames, set(asked)):
+        for name, depth in _depths(scene, frames, set(queries)):
             view = views[name]
             points[name] = surface_points(view.camera, view.cam_from_world, depth, _PER_SIDE)
             advance(len(points))
-        shares = _candidates(scene, asked)
-        found: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in asked}
-        wanted = {photograph for of in shares.values() for photograph in of}
-        for k, (name, depth) in enumerate(_depths(scene, frames, wanted), 1):
-            for query in asked:
+        shares = _best_photographs(scene, queries)
+        measured: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in queries}
+        compared = {photograph for of in shares.values() for photograph in of}
+        for k, (name, depth) in enumerate(_depths(scene, frames, compared), 1):
+            for query in queries:
                 if name in shares[query]:
                     pair = compare(views[query], views[name], points[query], depth)
                     if pair is not None:
-                        found[query][name] = pair
+                        measured[query][name] = pair
             advance(len(points) + k)
-    parts = _parts(scene, [views[name] for name in asked])
+    parts = _parts(scene, [views[name] for name in queries])
     return [
         QueryRow(
             name,
             scene.sessions[session].condition,
             session,
             part,
-            _difficulty(views, name, shares[name], found[name], points[name]),
+            _difficulty(views, name, shares[name], measured[name], points[name]),
         )
         for part, (session, name) in zip(parts, _iterate_queries(scene), strict=True)
     ]
 
 
 def write_queries(path: Path, rows: Iterable[QueryRow]) -> None:
-    """Write ``queries/<dataset>.csv`` atomically; what is unknown is an empty cell.
+    """Write ``queries/<dataset>.csv`` atomically, with empty cells for unknown values.
 
     Raises:
         InputError: the file cannot be written.
@@ -170,8 +164,8 @@ def write_queries(path: Path, rows: Iterable[QueryRow]) -> None:
 def _sight(
     view: View, points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the metres of a surface across the view on one pixel, (S,), and the directions to the
-    points, (S, 3)."""
+    """Return the ground size of a pixel at each point (S,), metres, and the view directions
+    (S, 3)."""
     rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3]
     local = points @ rotation.T + translation
     return local[:, 2] / view.camera.focal[0], local @ rotation / np.linalg.norm(
@@ -201,12 +195,12 @@ def _depths(
                     yield name, dense.read("depth", k)
 
 
-def _candidates(scene: Scene, asked: Sequence[str]) -> dict[str, dict[str, float]]:
+def _best_photographs(scene: Scene, queries: Sequence[str]) -> dict[str, dict[str, float]]:
     """Return the map photographs that see most of each query, with their shares of its surface."""
     mapped = scene.splits.map
-    overlap = scene.covisibility.select([*asked, *mapped]).overlap[: len(asked), len(asked) :]
+    overlap = scene.covisibility.select([*queries, *mapped]).overlap[: len(queries), len(queries) :]
     shares = {}
-    for name, row in zip(asked, overlap.tolist(), strict=True):
+    for name, row in zip(queries, overlap.tolist(), strict=True):
         least = max(row, default=0.0) - _SAME_SHARE
         shares[name] = {
             photograph: share
@@ -220,20 +214,20 @@ def _difficulty(
     views: Mapping[str, View],
     query: str,
     shares: Mapping[str, float],
-    found: Mapping[str, tuple[float, float]],
+    measured: Mapping[str, tuple[float, float]],
     points: NDArray[np.float64],
 ) -> Difficulty:
-    """Return the difficulty of a query from its candidates and what was measured of them."""
-    if not found:
+    """Return the difficulty of a query from the scale and angle to its best map photographs."""
+    if not measured:
         return Difficulty(0.0, None, None, None)
-    name, (scale, angle) = min(found.items(), key=lambda item: item[1][1])
+    name, (scale, angle) = min(measured.items(), key=lambda item: item[1][1])
     surface = float(np.isfinite(points).all(-1).mean())
     days = days_between(views[query].time, views[name].time)
     return Difficulty(surface * max(shares.values()), scale, angle, days)
 
 
 def _parts(scene: Scene, views: Sequence[View]) -> list[str]:
-    """Return the part of the place that each camera stands in, or else the kind of the place."""
+    """Return the part of the site that each camera is in, or else the kind of the site."""
     kind = scene.manifest.preset or ""
     if not scene.objects.surroundings:
         return [kind] * len(views)

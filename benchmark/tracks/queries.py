@@ -1,4 +1,4 @@
-"""The list of a data set's queries that a track keeps, ``queries/<dataset>.csv``."""
+"""Reading of a track's list of the queries of a data set, ``queries/<dataset>.csv``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.tables import read_table
 
 SAME: Final = "same"
-"""Name of the queries under the map's own condition; no condition can be called so."""
+"""Name of the queries under the map's own condition; no condition may have this name."""
 CHANGED: Final = "changed"
-"""Name of the other queries; no condition can be called so."""
+"""Name of the other queries; no condition may have this name."""
 
 _COLUMNS: Final = (*QueryRow._fields[:-1], *Difficulty._fields)
 _MOST_DAYS: Final = 182
-# No query is so much farther from the ground than the map's photographs, or nearer.
+# Larger ratios of the distances to the ground of query and map photograph are damage.
 _MOST_SCALE: Final = 1e6
 
 
@@ -44,10 +44,10 @@ def read_queries(path: Path) -> tuple[QueryRow, ...]:
 def _row(where: str, values: Mapping[str, str]) -> QueryRow:
     for column in ("name", "condition", "flight", "part"):
         if not values[column] or not values[column].isprintable():
-            raise InputError(f"{where}: {column} {values[column]!r} is no name")
-    for column, taken in (("condition", (ALL_CONDITIONS, SAME, CHANGED)), ("part", ("all",))):
-        if values[column] in taken:
-            raise InputError(f"{where}: no {column} can be called {values[column]!r}")
+            raise InputError(f"{where}: {column} {values[column]!r} is not a name")
+    for column, reserved in (("condition", (ALL_CONDITIONS, SAME, CHANGED)), ("part", ("all",))):
+        if values[column] in reserved:
+            raise InputError(f"{where}: the {column} {values[column]!r} is a reserved name")
     overlap = _number(where, values, "overlap", 1)
     if overlap is None:
         raise InputError(f"{where}: overlap is empty")
@@ -73,5 +73,5 @@ def _number(where: str, values: Mapping[str, str], column: str, most: float) -> 
     except ValueError:
         number = math.nan
     if not 0 <= number <= most:
-        raise InputError(f"{where}: {column} {text!r} is no number from 0 to {most:g}")
+        raise InputError(f"{where}: {column} {text!r} is not a number from 0 to {most:g}")
     return number

@@ -1,8 +1,8 @@
-"""The record of a place's render, by which a render of another machine is known to be like it.
+"""The record of a site's render, with which renders of other machines are compared.
 
-Renders differ in single bits between kinds of processors and versions of libraries, so digests
-tell only equal ones. The record keeps what a photograph shows in few numbers: its camera, its pose
-and mean brightness in blocks. Two renders are alike where these agree and the map is as large.
+Renders differ in single bits between kinds of processors and versions of libraries, so that their
+digests differ. The record describes each photograph by few numbers: its camera, its pose and the
+mean brightness of blocks. Two renders are alike if these agree and the maps have similar sizes.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _BLOCKS: Final = 8
 _DECIMALS: Final = 1
 # Decimals of poses: micrometres.
 _POSE_DECIMALS: Final = 6
-# Limits within which two renders are alike. With kernels of another instruction set, renders of a
-# park differ by up to 0.02 grey levels in blocks of the same size; a car of another place changes a
-# block by several. Largest difference of a block (grey levels), of a number of a pose (metres or
-# none), of a parameter of a camera (share) and of the number of points of the map (share):
+# Largest differences of renders that are alike: of a block (grey levels), of a number of a pose
+# (metres for translations), of a camera parameter and of the number of map points (relative). With
+# kernels of another instruction set, renders of a park differ by up to 0.02 grey levels; a car in
+# another position changes a block by several.
 _BRIGHTNESS: Final = 0.5
 _POSITION_M: Final = 1e-5
 _CAMERA_SHARE: Final = 1e-9
@@ -56,12 +56,7 @@ class RenderedFrame(Record):
 
 
 class Render(Record):
-    """What a rendered and mapped place looks like.
-
-    Attributes:
-        frames: frames of all sessions.
-        map_points: number of points of the map.
-    """
+    """The record of a rendered and mapped site: all its frames, and the size of its map."""
 
     frames: tuple[RenderedFrame, ...] = Field(min_length=1)
     map_points: int = Field(ge=0)
@@ -103,25 +98,23 @@ def read_render(path: Path) -> Render:
     """Read what ``write_render`` wrote.
 
     Raises:
-        InputError: the file is missing, damaged or no such record.
+        InputError: the file is missing, damaged or not such a record.
     """
     return read_json(path, Render, "record of a render")
 
 
 def difference(recorded: Render, render: Render) -> str:
-    """Describe in words why two renders are not alike; the text is empty when they are."""
+    """Describe in words why two renders are not alike; the text is empty if they are."""
     names, others = ([frame.name for frame in each.frames] for each in (recorded, render))
     if names != others:
         return "other frames"
     for before, now in zip(recorded.frames, render.frames, strict=True):
         if not _is_same_camera(before.camera, now.camera):
             return f"another camera of {now.name}"
-    poses, moved = (_numbers(each, "cam_from_world") for each in (recorded, render))
-    apart = np.abs(moved - poses).max(1)
-    if apart.max() > _POSITION_M:
-        return f"another pose of {names[int(apart.argmax())]}"
-    blocks, seen = (_numbers(each, "blocks") for each in (recorded, render))
-    brighter = np.abs(seen - blocks).max(1)
+    moved = _largest_differences(recorded, render, "cam_from_world")
+    if moved.max() > _POSITION_M:
+        return f"another pose of {names[int(moved.argmax())]}"
+    brighter = _largest_differences(recorded, render, "blocks")
     if brighter.max() > _BRIGHTNESS:
         worst = int(brighter.argmax())
         return f"{names[worst]} differs by {brighter[worst]:.1f} grey levels"
@@ -138,7 +131,7 @@ def _blocks(rgb: NDArray[np.uint8]) -> tuple[float, ...]:
 
 
 def _is_same_camera(words: str, others: str) -> bool:
-    """Say whether cameras are one but for rounding: tangents of two processors differ by a bit."""
+    """Return whether cameras are equal up to rounding; tangents differ between processors."""
     if words == others:
         return True
     before, now = Camera.parse(words.split()), Camera.parse(others.split())
@@ -147,5 +140,10 @@ def _is_same_camera(words: str, others: str) -> bool:
     return bool(np.allclose(now.params, before.params, rtol=_CAMERA_SHARE, atol=_CAMERA_SHARE))
 
 
-def _numbers(render: Render, field: str) -> NDArray[np.float64]:
-    return np.array([getattr(frame, field) for frame in render.frames], np.float64)
+def _largest_differences(recorded: Render, render: Render, field: str) -> NDArray[np.float64]:
+    """Return the largest difference of a field's numbers for each frame, (N,)."""
+    before, now = (
+        np.array([getattr(frame, field) for frame in one.frames], np.float64)
+        for one in (recorded, render)
+    )
+    return np.asarray(np.abs(now - before).max(1))

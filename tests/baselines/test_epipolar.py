@@ -56,7 +56,7 @@ class Exact(Extractor):
         return Features(xy, np.ones(len(xy), np.float32), DESCRIPTORS[kept])
 
 
-def localized(poses: Sequence[Pose], folder: Path) -> Estimate:
+def localize(poses: Sequence[Pose], folder: Path) -> Estimate:
     """What the method says of exact matches to photographs that stand at ``poses``."""
     localizer = EpipolarLocalizer(EpipolarConfig(max_error_px=0.5))
     localizer._sift = Exact(poses)
@@ -71,7 +71,7 @@ def localized(poses: Sequence[Pose], folder: Path) -> Estimate:
 
 
 def test_exact_matches_and_not_one_point_give_the_exact_pose(tmp_path: Path) -> None:
-    estimate = localized(AROUND, tmp_path)
+    estimate = localize(AROUND, tmp_path)
     assert estimate.status is Status.OK, estimate.reason
     assert estimate.cam_from_world is not None
     metres, degrees = estimate.cam_from_world.error_to(TRUTH)
@@ -92,7 +92,7 @@ def test_exact_matches_and_not_one_point_give_the_exact_pose(tmp_path: Path) -> 
 def test_geometry_that_does_not_say_where_is_named(
     poses: Sequence[Pose], reason: str, tmp_path: Path
 ) -> None:
-    estimate = localized(poses, tmp_path)
+    estimate = localize(poses, tmp_path)
     assert estimate.status is Status.FAILED
     assert estimate.reason == reason
 

@@ -68,7 +68,7 @@ def one_point(sparse_map: SparseMap) -> SparseMap:
     )
 
 
-def made(method: str) -> Localizer:
+def create_or_skip(method: str) -> Localizer:
     try:
         return create(method, {})
     except InputError as error:
@@ -84,7 +84,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module", params=LOOKING)
 def localizer(request: pytest.FixtureRequest, cache: Path) -> Localizer:
     """Every method, prepared on a sound map."""
-    localizer = made(request.param)
+    localizer = create_or_skip(request.param)
     localizer.prepare(WHOLE, DATASET.images, cache)
     return localizer
 
@@ -192,7 +192,7 @@ def test_a_prior_of_infinite_sigma_is_one_nobody_relies_on(localizer: Localizer)
     ids=["one_point", "points_nobody_sees"],
 )
 def test_a_map_that_says_nothing(method: str, spoiled: SparseMap, cache: Path) -> None:
-    localizer = made(method)
+    localizer = create_or_skip(method)
     localizer.prepare(spoiled, DATASET.images, cache)
     estimate = localizer.localize(QUERY)
     assert_answer(estimate)

@@ -1,4 +1,4 @@
-"""Small data sets made on the spot, and a localizer that answers what it is told."""
+"""Small artificial data sets, and a localizer with predetermined answers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def pose_at(index: int) -> Pose:
     return Pose(down, -(down @ centre))
 
 
-def moved(pose: Pose, metres: float) -> Pose:
+def move(pose: Pose, metres: float) -> Pose:
     """The camera moved east."""
     step = torch.tensor([metres, 0, 0], dtype=torch.float64)
     return Pose(pose.rotation, pose.translation - pose.rotation @ step)
@@ -140,7 +140,7 @@ def write_scene(path: Path) -> Path:
     return path
 
 
-def scored_query(
+def make_scored_query(
     name: str,
     metres: float | None,
     condition: str = "summer",

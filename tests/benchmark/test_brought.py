@@ -60,13 +60,13 @@ def test_the_example_runs_as_it_stands(install: Install, made_flight: Path, tmp_
         ("builtins:int", "TypeError"),
     ],
 )
-def test_faulty_packages(install: Install, value: str, message: str) -> None:
+def test_faulty_packages_are_named(install: Install, value: str, message: str) -> None:
     install("faulty", value)
     with pytest.raises(InputError, match=message):
         create("faulty", {})
 
 
-def test_unknown_names_are_told_what_there_is(install: Install) -> None:
+def test_an_unknown_name_lists_the_known_ones(install: Install) -> None:
     install("nearest", "nearest:make")
     with pytest.raises(
         InputError,

@@ -229,7 +229,7 @@ def test_a_query_without_pairs_says_why(tmp_path: Path) -> None:
     assert "pairs it with no photograph of the map" in estimate.reason
 
 
-def test_files_that_hloc_did_not_write(tmp_path: Path) -> None:
+def test_files_of_other_programs_are_refused(tmp_path: Path) -> None:
     paths = write_hloc(tmp_path)
     with h5py.File(paths["features"], "a") as file:
         del file[QUERY.name]
@@ -237,7 +237,7 @@ def test_files_that_hloc_did_not_write(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no matches of the keypoints in .*out of bounds"):
         ready(create("hloc", paths)).localize(QUERY)
     paths["matches"].write_bytes(paths["matches"].read_bytes()[:600])
-    with pytest.raises(InputError, match="is no HDF5 file, or damaged"):
+    with pytest.raises(InputError, match="is not an HDF5 file, or is damaged"):
         ready(create("hloc", paths))
     with pytest.raises(InputError, match="matches"):
         create("hloc", {"features": paths["features"]})

@@ -1,4 +1,4 @@
-"""The command line, above all what it says when the input is at fault."""
+"""The command line, mainly its error messages for faulty input."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from benchmark.cli.arguments import parse_settings
 from benchmark.cli.commands import COMMANDS, CommandGroup
 from benchmark.cli.options import options_of
 from benchmark.cli.output import Summary, emit
-from objconnect.methods import create
+from objconnect.methods import METHODS, create
 from objconnect.scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
+from tests.benchmark.made_data import FakeLocalizer, move, pose_at, write_flight, write_model
 
 ROOT = Path(__file__).parents[2]
 
@@ -48,8 +48,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
     """Every method name gives this localizer."""
     localizer = FakeLocalizer(
         {
-            "b.jpg": Estimate(Status.OK, moved(pose_at(1), 0.1)),
-            "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.1)),
+            "b.jpg": Estimate(Status.OK, move(pose_at(1), 0.1)),
+            "d.jpg": Estimate(Status.OK, move(pose_at(3), 0.1)),
         }
     )
     monkeypatch.setattr(objconnect.methods, "create", lambda name, overrides: localizer)
@@ -147,7 +147,7 @@ def empty_map(flight: Path) -> str:
     return "is empty"
 
 
-def truncated_map(flight: Path) -> str:
+def truncate_map(flight: Path) -> str:
     path = flight / "sparse" / "map" / "points3D.bin"
     path.write_bytes(path.read_bytes()[:1000])
     return "points3D.bin is truncated or damaged"
@@ -188,13 +188,15 @@ def gps_without_columns(flight: Path) -> str:
         binary_poses,
         missing_map,
         empty_map,
-        truncated_map,
+        truncate_map,
         query_in_the_map,
         bad_gps,
         gps_without_columns,
     ],
 )
-def test_broken_flight(flight: Path, tmp_path: Path, damage: Callable[[Path], str]) -> None:
+def test_a_broken_flight_is_one_error_line(
+    flight: Path, tmp_path: Path, damage: Callable[[Path], str]
+) -> None:
     message = damage(flight)
     result = invoke("evaluate", flight, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -203,7 +205,7 @@ def test_broken_flight(flight: Path, tmp_path: Path, damage: Callable[[Path], st
     assert not (tmp_path / "out").exists()
 
 
-def truncated_photograph(flight: Path) -> str:
+def truncate_photograph(flight: Path) -> str:
     path = flight / "images" / first_query(flight)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     return f"{path} is damaged"
@@ -217,8 +219,8 @@ def photograph_of_another_size(flight: Path) -> str:
     return f"{path} is 40 x 30 pixels but its camera is"
 
 
-@pytest.mark.parametrize("damage", [truncated_photograph, photograph_of_another_size])
-def test_broken_photograph(
+@pytest.mark.parametrize("damage", [truncate_photograph, photograph_of_another_size])
+def test_a_broken_photograph_is_one_error_line(
     flight: Path, tmp_path: Path, fake: FakeLocalizer, damage: Callable[[Path], str]
 ) -> None:
     message = damage(flight)
@@ -228,7 +230,7 @@ def test_broken_photograph(
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     nowhere = tmp_path / "nowhere"
     result = invoke("evaluate", nowhere, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -236,13 +238,13 @@ def test_missing_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_of_something_else(tmp_path: Path) -> None:
+def test_a_folder_without_a_data_set_is_refused(tmp_path: Path) -> None:
     result = invoke("evaluate", tmp_path, "--method", "sift", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "is not a data set" in error_line(result.stderr)
 
 
-def test_unknown_method(made_flight: Path, tmp_path: Path) -> None:
+def test_an_unknown_method_is_refused(made_flight: Path, tmp_path: Path) -> None:
     result = invoke("evaluate", made_flight, "--method", "magic", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "unknown method 'magic'" in error_line(result.stderr)
@@ -257,7 +259,9 @@ def test_unknown_method(made_flight: Path, tmp_path: Path) -> None:
         ("ratio=[", "is not a YAML value"),
     ],
 )
-def test_bad_setting(made_flight: Path, tmp_path: Path, setting: str, message: str) -> None:
+def test_a_bad_setting_is_refused(
+    made_flight: Path, tmp_path: Path, setting: str, message: str
+) -> None:
     out = tmp_path / "out"
     result = invoke("evaluate", made_flight, "--method", "sift", "--out", out, "--set", setting)
     assert result.exit_code == 2
@@ -272,7 +276,7 @@ def test_null_switches_an_option_off(option: str) -> None:
     assert getattr(create("objconnect", {}).config, option) is not None
 
 
-def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_two_data_sets_with_one_name_are_refused(tmp_path: Path, fake: FakeLocalizer) -> None:
     one, two = write_flight(tmp_path / "1" / "meadow"), write_flight(tmp_path / "2" / "meadow")
     result = invoke("evaluate", one, two, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 2
@@ -282,7 +286,9 @@ def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
     assert "is given 2 times" in error_line(result.stderr)
 
 
-def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_evaluate_writes_results_that_leaderboard_reads(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     out = tmp_path / "out"
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", out)
     assert result.exit_code == 0, result.output
@@ -293,7 +299,7 @@ def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeL
     assert board.stdout.startswith(result.stdout)
 
 
-def test_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_evaluate_prints_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     out = tmp_path / "out"
     words = ["evaluate", made_flight, "--method", "fake", "--out", out, "--start", "none", "--json"]
     summary = json.loads(invoke(*words).stdout)
@@ -304,7 +310,9 @@ def test_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     assert json.loads(invoke("leaderboard", out, "--json").stdout)["tables"] == summary["tables"]
 
 
-def test_basin(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_basin_writes_a_level_for_each_size(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     out = tmp_path / "out"
     words = ["basin", made_flight, "--method", "fake", "--out", out, "--errors", "0m/0deg,3m/5deg"]
     result = invoke(*words)
@@ -316,15 +324,19 @@ def test_basin(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
     assert [level["queries"] for level in found["levels"]] == [3, 3]
 
 
-def test_basin_of_no_size(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_basin_refuses_a_malformed_size(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     words = ["basin", made_flight, "--method", "fake", "--out", tmp_path / "out"]
     result = invoke(*words, "--errors", "3m,5deg")
     assert result.exit_code == 2
-    assert "errors are listed as 1m/2deg,3m/5deg; got '3m'" in error_line(result.stderr)
+    assert "write errors as 1m/2deg,3m/5deg; got '3m'" in error_line(result.stderr)
     assert not (tmp_path / "out").exists()
 
 
-def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+def test_an_interrupt_ends_with_code_130(
+    made_flight: Path, tmp_path: Path, fake: FakeLocalizer
+) -> None:
     fake.answers = {"d.jpg": KeyboardInterrupt()}
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 130
@@ -332,7 +344,7 @@ def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> No
     assert not list((tmp_path / "out").rglob("*.json"))
 
 
-def test_leaderboard_of_nothing(tmp_path: Path) -> None:
+def test_leaderboard_refuses_a_folder_without_results(tmp_path: Path) -> None:
     result = invoke("leaderboard", tmp_path, "--out", tmp_path / "board")
     assert result.exit_code == 2
     assert "holds no results file" in error_line(result.stderr)
@@ -348,19 +360,17 @@ def test_help_is_complete(command: str) -> None:
     assert "--json" in result.stdout
 
 
-def test_version() -> None:
+def test_version_is_printed() -> None:
     result = invoke("--version")
     assert result.exit_code == 0
     assert result.stdout.startswith("objconnect")
 
 
-def test_unknown_option() -> None:
+def test_an_unknown_option_is_refused() -> None:
     assert invoke("evaluate", "--colour", "red").exit_code == 2
 
 
-def test_simulate_hands_over_what_was_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_simulate_passes_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[Any, ...]] = []
 
     def simulate(*call: Any) -> SimpleNamespace:
@@ -384,7 +394,7 @@ def test_simulate_hands_over_what_was_given(
     ]
 
 
-def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
+def test_simulate_refuses_an_export_folder_that_is_not_empty(tmp_path: Path) -> None:
     """And says so before it renders anything."""
     kept = tmp_path / "scene-cmu" / "mine.txt"
     kept.parent.mkdir()
@@ -400,7 +410,7 @@ def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words", [["--preset", "moon"], ["--session", "summer-noon"], ["--session", "rain:nadir"]]
 )
-def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]) -> None:
+def test_simulate_refuses_unknown_names(tmp_path: Path, words: list[str]) -> None:
     result = invoke("simulate", "--out", tmp_path / "scene", *words)
     assert result.exit_code == 2
     assert words[1].split(":")[0] in error_line(result.stderr)
@@ -408,14 +418,16 @@ def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]
 
 
 @pytest.mark.parametrize("command", ["map", "dense"])
-def test_there_is_no_scene(tmp_path: Path, command: str) -> None:
+def test_a_missing_scene_is_refused(tmp_path: Path, command: str) -> None:
     result = invoke(command, tmp_path)
     assert result.exit_code == 2
     assert "is not a finished scene" in error_line(result.stderr)
 
 
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 2)])
-def test_validate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int) -> None:
+def test_validate_exits_with_2_on_a_failed_check(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int
+) -> None:
     report = SimpleNamespace(ok=ok, text=lambda: "the findings", as_dict=lambda: {"ok": ok})
     module = SimpleNamespace(validate=lambda path, cache: report)
     monkeypatch.setitem(sys.modules, "benchmark.validation", module)
@@ -444,11 +456,11 @@ def test_help_is_quick() -> None:
     done = run_process("--help")
     assert done.returncode == 0
     assert time.perf_counter() - start < 3  # about 0.3 s on an idle machine
-    assert not loaded_with("benchmark.cli") & {"torch", "numpy", "rich.progress"}
-    assert not loaded_with("benchmark.cli.simulation") & {"torch", "pycolmap", "bpy"}
+    assert not list_loaded_with("benchmark.cli") & {"torch", "numpy", "rich.progress"}
+    assert not list_loaded_with("benchmark.cli.simulation") & {"torch", "pycolmap", "bpy"}
 
 
-def loaded_with(module: str) -> set[str]:
+def list_loaded_with(module: str) -> set[str]:
     """Names of all modules that are loaded when one is imported by a fresh interpreter."""
     told = f"import sys, {module}; print(*sys.modules)"
     done = subprocess.run(
@@ -472,7 +484,7 @@ class Weather(BaseModel):
     rain: int = Field(2, description="Millimetres per hour.")
 
 
-def test_options_of_a_configuration() -> None:
+def test_fields_of_a_configuration_become_options() -> None:
     calls: list[tuple[Any, ...]] = []
     small = typer.Typer(rich_markup_mode=None)
 
@@ -493,6 +505,24 @@ def test_options_of_a_configuration() -> None:
     text = " ".join(runner.invoke(small, ["--help"]).stdout.split())
     assert "--wind <float> Speed of the wind, metres per second." in text
     assert "--rain <int> Millimetres per hour. [default: 5]" in text
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_option_that_is_listed_can_be_set(method: str) -> None:
+    result = invoke("options", method, "--json")
+    assert result.exit_code == 0, result.stderr
+    listed = json.loads(result.stdout)["options"]
+    assert all(option["description"] for option in listed)
+    defaults = create(method, {}).config
+    assert {option["key"] for option in listed} >= set(type(defaults).model_fields)
+    settings = {o["key"]: o["default"] for o in listed if not isinstance(o["default"], dict)}
+    assert create(method, settings).config == defaults
+
+
+def test_options_are_printed_as_they_are_set() -> None:
+    lines = invoke("options", "objconnect").stdout.splitlines()
+    assert {"search (group)", "search.risk=0.05", "weights=null"} <= set(lines)
+    assert invoke("options", "prior").stdout == "prior has no options\n"
 
 
 def test_text_ends_in_one_line_break(capsys: pytest.CaptureFixture[str]) -> None:

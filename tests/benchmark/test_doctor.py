@@ -1,4 +1,4 @@
-"""The doctor: what it says where things are really missing."""
+"""The doctor reports what is missing."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_library_that_does_not_load_and_no_network(tmp_path: Path) -> None:
     assert lines[-1] == "2 needed things missing"
 
 
-def test_json_and_exit_code(loads: Callable[..., None]) -> None:
+def test_doctor_prints_json_and_exits_with_2(loads: Callable[..., None]) -> None:
     answer = CliRunner().invoke(app, ["doctor", "--json"])
     assert answer.exit_code == 0, answer.output
     assert json.loads(answer.stdout)["ok"] is True
@@ -86,7 +86,7 @@ def test_json_and_exit_code(loads: Callable[..., None]) -> None:
     assert missing == ["torch", "opencv-python-headless"]
 
 
-def test_a_package_that_is_not_there(
+def test_a_missing_package_is_named(
     loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loads("pycolmap")
@@ -96,7 +96,7 @@ def test_a_package_that_is_not_there(
     assert found.fix == f"{sys.executable} -m pip install 'pycolmap>=4.2,<4.3'"
 
 
-def test_a_package_of_another_version(
+def test_a_package_of_another_version_is_named(
     loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = doctor._version
@@ -108,7 +108,7 @@ def test_a_package_of_another_version(
         assert found["numpy for simulate"].found == "2.1.3 is not >=1.26,<2"
 
 
-def test_who_does_not_render_needs_nothing_for_it(
+def test_libraries_of_rendering_are_optional_without_bpy(
     loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without(monkeypatch, "bpy", "pytest", "ray")
@@ -128,7 +128,7 @@ def test_who_does_not_render_needs_nothing_for_it(
     assert "pytest>=" in found["tests"].fix
 
 
-def test_who_renders_needs_the_libraries(
+def test_libraries_of_rendering_are_required_with_bpy(
     loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = doctor._version
@@ -139,7 +139,7 @@ def test_who_renders_needs_the_libraries(
     assert checks(doctor.doctor())["bpy for simulate"].fix == "sudo apt-get install -y libxi6"
 
 
-def test_weights_that_are_cut_short_gone_or_something_else(tmp_path: Path) -> None:
+def test_damaged_or_missing_weights_are_named(tmp_path: Path) -> None:
     folder = tmp_path / "weights"
     folder.mkdir()
     for package in doctor._WITH_WEIGHTS:
@@ -161,7 +161,7 @@ def test_weights_that_are_cut_short_gone_or_something_else(tmp_path: Path) -> No
     assert gone.state == "missing"
 
 
-def test_a_full_disk(loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_named(loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(ROOT)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=10))
     found = checks(doctor.doctor())
@@ -189,5 +189,5 @@ def test_requirements_are_those_of_the_project() -> None:
         ("1", "", True),
     ],
 )
-def test_versions(version: str, wanted: str, fits: bool) -> None:
+def test_versions_are_compared_by_number(version: str, wanted: str, fits: bool) -> None:
     assert doctor._fits(version, wanted) is fits

@@ -121,7 +121,7 @@ def test_faults_of_a_reader_are_one_line_that_names_it(parcel: Path, tmp_path: P
     assert "reader 'parcel' (resting_package:PARCEL) cannot read" in error_line(result.stderr)
 
 
-def test_an_export(rendered: Scene, tmp_path: Path) -> None:
+def test_an_export_format_of_a_package_is_used(rendered: Scene, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = invoke("export", rendered.path, "--format", "names", "--out", out)
     assert result.exit_code == 0, result.stderr
@@ -147,7 +147,7 @@ def test_a_faulty_export_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-def test_a_method_that_learns(rendered: Scene, tmp_path: Path) -> None:
+def test_a_trainable_method_of_a_package_is_trained(rendered: Scene, tmp_path: Path) -> None:
     settings = {"steps": 1, "batch": 1, "crop": 96, "points": 64, "width": 0.05, "workers": 0}
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     run = tmp_path / "run"
@@ -161,7 +161,7 @@ def test_a_method_that_learns(rendered: Scene, tmp_path: Path) -> None:
     )
 
 
-def test_a_preset_and_a_season(tmp_path: Path) -> None:
+def test_a_preset_and_a_season_of_a_package_are_rendered(tmp_path: Path) -> None:
     sessions = ["monsoon-noon:nadir"]
     config = SimulateConfig.load(None, {"preset": "hamlet", "sessions": sessions})
     assert config.session_names() == ("monsoon-noon-nadir-map",)

@@ -108,14 +108,14 @@ def make() -> Iterator[Callable[..., Localizer]]:
     """Makes a method; what it extracts of queries serves all tests, as far as it is local."""
     known: dict[str, dict[bytes, Features]] = {}
 
-    def made(method: str, **options: Any) -> Localizer:
+    def create_remembering(method: str, **options: Any) -> Localizer:
         localizer = create(method, options)
         if isinstance(localizer, StructureLocalizer):
             remembered = known.setdefault(method, {})
             localizer._extractor = Remembering(localizer._extractor, remembered)  # type: ignore[assignment]
         return localizer
 
-    yield made
+    yield create_remembering
     known.clear()
 
 
@@ -195,7 +195,7 @@ def test_swapped_cameras_are_caught(
     assert "DROP sift on gate" in answer.stdout
 
 
-def recorded(method: str, start: str) -> Path:
+def record(method: str, start: str) -> Path:
     """The folder of the recorded results of a method in snow."""
     return SNOW_BASELINE / f"{method}-{start}"
 
@@ -212,7 +212,7 @@ def test_recall_in_snow_has_not_dropped(
 ) -> None:
     localizer = make(method, **OPTIONS.get((method, start), {}))
     evaluate(snow, localizer, tmp_path, parse_start(STARTS[start]), cache)
-    no_recall_drop(tmp_path, recorded(method, start))
+    no_recall_drop(tmp_path, record(method, start))
 
 
 class Lost:
@@ -244,7 +244,7 @@ def test_a_lost_level_of_the_network_is_caught(
     assert isinstance(lossy, FeaturemetricLocalizer)
     lossy._extract.network = Lost(lossy._extract.network, level=0)
     evaluate(snow, lossy, tmp_path, parse_start(STARTS[start]))
-    answer = regress(tmp_path, recorded(method, start))
+    answer = regress(tmp_path, record(method, start))
     assert answer.exit_code == 1, answer.stdout
 
 
@@ -252,7 +252,7 @@ def test_a_lost_level_of_the_network_is_caught(
 def test_multistart_off_is_caught(snow: Dataset, tmp_path: Path, cache: Path) -> None:
     off = create("objconnect", {"multistart": False})
     evaluate(snow, off, tmp_path, parse_start(STARTS["far"]), cache)
-    answer = regress(tmp_path, recorded("objconnect", "far"))
+    answer = regress(tmp_path, record("objconnect", "far"))
     assert answer.exit_code == 1, answer.stdout
     assert "DROP objconnect on gate-snow (flight), all, 0.5m_5deg: -" in answer.stdout
 
@@ -261,7 +261,7 @@ def test_multistart_off_is_caught(snow: Dataset, tmp_path: Path, cache: Path) ->
 def test_no_place_search_is_caught(snow: Dataset, tmp_path: Path, cache: Path) -> None:
     off = create("objconnect", {"objects": None, "place": {"candidates": 0}})
     evaluate(snow, off, tmp_path, parse_start(STARTS["search"]), cache)
-    answer = regress(tmp_path, recorded("objconnect", "search"))
+    answer = regress(tmp_path, record("objconnect", "search"))
     assert answer.exit_code == 1, answer.stdout
 
 
@@ -272,7 +272,7 @@ def test_photographs_not_turned_north_up_are_caught(
     for module in (problem, references):
         monkeypatch.setattr(module, "north_angle", lambda _: 0.0)
     evaluate(snow, create("pixloc", {}), tmp_path, parse_start(STARTS["reach"]))
-    answer = regress(tmp_path, recorded("pixloc", "reach"))
+    answer = regress(tmp_path, record("pixloc", "reach"))
     assert answer.exit_code == 1, answer.stdout
     assert "DROP pixloc on gate-snow (flight), snow-dusk" in answer.stdout
 
@@ -290,12 +290,12 @@ def test_another_seed_is_not_flagged_in_twenty_of_twenty(
 def last_bits(seed: int) -> Callable[[Query], Query]:
     """Give every last bit of a picture at random: far more than processors differ by."""
 
-    def reseeded(query: Query) -> Query:
+    def reseed(query: Query) -> Query:
         rng = np.random.default_rng([seed, *query.name.encode()])
         noise = rng.integers(0, 2, query.image.shape, np.uint8)
         return replace(query, image=(query.image & np.uint8(0xFE)) | noise)
 
-    return reseeded
+    return reseed
 
 
 @pytest.mark.slow
@@ -313,5 +313,5 @@ def test_other_last_bits_are_not_flagged_in_twenty_of_twenty(
         localizer = create(method, options | seeded)
         noisy = Faulty(localizer, last_bits(seed))
         evaluate(snow, noisy, tmp_path, parse_start(STARTS[start]), cache)
-        answer = regress(tmp_path, recorded(method, start))
+        answer = regress(tmp_path, record(method, start))
         assert answer.exit_code == 0, f"seed {seed}:\n{answer.stdout}"

@@ -17,13 +17,13 @@ from benchmark.cli import app
 from benchmark.results.results import DatasetId, Results
 from benchmark.scoring.paired import compare
 from objconnect.localization.provenance import Method
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 
 def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64) -> None:
     """Results whose queries have these errors (m); None is a failure, names begin with s or w."""
     queries = [
-        scored_query(name, error, "summer" if name.startswith("s") else "winter")
+        make_scored_query(name, error, "summer" if name.startswith("s") else "winter")
         for name, error in errors.items()
     ]
     Results.of(
@@ -90,7 +90,7 @@ def test_a_baseline_that_cannot_drop_is_named(
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == 3
     assert all("sift on d (uav-sim), winter, " in line for line in said)
-    assert any("0.5m_5deg: no loss could be told from chance" in line for line in said)
+    assert any("0.5m_5deg: no loss could be significant" in line for line in said)
 
 
 def test_one_query_in_ten_lost_is_caught(baseline: Path, tmp_path: Path) -> None:
@@ -159,7 +159,9 @@ def test_gains_pass(baseline: Path, tmp_path: Path) -> None:
         (lambda new: (new / "d" / "sift.json").write_text("{"), "is not valid JSON"),
     ],
 )
-def test_faults_are_the_inputs(baseline: Path, tmp_path: Path, fault: object, message: str) -> None:
+def test_errors_of_the_input_exit_with_2(
+    baseline: Path, tmp_path: Path, fault: object, message: str
+) -> None:
     write(tmp_path / "new", GOOD)
     fault(tmp_path / "new")  # type: ignore[operator]
     answer = regress(tmp_path / "new", baseline)
@@ -181,7 +183,7 @@ def test_update_records_the_baseline(baseline: Path, tmp_path: Path) -> None:
     assert (baseline / "d" / "sift.json").read_bytes() == before
 
 
-def test_known_values() -> None:
+def test_the_statistics_equal_known_values() -> None:
     """Ten queries, four lost and one won: P(X >= 4 of 5) = 6/32."""
     before = [True] * 8 + [False] * 2
     after = [False] * 4 + [True] * 4 + [True, False]
@@ -196,7 +198,7 @@ def test_known_values() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
-def test_properties(pairs: list[tuple[bool, bool]]) -> None:
+def test_the_statistics_have_their_properties(pairs: list[tuple[bool, bool]]) -> None:
     before, after = [b for b, _ in pairs], [a for _, a in pairs]
     there, back = compare(before, after), compare(after, before)
     assert there.change == -back.change

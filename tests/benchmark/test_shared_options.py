@@ -144,7 +144,7 @@ def test_jobs_beside_a_cluster_are_refused(words: tuple[str, ...]) -> None:
         (("view", "scene", "--out", "--json"), "--out has no value: --json"),
     ],
 )
-def test_an_option_is_no_value(words: tuple[str, ...], taken: str) -> None:
+def test_an_option_is_not_taken_as_a_value(words: tuple[str, ...], taken: str) -> None:
     result = invoke(*words)
     assert result.exit_code == 2
     assert taken in error_line(result.stderr)

@@ -88,7 +88,7 @@ def ask(
     return by_condition
 
 
-def found(part: Summary) -> int:
+def count_correct(part: Summary) -> int:
     """Queries found within 0.5 m and 5 degrees."""
     return round(part.recall["0.5m_5deg"].value * part.queries / 100)
 
@@ -114,7 +114,7 @@ def test_shipped_weights_find_poses(name: str, ask: Callable[..., dict[str, Summ
     parts = ask(METHODS[name], **chosen)
     summer, snow = parts["summer-noon"], parts["snow-dusk"]
     assert (summer.queries, snow.queries) == (3, 5)
-    assert found(summer) == 3 and found(snow) >= 3
+    assert count_correct(summer) == 3 and count_correct(snow) >= 3
 
 
 @pytest.mark.slow
@@ -134,4 +134,4 @@ def test_weights_in_another_order_find_no_pose_in_snow(
     weights = tmp_path / "shuffled.safetensors"
     save_file(shuffled, weights, metadata)
     parts = ask(METHODS[name], weights=weights)
-    assert found(parts["snow-dusk"]) <= 1
+    assert count_correct(parts["snow-dusk"]) <= 1

@@ -60,17 +60,17 @@ def rewrite_poses(flight: Path, change: Callable[[np.ndarray], np.ndarray]) -> N
     path.write_text("\n".join(lines) + "\n")
 
 
-def transposed(matrix: np.ndarray) -> np.ndarray:
+def transpose(matrix: np.ndarray) -> np.ndarray:
     matrix[:3, :3] = matrix[:3, :3].T.copy()
     return matrix
 
 
-def centred(matrix: np.ndarray) -> np.ndarray:
+def centre(matrix: np.ndarray) -> np.ndarray:
     matrix[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
     return matrix
 
 
-def test_real_flight_holds(sparse: Path, cache: Path) -> None:
+def test_a_real_flight_passes(sparse: Path, cache: Path) -> None:
     report = validate(sparse, cache)
     assert report.ok, report.text()
     poses = next(check for check in report.checks if "photographs" in check.name)
@@ -81,12 +81,12 @@ def test_real_flight_holds(sparse: Path, cache: Path) -> None:
     ("change", "fault"),
     [
         (np.linalg.inv, "poses are inverted"),
-        (centred, "translations are camera centres"),
-        (transposed, "rotations are transposed"),
+        (centre, "translations are camera centres"),
+        (transpose, "rotations are transposed"),
         (lambda matrix: np.diag([1.0, -1, -1, 1]) @ matrix, "camera axes are OpenGL's"),
     ],
 )
-def test_reference_poses_of_other_conventions(
+def test_other_conventions_of_reference_poses_are_named(
     flight_copy: Path,
     sparse: Path,
     cache: Path,
@@ -99,7 +99,9 @@ def test_reference_poses_of_other_conventions(
     assert fault in report.text()
 
 
-def test_query_cameras_half_a_pixel_off(flight_copy: Path, sparse: Path, cache: Path) -> None:
+def test_query_cameras_off_by_half_a_pixel_are_named(
+    flight_copy: Path, sparse: Path, cache: Path
+) -> None:
     path = flight_copy / "queries_sparse.txt"
     text = path.read_text()
     path.write_text(text.replace("512.000000 288.000000", "511.500000 287.500000"))

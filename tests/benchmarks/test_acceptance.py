@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.acceptance import Record, Told, _plain, fit, read
+from experiments.acceptance import AlignedPose, Record, _plain, fit, read
 from objconnect.localization.featuremetric.acceptance import (
     AcceptanceModel,
     log_odds_of,
@@ -27,7 +27,7 @@ def write_records(path: Path, seed: int, inliers: int) -> Path:
         figures = (14.0, 0.1, 0.8) if right else (4.0, 1.5, 0.1)
         evidence = Evidence(*(float(value * rng.lognormal(0, 0.3)) for value in figures))
         pose = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        told = Told(evidence, pose, 0.1 if right else 40.0, 1.0, 0.1)
+        told = AlignedPose(evidence, pose, 0.1 if right else 40.0, 1.0, 0.1)
         records.append(Record(f"{k}.jpg", [told], inliers * (1 + 9 * right), right))
     path.write_text("".join(json.dumps(_plain(each)) + "\n" for each in records))
     assert read(path) == records

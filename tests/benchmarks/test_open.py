@@ -53,11 +53,11 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(
             objconnect.scene.storage.digests, "_TICK_NS", -(10**18)
         )  # they were written just now
-        opened(path)
+        open_dataset(path)
         yield path
 
 
-def opened(path: Path) -> str:
+def open_dataset(path: Path) -> str:
     (dataset,) = open_datasets(path)
     return dataset.sha256
 
@@ -73,16 +73,16 @@ def bare(path: Path) -> None:
 
 @pytest.mark.benchmark(group="open 1000 photographs again")
 def test_opened_again(benchmark: BenchmarkFixture, flight: Path) -> None:
-    took = {bare: float("inf"), opened: float("inf")}
+    took = {bare: float("inf"), open_dataset: float("inf")}
     for _ in range(ROUNDS if benchmark.enabled else 1):
         for what in took:  # in turns, for the machine has other things to do
             began = perf_counter()
             what(flight)
             took[what] = min(took[what], perf_counter() - began)
-    benchmark.extra_info["ratio"] = took[opened] / took[bare]
+    benchmark.extra_info["ratio"] = took[open_dataset] / took[bare]
     if benchmark.enabled:
-        print(f"\nopened again: {took[opened] / took[bare]:.2f} of what is bare")
-    assert len(benchmark(opened, flight)) == 64
+        print(f"\nopened again: {took[open_dataset] / took[bare]:.2f} of what is bare")
+    assert len(benchmark(open_dataset, flight)) == 64
 
 
 @pytest.mark.benchmark(group="open 1000 photographs again")

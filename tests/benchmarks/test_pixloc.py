@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from experiments.pixloc_cost import METHODS, Ground, lower_bound, made
+from experiments.pixloc_cost import METHODS, Ground, lower_bound, make
 from tests.baselines.pixloc import official
 
 pytestmark = pytest.mark.thorough
@@ -30,4 +30,4 @@ def test_one_query(benchmark: BenchmarkFixture, ground: Ground, method: str) -> 
     checkout = os.environ.get("OBJCONNECT_PIXLOC")
     if checkout:
         official.load(Path(checkout))
-    benchmark(lower_bound(ground) if method == "authors" and not checkout else made(method, ground))
+    benchmark(lower_bound(ground) if method == "authors" and not checkout else make(method, ground))

@@ -50,7 +50,7 @@ def test_a_group_without_a_peer_is_measured_by_its_first(tmp_path: Path) -> None
     assert (only.name, only.over, only.ratio) == ("test_query[1000]", "test_query[100]", 1.25)
 
 
-def written(folder: Path, name: str, ours: float, iqr: float = 0.02) -> Path:
+def write(folder: Path, name: str, ours: float, iqr: float = 0.02) -> Path:
     """Write the ratios of a run in which ours takes so many times what a peer takes."""
     made = run(folder / f"{name}-run.json", {"test_ours": ours, "test_opencv": 1.0}, iqr)
     path = folder / f"{name}.json"
@@ -65,20 +65,20 @@ def written(folder: Path, name: str, ours: float, iqr: float = 0.02) -> Path:
 def test_a_ratio_that_grew_by_more_than_its_spread_fails(
     tmp_path: Path, ours: float, iqr: float, worse: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before, now = written(tmp_path, "before", 1.0, iqr), written(tmp_path, "now", ours, iqr)
+    before, now = write(tmp_path, "before", 1.0, iqr), write(tmp_path, "now", ours, iqr)
     assert main(["check", str(now), "--against", str(before)]) == worse
     assert ("WORSE" in capsys.readouterr().out) == bool(worse)
 
 
 def test_the_file_names_processor_and_commit_and_not_the_machine(tmp_path: Path) -> None:
-    text = written(tmp_path, "now", 1.0).read_text()
+    text = write(tmp_path, "now", 1.0).read_text()
     assert "A processor" in text and "abc" in text and "a-name-of-a-machine" not in text
 
 
 def test_files_that_are_none_are_named_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other, good = tmp_path / "other.json", written(tmp_path, "good", 1.0)
+    other, good = tmp_path / "other.json", write(tmp_path, "good", 1.0)
     other.write_text('{"benchmarks": [{"name": "no numbers"}]}')
     assert main(["write", str(other), str(tmp_path / "out.json")]) == 2
     assert main(["check", str(good), "--against", str(tmp_path / "missing.json")]) == 2
@@ -93,7 +93,7 @@ def test_runs_that_share_nothing_are_not_compared(
 ) -> None:
     made = run(tmp_path / "run.json", {"test_ours": 1.0, "test_bare": 1.0}, group="another")
     assert main(["write", str(made), str(tmp_path / "other.json")]) == 0
-    before = written(tmp_path, "before", 1.0)
+    before = write(tmp_path, "before", 1.0)
     assert main(["check", str(tmp_path / "other.json"), "--against", str(before)]) == 2
     assert "share no ratio" in capsys.readouterr().err
 
@@ -127,7 +127,7 @@ def test_our_options_of_pytest_let_benchmarks_run(tmp_path: Path) -> None:
 
 
 def test_versions_are_drawn_in_order(tmp_path: Path) -> None:
-    first, second = written(tmp_path, "v2", 2.0), written(tmp_path, "v1", 0.5)
+    first, second = write(tmp_path, "v2", 2.0), write(tmp_path, "v1", 0.5)
     out = tmp_path / "ratios.png"
     assert ratio_picture.main([str(first), str(second), "--out", str(out)]) == 0
     assert out.stat().st_size > 1000

@@ -49,7 +49,7 @@ def surveys() -> dict[int, References]:
     return {photographs: survey(photographs) for photographs in (100, 10_000)}
 
 
-def asked(attitude: NDArray[np.float64] | None) -> Query:
+def make_query(attitude: NDArray[np.float64] | None) -> Query:
     position = np.array([91.0, 87.0, 80.0])
     prior = Prior(position, np.ones(3), attitude, None if attitude is None else 1.0)
     return Query("q", np.zeros((100, 100, 3), np.uint8), CAMERA, prior)
@@ -61,7 +61,7 @@ def asked(attitude: NDArray[np.float64] | None) -> Query:
 def test_by_prior(
     benchmark: BenchmarkFixture, surveys: dict[int, References], photographs: int, tilted: bool
 ) -> None:
-    query, references = asked(np.diag([1.0, -1, -1])), surveys[photographs]
+    query, references = make_query(np.diag([1.0, -1, -1])), surveys[photographs]
     references.choose(query, 5, pytest.fail, tilted)
     chosen = benchmark(references.choose, query, 5, pytest.fail, tilted)
     assert len(chosen) == 5

@@ -179,13 +179,13 @@ def photographs() -> tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]:
     camera = Camera("PINHOLE", 512, 512, (512.0, 512.0, 256.0, 256.0))
     down = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
-    def taken(x: float) -> GreyPhotograph:
+    def take_photograph(x: float) -> GreyPhotograph:
         centre = torch.tensor([x, 0.0, 80.0], dtype=torch.float64)
         grey = 255 * torch.rand(512, 512, generator=generator)
         return GreyPhotograph(grey, camera, Pose(down, -down @ centre), lambda xy: xy)
 
     xy = 150 + 300 * torch.rand(2000, 2, generator=generator, dtype=torch.float64)
-    return taken(0.0), taken(20.0), xy
+    return take_photograph(0.0), take_photograph(20.0), xy
 
 
 @pytest.mark.benchmark(group="correlate 2,000 windows of 49 values at 11 depths")

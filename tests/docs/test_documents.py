@@ -143,14 +143,14 @@ def test_every_command_is_in_a_guide() -> None:
     assert not missing
 
 
-def referenced() -> list[str]:
+def list_references() -> list[str]:
     """Return the modules that the reference shows."""
     pages = sorted((ROOT / "docs" / "reference").glob("*.md"))
     text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     return re.findall(r"^::: (\S+)$", text, re.MULTILINE)
 
 
-@pytest.mark.parametrize("module", referenced())
+@pytest.mark.parametrize("module", list_references())
 def test_public_names_have_docstrings(module: str) -> None:
     path = ROOT / module.replace(".", "/")
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

@@ -14,7 +14,7 @@ from tests.docs.measure_house import LONG, LONGEST, PACKAGES, WIDE, lines_of, pa
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
-def unexplained(path: Path) -> Iterator[str]:
+def list_unexplained(path: Path) -> Iterator[str]:
     text = path.read_text(encoding="utf-8")
     lines, tree = text.splitlines(), ast.parse(text)
     if len(lines) > LONGEST and f"over {LONGEST} lines because" not in (
@@ -36,7 +36,7 @@ def test_what_is_long_or_wide_says_why(package: str) -> None:
     wrong = {
         path.relative_to(ROOT).as_posix(): found
         for path in FILES
-        if path.relative_to(ROOT).parts[0] == package and (found := list(unexplained(path)))
+        if path.relative_to(ROOT).parts[0] == package and (found := list(list_unexplained(path)))
     }
     assert not wrong
 
@@ -45,8 +45,8 @@ def test_the_rule_is_noticed(tmp_path: Path) -> None:
     wide = "def wide(a, b, c, d, e, f, *, g): ...\n"
     path = tmp_path / "module.py"
     path.write_text(wide)
-    assert list(unexplained(path)) == ["wide takes 7 parameters"]
+    assert list(list_unexplained(path)) == ["wide takes 7 parameters"]
     path.write_text("# More than six parameters: each is an option.\n" + wide)
-    assert not list(unexplained(path))
+    assert not list(list_unexplained(path))
     path.write_text("def long():\n" + "    pass\n" * LONGEST)
-    assert list(unexplained(path)) == ["401 lines", "long has 401 lines"]
+    assert list(list_unexplained(path)) == ["401 lines", "long has 401 lines"]

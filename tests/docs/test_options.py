@@ -19,9 +19,9 @@ with every one that goes."""
 MOST_OF_A_METHOD: Final = 15
 
 
-def _derived(config: type[Config]) -> set[type[Config]]:
+def _list_derived(config: type[Config]) -> set[type[Config]]:
     found = {each for each in config.__subclasses__() if each.__module__.startswith(PACKAGES)}
-    return found.union(*map(_derived, found))
+    return found.union(*map(_list_derived, found))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def configs() -> set[type[Config]]:
         for module in walk_packages(import_module(package).__path__, f"{package}."):
             if not module.name.startswith("simulate.render") and "__main__" not in module.name:
                 import_module(module.name)
-    return _derived(Config)
+    return _list_derived(Config)
 
 
 def test_there_are_no_more_options(configs: set[type[Config]]) -> None:

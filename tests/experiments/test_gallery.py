@@ -79,7 +79,7 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[RenderJob]:
     return jobs
 
 
-def linked(page: Path) -> list[NDArray[np.uint8]]:
+def read_pictures(page: Path) -> list[NDArray[np.uint8]]:
     """The pictures the page shows."""
     links = re.findall(r"!\[.+\]\((.+)\)", page.read_text())
     pictures = [read_rgb(page.parent / link) for link in links]
@@ -103,7 +103,7 @@ def test_new_places_and_conditions_come_in_by_themselves(
         for sky in ("noon", "dusk", "noon-fog", "noon-smog")
     }  # fmt: skip
     assert len(rendered) == 2 + len(shown)  # each once, whatever pictures it is in
-    town, hamlet, light, weather = linked(page)
+    town, hamlet, light, weather = read_pictures(page)
     assert town.shape == hamlet.shape
     assert light.shape[0] == weather.shape[0] > 3 * 64
     assert light.shape[1] < weather.shape[1]
@@ -127,7 +127,7 @@ def test_an_interrupted_run_goes_on(
         gallery(SMALL, tmp_path)
     assert not (tmp_path / "gallery.md").exists()
     monkeypatch.setattr(experiments.gallery, "render", whole)
-    linked(gallery(SMALL, tmp_path))
+    read_pictures(gallery(SMALL, tmp_path))
     assert len(rendered) == 1 + 6
     assert {path.name for path in tmp_path.iterdir()} == {"gallery", "gallery.md"}
     # Finished, it renders anew: the look may have changed.
@@ -148,6 +148,6 @@ def test_the_page_says_how_it_was_made(few: None, rendered: list[RenderJob], tmp
 
 @pytest.mark.thorough
 def test_a_rendered_gallery(few: None, tmp_path: Path) -> None:
-    town, light, weather = linked(gallery(SMALL, tmp_path))
+    town, light, weather = read_pictures(gallery(SMALL, tmp_path))
     assert all(picture.std() > 30 for picture in (town, light, weather))
     assert town.shape[1] > 3 * 64

@@ -162,20 +162,17 @@ def test_objects_connect_as_on_the_processor() -> None:
     landmarks = merge(test_landmarks.views(xyz, vectors))[0]
     view = test_landmarks.photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.3), xyz, vectors)
 
-    def found(device: str) -> list[torch.Tensor]:
+    def run_connector(device: str) -> list[torch.Tensor]:
         graph = test_object_matching.graph(layers=1).to(device)
         connect = Connector(graph, landmarks, test_landmarks.GROUND)
-        asked = (
-            test_landmarks.CAMERA,
-            test_landmarks.DOWN,
-            test_object_matching.HEADINGS,
-            [60.0, 75.0],
-        )
-        return [place.pose.matrix() for place in connect(view.found, *asked)]
+        camera, pose = test_landmarks.CAMERA, test_landmarks.DOWN
+        headings = test_object_matching.HEADINGS
+        candidates = connect(view.found, camera, pose, headings, [60.0, 75.0])
+        return [candidate.pose.matrix() for candidate in candidates]
 
-    here = found("cpu")
+    here = run_connector("cpu")
     with second_device():
-        there = found("cuda:0")
+        there = run_connector("cuda:0")
     assert here and all(torch.equal(*both) for both in zip(here, there, strict=True))
 
 

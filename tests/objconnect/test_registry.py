@@ -6,12 +6,12 @@ import pytest
 
 from objconnect.methods import METHODS, create
 from objconnect.scene.errors import InputError
-from tests.baselines.d2net.untrained import untrained
+from tests.baselines.d2net.untrained import create_untrained
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_is_built_by_its_name(name: str, tmp_path: Path) -> None:
-    overrides = {"weights": untrained(tmp_path)} if name == "d2net" else {}
+    overrides = {"weights": create_untrained(tmp_path)} if name == "d2net" else {}
     assert create(name, overrides).name == name
 
 

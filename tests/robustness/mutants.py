@@ -1,4 +1,4 @@
-"""Lines of the methods, changed for the worse: do the tests notice?
+"""Mutation tests: changes of single lines of the methods that the tests must notice.
 
     python -m tests.robustness.mutants [NAME...]
 
@@ -340,13 +340,13 @@ def main(names: Sequence[str]) -> int:
             print(f"these fail without any mutant: {', '.join(failed)}")
             return 1
         for mutant in chosen:
-            wrong = _tried(tree, mutant)
+            wrong = _try(tree, mutant)
             print(f"{'LIVES' if wrong else 'dies '}  {mutant.name}{wrong and ': '}{wrong}")
             faults += bool(wrong)
     return faults
 
 
-def unlisted(mutant: Mutant, tree: Path = ROOT) -> str:
+def list_unlisted(mutant: Mutant, tree: Path = ROOT) -> str:
     """Why an entry of the list is not true of a tree any more; empty if it is."""
     found = (tree / mutant.file).read_text().count(mutant.old)
     if found != 1:
@@ -358,18 +358,18 @@ def unlisted(mutant: Mutant, tree: Path = ROOT) -> str:
     return ""
 
 
-def _tried(tree: Path, mutant: Mutant) -> str:
+def _try(tree: Path, mutant: Mutant) -> str:
     """What is wrong; empty if all its tests failed."""
-    if wrong := unlisted(mutant, tree):
+    if wrong := list_unlisted(mutant, tree):
         return wrong
-    with _made(tree, mutant):
+    with _make(tree, mutant):
         failed = _failing(tree, mutant.killed_by)
     alive = [test for test in mutant.killed_by if not any(_is_of(each, test) for each in failed)]
     return f"{', '.join(alive)} passed" if alive else ""
 
 
 @contextmanager
-def _made(tree: Path, mutant: Mutant) -> Iterator[None]:
+def _make(tree: Path, mutant: Mutant) -> Iterator[None]:
     file = tree / mutant.file
     before = file.read_text()
     file.write_text(before.replace(mutant.old, mutant.new))

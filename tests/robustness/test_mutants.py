@@ -1,4 +1,4 @@
-"""Changed lines are noticed: see ``tests.robustness.mutants``."""
+"""Tests fail on mutants; see ``tests.robustness.mutants``."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from collections.abc import Sequence
 
 import pytest
 
-from tests.robustness.mutants import MUTANTS, ROOT, Mutant, unlisted
+from tests.robustness.mutants import MUTANTS, ROOT, Mutant, list_unlisted
 
 pytestmark = pytest.mark.thorough
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_the_list_is_true(mutant: Mutant) -> None:
-    assert not unlisted(mutant)
+def test_every_mutant_changes_existing_code(mutant: Mutant) -> None:
+    assert not list_unlisted(mutant)
 
 
-def test_an_entry_that_is_not_true_any_more_is_an_error() -> None:
+def test_an_outdated_mutant_is_an_error() -> None:
     first = MUTANTS[0]
-    assert "0 times, not once" in unlisted(first._replace(old="TAKEN_OUT: Final = 0.1"))
-    assert "no test" in unlisted(first._replace(killed_by=("tests/test_line.py::test_nothing",)))
+    assert "0 times, not once" in list_unlisted(first._replace(old="TAKEN_OUT: Final = 0.1"))
+    assert "no test" in list_unlisted(
+        first._replace(killed_by=("tests/test_line.py::test_nothing",))
+    )
 
 
 def require_death(mutants: Sequence[Mutant]) -> None:

@@ -258,14 +258,14 @@ def test_sessions_from_words() -> None:
 
 
 def test_named_sessions() -> None:
-    def named(*names: str | None) -> SimulateConfig:
+    def configure_names(*names: str | None) -> SimulateConfig:
         flown = {"condition": "summer-noon", "flight": "nadir", "role": "map"}
         return SimulateConfig.model_validate({"sessions": [flown | {"name": n} for n in names]})
 
-    assert named("map", None).session_names() == ("map", "summer-noon-nadir-map")
+    assert configure_names("map", None).session_names() == ("map", "summer-noon-nadir-map")
     for wrong in (("a", "a", "a-2"), ("../a",), ("A",), ("",), ("a/b",)):
         with pytest.raises(ValueError, match="name"):
-            named(*wrong)
+            configure_names(*wrong)
 
 
 def test_the_track_changes_one_thing_at_a_time() -> None:

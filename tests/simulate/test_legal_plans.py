@@ -263,7 +263,7 @@ def make_plan(seed: int) -> Flight:
     return flight
 
 
-def written(flight: Flight, path: Path) -> Path:
+def write(flight: Flight, path: Path) -> Path:
     latitude, longitude, _ = geodetic_from_enu(np.array([*flight.home[:2], 0.0]), ORIGIN)
     items = flight.truth.items
     if flight.rng.random() < 0.3:  # a survey that QGroundControl saved with its items
@@ -288,7 +288,7 @@ def test_the_truth_or_the_name_of_a_command(tmp_path: Path) -> None:
     found = refused = 0
     for seed in range(PLANS):
         flight = make_plan(seed)
-        truth, path = flight.truth, written(flight, tmp_path / "a.plan")
+        truth, path = flight.truth, write(flight, tmp_path / "a.plan")
         try:
             aims = read_plan(path, ORIGIN, 200.0, hills, -90.0, GEOID_M)
         except InputError as error:
@@ -313,5 +313,5 @@ def test_a_wrong_truth_is_noticed(tmp_path: Path) -> None:
     flight = make_plan(0)
     flight.truth.items[0]["frame"] = 3 if flight.truth.items[0]["frame"] != 3 else 10
     with pytest.raises((AssertionError, InputError)):
-        aims = read_plan(written(flight, tmp_path / "a.plan"), ORIGIN, 200.0, hills, -90.0)
+        aims = read_plan(write(flight, tmp_path / "a.plan"), ORIGIN, 200.0, hills, -90.0)
         assert_allclose(aims.centres, np.array([shot[0] for shot in flight.truth.shots]), atol=0.02)

@@ -16,12 +16,12 @@ from simulate.place.town import TOWN
 from simulate.planner import plan_session
 
 
-def planned(config: SimulateConfig) -> Any:
+def plan(config: SimulateConfig) -> Any:
     world, rng = TOWN.build(0, 160), np.random.default_rng(0)
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
-def configured(scene: Path, **fields: Any) -> SimulateConfig:
+def configure(scene: Path, **fields: Any) -> SimulateConfig:
     session = {
         "condition": "snow-dusk",
         "role": "map",
@@ -33,13 +33,13 @@ def configured(scene: Path, **fields: Any) -> SimulateConfig:
 def test_photographs_are_repeated_without_wind(rendered: Scene) -> None:
     names = [name for session in rendered.sessions for name in rendered.frames(session).names]
     poses = [rendered.frames(session).cam_from_world for session in rendered.sessions]
-    assert_array_equal(planned(configured(rendered.path)), np.concatenate(poses))
+    assert_array_equal(plan(configure(rendered.path)), np.concatenate(poses))
     of_map = [name in rendered.splits.map for name in names]
     assert 0 < sum(of_map) < len(names)
-    chosen = configured(rendered.path, photographs="map")
-    assert_array_equal(planned(chosen), np.concatenate(poses)[of_map])
-    others = configured(rendered.path, photographs="queries")
-    assert_array_equal(planned(others), np.concatenate(poses)[np.logical_not(of_map)])
+    chosen = configure(rendered.path, photographs="map")
+    assert_array_equal(plan(chosen), np.concatenate(poses)[of_map])
+    others = configure(rendered.path, photographs="queries")
+    assert_array_equal(plan(others), np.concatenate(poses)[np.logical_not(of_map)])
     again = SimulateConfig.model_validate_json(others.model_dump_json())
     assert again == others
 
@@ -48,21 +48,21 @@ def test_a_flown_flight_is_a_word_of_the_command_line(rendered: Scene) -> None:
     words = [f"summer-noon:flown={rendered.path}", f"snow-dusk:flown={rendered.path}:query"]
     config = SimulateConfig.load(None, {"sessions": words})
     assert config.session_names() == ("summer-noon-flown-map", "snow-dusk-flown-query")
-    assert len(planned(config)) == sum(len(rendered.frames(s)) for s in rendered.sessions)
+    assert len(plan(config)) == sum(len(rendered.frames(s)) for s in rendered.sessions)
 
 
 def test_what_cannot_be_repeated_is_refused(rendered_copy: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere.scene\.json"):
-        configured(tmp_path / "nowhere")
+        configure(tmp_path / "nowhere")
     with pytest.raises(InputError, match="photographs"):
-        configured(rendered_copy, photographs="some")
-    config = configured(rendered_copy)
+        configure(rendered_copy, photographs="some")
+    config = configure(rendered_copy)
     elsewhere = config.model_copy(
         update={"origin": config.origin._replace(latitude=config.origin.latitude + 1e-3)}
     )
     with pytest.raises(InputError, match="has another origin"):
-        planned(elsewhere)
+        plan(elsewhere)
     manifest = rendered_copy / "scene.json"
     manifest.write_text(manifest.read_text() + "\n")
     with pytest.raises(InputError, match="has changed since the flight"):
-        planned(config)
+        plan(config)

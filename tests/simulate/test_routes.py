@@ -36,7 +36,7 @@ def town() -> World:
     return TOWN.build(7, AREA)
 
 
-def configured(flight: object, role: str = "map", **fields: Any) -> SimulateConfig:
+def configure(flight: object, role: str = "map", **fields: Any) -> SimulateConfig:
     session = {"condition": "summer-noon", "flight": flight, "role": role}
     count = fields.pop("session_frames", None)
     sessions = [session | {"frames": count}, {"condition": "summer-noon", "flight": "nadir"}]
@@ -45,14 +45,14 @@ def configured(flight: object, role: str = "map", **fields: Any) -> SimulateConf
     return SimulateConfig.load(None, fields)
 
 
-def flown(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
-    config = configured(flight, role, **fields)
+def fly(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
+    config = configure(flight, role, **fields)
     rng = np.random.default_rng([config.seed, 0])
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
 def still(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
-    return flown(world, flight, role, position_jitter_m=0, attitude_jitter_deg=0, **fields)
+    return fly(world, flight, role, position_jitter_m=0, attitude_jitter_deg=0, **fields)
 
 
 def distance(points: Array, line: Array) -> Array:
@@ -66,10 +66,10 @@ def distance(points: Array, line: Array) -> Array:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("role", ["map", "query"])
 def test_one_word_is_a_flight(town: World, kind: str, role: str) -> None:
-    poses = flown(town, kind, role)
+    poses = fly(town, kind, role)
     assert poses.shape == (12, 4, 4)
     assert_rigid(poses)
-    config = configured(kind, role)
+    config = configure(kind, role)
     check_flight("s", poses, config.photo_camera(), town)
     assert config.session_names()[0] == f"summer-noon-{kind}-{role}"
 
@@ -84,7 +84,7 @@ def test_map_and_query_fly_differently(town: World, kind: str) -> None:
 @pytest.mark.parametrize("kind", [*KINDS, {"kind": "free", "pitch_deg": [-80, -50]}])
 def test_seed_zero_is_a_seed(town: World, kind: object) -> None:
     fields = {"attitude_jitter_deg": 1.5}
-    zero, again, one = (flown(town, kind, seed=seed, **fields) for seed in (0, 0, 1))
+    zero, again, one = (fly(town, kind, seed=seed, **fields) for seed in (0, 0, 1))
     assert np.array_equal(zero, again)
     if kind != "street":  # a road has no wind
         assert not np.array_equal(zero, one)
@@ -94,7 +94,7 @@ def test_seed_zero_is_a_seed(town: World, kind: object) -> None:
 def test_gsd_is_what_was_asked(town: World, gsd: float, fov: float, size: int) -> None:
     flight = {"kind": "nadir", "gsd_cm": gsd}
     poses = still(town, flight, fov_deg=fov, size=size)
-    focal = configured(flight, fov_deg=fov, size=size).photo_camera().focal[0]
+    focal = configure(flight, fov_deg=fov, size=size).photo_camera().focal[0]
     x, y, z = camera_centres(poses).T
     assert_allclose(100 * (z - town.terrain.height(x, y)) / focal, gsd, rtol=1e-9)
 
@@ -245,13 +245,13 @@ def test_street_keeps_to_the_right_and_looks_to_both_sides(town: World) -> None:
 )
 def test_impossible_numbers_are_one_line(flight: object, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        configured(flight)
+        configure(flight)
     assert "\n" not in str(caught.value)
 
 
 def test_a_flight_that_counts_itself_takes_no_frames() -> None:
     with pytest.raises(InputError, match="leave frames out"):
-        configured({"kind": "nadir", "side_overlap": 0.5}, session_frames=3)
+        configure({"kind": "nadir", "side_overlap": 0.5}, session_frames=3)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_impossible_flights_leave_nothing_behind(
     out = tmp_path / "scene"
     still_air = {"position_jitter_m": 0, "attitude_jitter_deg": 0}
     with pytest.raises(InputError, match=f"session summer-noon-.*{message}") as caught:
-        simulate(configured(flight, frames=40, **still_air), out)
+        simulate(configure(flight, frames=40, **still_air), out)
     assert "\n" not in str(caught.value)
     assert not out.exists(), "nothing is written for a flight that cannot be flown"
 

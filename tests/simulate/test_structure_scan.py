@@ -47,7 +47,7 @@ SCAN: dict[str, Any] = {
 }
 
 
-def flown(folder: Path, **fields: Any) -> Aims:
+def fly(folder: Path, **fields: Any) -> Aims:
     mission = {
         "items": [SCAN | fields],
         "plannedHomePosition": [47.0, 8.0, 0.0],
@@ -63,7 +63,7 @@ def flown(folder: Path, **fields: Any) -> Aims:
 
 @pytest.mark.parametrize("from_top", [True, False])
 def test_each_round_looks_at_the_structure(tmp_path: Path, from_top: bool) -> None:
-    aims = flown(tmp_path, StartFromTop=from_top)
+    aims = fly(tmp_path, StartFromTop=from_top)
     # 15 m outside a square of 20 m, four sides of 50 m are flown, with a photograph every 10 m.
     assert_allclose(np.abs(aims.centres[:, :2]).max(1), 25, atol=0.05)
     heights = [20.0, 12.0, 4.0] if from_top else [4.0, 12.0, 20.0]
@@ -97,6 +97,6 @@ def test_a_scan_that_tells_no_flight_is_named(
     tmp_path: Path, fields: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(InputError) as raised:
-        flown(tmp_path, **fields)
+        fly(tmp_path, **fields)
     assert said in str(raised.value)
     assert "\n" not in str(raised.value)

@@ -1,4 +1,4 @@
-"""The cells of a track: the queries that one figure pools.
+"""The cells of a track: the groups of queries that one figure pools.
 
 A cell is a season and a part of the track. The seasons are "same" (the map's own condition, and
 nothing moved), "changed" (all others), and each condition. The parts are "all" and each part of the
@@ -22,10 +22,10 @@ from benchmark.tracks.queries import CHANGED, SAME
 from objconnect.scene.bundle.manifest import ALL_CONDITIONS
 
 ALL: Final = ALL_CONDITIONS
-# A cell says how wide its intervals are where recall is 90 %.
+# Recall at which the width of a cell's intervals is stated.
 _RECALL: Final = 0.9
 RISK: Final = 0.01
-"""Share of wrong answers that ``recall_at_risk`` stays below."""
+"""Upper bound of the share of wrong answers in ``recall_at_risk``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,13 @@ class Cell:
 
     @property
     def half_width(self) -> float:
-        """Return half the width of a 95 % interval at a recall of 90 %, in percentage points."""
+        """Half the width of a 95 % interval at a recall of 90 %, in percentage points."""
         low, high = wilson(round(_RECALL * len(self.rows)), len(self.rows))
         return 50 * (high - low)
 
 
 def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
-    """Yield the cells that hold a query: both seasons of all and each part, then the conditions."""
+    """Yield the cells with queries: both seasons of all and of each part, then the conditions."""
     for season in (CHANGED, SAME):
         chosen = [k for k, query in enumerate(queries) if query.same == (season == SAME)]
         for part in (ALL, *parts(queries)):
@@ -63,7 +63,7 @@ def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
 
 
 def parts(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
-    """Return the parts of a track in the order of its places."""
+    """Return the parts of a track in the order of its sites."""
     return tuple(dict.fromkeys(query.row.part for query in queries))
 
 
@@ -73,25 +73,25 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
 
 
 def recall_at_risk(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
-    """Return the recall of the surest answers, of which fewer than 1 % are wrong.
+    """Return the recall of the most certain answers, of which fewer than 1 % are wrong.
 
-    Answers are believed in the order of ``uncertainty.doubt``, as far as the share of
-    wrong poses among them is below ``RISK``. Equal ones are believed together. An answer without a
-    probability and a standard deviation is never believed.
+    Answers are accepted in the order of ``uncertainty.doubt``, as long as the share of wrong poses
+    among them is below ``RISK``. Ties are accepted together. An answer without a probability and a
+    standard deviation is never accepted.
 
     Returns:
-        The share of all queries that are believed and right, in percent; None where no answer has
-        a probability or a standard deviation.
+        The share of all queries that are accepted and correct, in percent; None if no answer has a
+        probability or a standard deviation.
     """
     stated = sorted((o for o in outcomes if min(doubt(o)) < np.inf), key=doubt)
     if not stated:
         return None
-    right = np.cumsum([is_correct(o, threshold) for o in stated])
-    believed = np.arange(1, len(stated) + 1)
-    # Only the last of equal ones closes a set that may be believed.
+    correct = np.cumsum([is_correct(o, threshold) for o in stated])
+    accepted = np.arange(1, len(stated) + 1)
+    # A set of accepted answers may end only at the last of several ties.
     doubts = [doubt(o) for o in stated]
     closed = np.array([a != b for a, b in pairwise([*doubts, None])])
-    allowed = np.flatnonzero(closed & (believed - right < RISK * believed))
-    found = int(right[allowed[-1]]) if len(allowed) else 0
-    low, high = wilson(found, len(outcomes))
-    return Interval(100 * found / len(outcomes), 100 * low, 100 * high)
+    allowed = np.flatnonzero(closed & (accepted - correct < RISK * accepted))
+    count = int(correct[allowed[-1]]) if len(allowed) else 0
+    low, high = wilson(count, len(outcomes))
+    return Interval(100 * count / len(outcomes), 100 * low, 100 * high)

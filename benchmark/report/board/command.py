@@ -1,4 +1,4 @@
-"""The leaderboard of tracks, from the results that are kept of them."""
+"""The leaderboard of all tracks, from their stored results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class BoardReport:
 
 
 def board(folder: Path = BOARD, out: Path | None = None) -> BoardReport:
-    """Compare the results that are kept of all tracks.
+    """Compare the stored results of all tracks.
 
     Args:
         folder: folder of the tracks, ``folder/<track>/track.yaml`` with ``queries`` and

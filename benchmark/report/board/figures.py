@@ -1,4 +1,4 @@
-"""The figures of the page of all tracks, each computed here and shown as it is."""
+"""The figures of the page of all tracks; the page shows them without computing any."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
 
 
 def _list_queries(board: TrackBoard) -> dict[str, Any]:
-    """Return the list of queries, by column: the page reads many."""
+    """Return the list of queries by column, because there are many."""
     places = [place.dataset for place in board.track.places]
     part_names, condition_names = parts(board.queries), conditions(board.queries)
     return {
@@ -69,7 +69,7 @@ def _list_queries(board: TrackBoard) -> dict[str, Any]:
 
 
 def _answers(board: TrackBoard, run: BoardRun) -> dict[str, Any]:
-    """Return the errors of every query, by column; null where there are no results."""
+    """Return the errors of every query by column; None for queries without results."""
     known = run.answers
     return {
         "method": board.track.methods.index(run.method),
@@ -98,7 +98,7 @@ def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, 
 
 
 def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
-    """Return the figures of a run in a cell; None where it has no results of the cell."""
+    """Return the figures of a run in a cell; None if it has no results there."""
     rows = cell.rows[run.has[cell.rows]]
     answers = run.of(rows)
     if not answers:
@@ -108,7 +108,7 @@ def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
     return {
         "summary": figures_of(summary),
         "nees": nees_of(summary.uncertainty),
-        "bounded": [None if found is None else _interval(found) for found in bounded],
+        "bounded": [None if share is None else _interval(share) for share in bounded],
         "surest": [_surest(answers, number) for number in range(len(THRESHOLDS))],
         "difficulty": [
             [_bin(bins) for bins in zip(*_curves(board, rows, run, axis), strict=True)]
@@ -122,7 +122,7 @@ def _interval(interval: Interval) -> list[float]:
 
 
 def _surest(answers: Sequence[QueryResult], number: int) -> list[list[float]]:
-    """Return points (coverage, share of right poses) in percent of the surest queries."""
+    """Return points (coverage, share of correct poses) in percent, most certain queries first."""
     curve = risk_coverage(answers, THRESHOLDS[number])
     chosen = np.unique(np.linspace(0, len(curve) - 1, _POINTS).round().astype(int))
     return [[round(curve[k][0], 1), round(100 - curve[k][1], 1)] for k in chosen]

@@ -1,7 +1,7 @@
-"""Small photographs of the queries that most methods get wrong, kept with a track.
+"""Small photographs of the queries that most methods get wrong, stored with a track.
 
 ``<track>/album/<dataset>.h5`` is an album (``benchmark.report.album``) of a few queries with small
-photographs. It is made from the albums that ``evaluate`` writes beside results:
+photographs. This command makes it from the albums that ``evaluate`` writes beside results:
 ``python -m benchmark.report.board.pictures --track benchmark/tracks/uav-seasons RESULTS...``
 """
 
@@ -31,10 +31,10 @@ _THRESHOLD: Final = 1
 
 
 class Pictures:
-    """The photographs of a page, as far as there is room.
+    """The photographs of a page, up to a total size.
 
     Attributes:
-        encoded: photographs as addresses that hold their data.
+        encoded: photographs as data URLs.
     """
 
     def __init__(self) -> None:
@@ -42,14 +42,14 @@ class Pictures:
         self._left = PICTURE_BYTES
 
     def of(self, board: TrackBoard) -> dict[int, list[int | None]]:
-        """Return the numbers of the photographs of query and map, by the index of the query.
+        """Return the indices of the photographs of query and map, by the index of the query.
 
-        A photograph that no room is left for is None.
+        A photograph that no longer fits is None.
 
         Raises:
             InputError: an album is damaged.
         """
-        found: dict[int, list[int | None]] = {}
+        numbers: dict[int, list[int | None]] = {}
         for place in board.track.places:
             path = board.folder / _FOLDER / f"{place.dataset}.h5"
             if (album := read_album(path, *place.renders)) is None:
@@ -57,10 +57,10 @@ class Pictures:
             for k, query in enumerate(board.queries):
                 if query.dataset == place.dataset and query.row.name in album.entries:
                     entry = album.entries[query.row.name]
-                    found[k] = [self._add(entry.photograph)]
+                    numbers[k] = [self._add(entry.photograph)]
                     if entry.neighbour is not None:
-                        found[k].append(self._add(album.neighbours[entry.neighbour].photograph))
-        return found
+                        numbers[k].append(self._add(album.neighbours[entry.neighbour].photograph))
+        return numbers
 
     def _add(self, photograph: bytes) -> int | None:
         text = "data:image/webp;base64," + base64.b64encode(photograph).decode()
@@ -72,18 +72,18 @@ class Pictures:
 
 
 def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
-    """Keep small photographs of the queries of a track that most runs get wrong.
+    """Store small photographs of the queries of a track that most runs get wrong.
 
     Args:
         results: folders that ``evaluate`` wrote, with albums of the track's data sets.
-        track: folder of the track, which holds results already.
+        track: folder of the track, with its stored results.
 
     Returns:
         The albums that were written.
 
     Raises:
         InputError: the track cannot be read, an album is damaged or cannot be written, or no album
-            is of the track's data.
+            belongs to the track's data.
     """
     board = read_board(track.resolve().name, track.resolve().parent)
     written = []
@@ -98,7 +98,9 @@ def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
                 written.append(target)
                 break
     if not written:
-        raise InputError(f"no {ALBUM} in {', '.join(map(str, results))} is of the data of {track}")
+        raise InputError(
+            f"no {ALBUM} in {', '.join(map(str, results))} belongs to the data of {track}"
+        )
     return written
 
 

@@ -117,8 +117,8 @@ class TrackBoard:
 def read_boards(folder: Path) -> list[TrackBoard]:
     """Read all tracks of a folder, ``FOLDER/<track>/track.yaml`` and what lies beside it.
 
-    Tracks with results come first, and of these the one of aircraft, with which the page opens; the
-    others follow in the order of names.
+    Tracks with results come first, among them the one of aircraft, with which the page opens; the
+    others follow in the order of their names.
 
     Raises:
         InputError: there is no track, a file is damaged, or results are not of the track's data.
@@ -185,7 +185,7 @@ def _load(track: Track, paths: Mapping[_Key, Path]) -> dict[_Key, Results]:
 
 def _results_path(folder: Path, method: str) -> Path | None:
     paths = (folder / f"{method}{ending}" for ending in _ENDINGS)
-    # What is no file is refused by whoever reads it; only nothing at all is missing.
+    # lexists: a broken link is refused by the reader, not reported as missing.
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
@@ -222,7 +222,7 @@ def _check_queries(path: Path, rows: Mapping[str, QueryRow], what: str, run: Res
     answered = {query.name: None for query in run.queries}
     for name in answered:
         if name not in rows:
-            raise InputError(f"{path} has no row of {name}, which is in the results of {what}")
+            raise InputError(f"{path} has no row for {name}, which is in the results of {what}")
     lost = [name for name in rows if name not in answered]
     if lost:
         raise InputError(

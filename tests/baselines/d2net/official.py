@@ -65,7 +65,7 @@ def pictures() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     return scene[:, :WIDTH], scene[:, SHIFT:]
 
 
-def sampled(values: Tensor) -> NDArray[np.float32]:
+def sample(values: Tensor) -> NDArray[np.float32]:
     """Mean, standard deviation and evenly spaced values of a tensor."""
     flat = values.detach().double().flatten().numpy()
     rows = np.linspace(0, len(flat) - 1, _SAMPLES).astype(int)
@@ -99,7 +99,7 @@ def record(out: Path) -> None:
     used = model_test.D2Net(use_cuda=False).eval()
     used.load_state_dict(tensors())
     with torch.no_grad():
-        kept["dense"] = sampled(used.dense_feature_extraction(inputs[0]))
+        kept["dense"] = sample(used.dense_feature_extraction(inputs[0]))
         for name, height, width, scales in DETECTED:
             yx, scores, descriptors = pyramid.process_multiscale(
                 inputs[0][:, :, :height, :width], used, list(scales)
@@ -112,7 +112,7 @@ def record(out: Path) -> None:
     trained = model.D2Net(use_cuda=False)
     trained.load_state_dict(tensors())
     features = trained.dense_feature_extraction(inputs[0])
-    kept |= {"trained": sampled(features), "soft": trained.detection(features).detach()[0]}
+    kept |= {"trained": sample(features), "soft": trained.detection(features).detach()[0]}
     # A plane eight metres away, and a step of one metre to the right: SHIFT pixels.
     lens = torch.tensor([[128.0, 0, WIDTH / 2], [0, 128, HEIGHT / 2], [0, 0, 1]])
     moved = torch.eye(4)
@@ -128,7 +128,7 @@ def record(out: Path) -> None:
     value = loss.loss_function(trained, batch, torch.device("cpu"))
     value.backward()
     last = trained.dense_feature_extraction.model[-1]
-    kept |= {"loss": value.item(), "gradient": sampled(last.weight.grad)}
+    kept |= {"loss": value.item(), "gradient": sample(last.weight.grad)}
     out.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(out, **kept)
 

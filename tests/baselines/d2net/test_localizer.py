@@ -19,7 +19,7 @@ from objconnect.scene.localizer import Prior, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.images import read_rgb
-from tests.baselines.d2net.untrained import untrained
+from tests.baselines.d2net.untrained import create_untrained
 
 GATE = Path(__file__).parents[2] / "data" / "gate"
 IMAGES = GATE / "images"
@@ -27,7 +27,7 @@ IMAGES = GATE / "images"
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return untrained(tmp_path_factory.mktemp("weights"))
+    return create_untrained(tmp_path_factory.mktemp("weights"))
 
 
 @pytest.fixture(scope="module")

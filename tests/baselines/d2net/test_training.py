@@ -18,7 +18,7 @@ from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import Pair, PairBatch, Pinhole, collate
 from objconnect.learning.vgg import encode
-from tests.objconnect.learning.training.slopes import watched
+from tests.objconnect.learning.training.slopes import watch_functions
 
 SMALL = TrainConfig(width=0.125, warm_up=0.25)
 
@@ -30,7 +30,7 @@ def smooth(size: int, seed: int, count: int = 1) -> Tensor:
     return functional.interpolate(coarse, size=size, mode="bicubic").clamp(0, 1)
 
 
-def shifted_pairs(count: int = 2) -> PairBatch:
+def shift_pairs(count: int = 2) -> PairBatch:
     """The second image is the first, 16 pixels to the left."""
     camera = Pinhole(np.full(2, 128.0), np.full(2, 64.0))
     xy = 8.0 * np.stack(np.meshgrid(np.arange(2, 16), np.arange(16)), -1).reshape(-1, 2) + 4
@@ -75,7 +75,7 @@ def test_the_loss_is_the_papers_formula_summed_by_hand() -> None:
 
 def test_training_learns_to_tell_places_apart() -> None:
     torch.manual_seed(0)
-    batch, training = shifted_pairs(1), D2NetTraining(SMALL)
+    batch, training = shift_pairs(1), D2NetTraining(SMALL)
     optimizer = torch.optim.Adam(training.network.parameters(), 1e-3)
     losses = []
     for _ in range(8):
@@ -91,8 +91,8 @@ def test_training_learns_to_tell_places_apart() -> None:
 @pytest.mark.parametrize("progress", [0.24, 0.25])
 def test_the_loss_is_the_sum_of_its_parts(progress: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """The contrast, and with it the triplets after the warm-up."""
-    parts = watched(monkeypatch, baselines.d2net.training, ["mean_over", "triplet_loss"])
-    loss, figures = D2NetTraining(SMALL).loss(shifted_pairs(1), progress)
+    parts = watch_functions(monkeypatch, baselines.d2net.training, ["mean_over", "triplet_loss"])
+    loss, figures = D2NetTraining(SMALL).loss(shift_pairs(1), progress)
     expected = {"contrastive"} | ({*TripletLoss._fields, "pairs"} if progress == 0.25 else set())
     assert set(figures) == expected
     total = figures["contrastive"] + figures.get("loss", 0.0)
@@ -116,16 +116,16 @@ def test_pixlocs_encoder_sees_the_same_in_other_units(tmp_path: Path) -> None:
 
 
 def test_pairs_with_too_few_correspondences_are_left_out() -> None:
-    batch = shifted_pairs()
+    batch = shift_pairs()
     batch.valid[1, 100:] = False
     _, figures = D2NetTraining(SMALL).loss(batch, 0.5)
     assert figures["pairs"] == 1
-    _, same = D2NetTraining(SMALL).loss(shifted_pairs(1), 0.5)
+    _, same = D2NetTraining(SMALL).loss(shift_pairs(1), 0.5)
     assert figures["loss"] == pytest.approx(same["loss"], rel=1e-4)
 
 
 def test_a_batch_without_pairs_teaches_nothing_and_breaks_nothing() -> None:
-    batch, training = shifted_pairs(), D2NetTraining(SMALL)
+    batch, training = shift_pairs(), D2NetTraining(SMALL)
     nowhere = batch._replace(xy_b=torch.full_like(batch.xy_b, math.nan))
     loss, figures = training.loss(nowhere, 0.5)
     loss.backward()

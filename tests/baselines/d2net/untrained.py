@@ -10,7 +10,7 @@ from baselines.d2net.network import D2Net, D2NetNetConfig
 from objconnect.learning.checkpoint import write_weights
 
 
-def untrained(folder: Path) -> Path:
+def create_untrained(folder: Path) -> Path:
     """Write them, always the same."""
     torch.manual_seed(0)
     config = D2NetNetConfig(width=0.125)

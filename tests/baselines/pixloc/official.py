@@ -152,7 +152,7 @@ def poses_after_levels() -> tuple[Pose, list[Pose]]:
     return off(1, 1, 1, 1, 1), after
 
 
-def sampled(values: Tensor) -> NDArray[np.float32]:
+def sample(values: Tensor) -> NDArray[np.float32]:
     """Mean, standard deviation and evenly spaced values of a tensor."""
     flat = values.detach().double().flatten().numpy()
     rows = np.linspace(0, len(flat) - 1, SAMPLES).astype(int)

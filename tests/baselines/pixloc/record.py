@@ -28,7 +28,7 @@ def main() -> None:
             for kind in ("feature_maps", "confidences"):
                 for level, values in enumerate(said[kind][::-1]):
                     name = f"vgg{16 + 3 * extra}/{height}x{width}/{kind}/{level}"
-                    found[name] = official.sampled(values)
+                    found[name] = official.sample(values)
                     found[f"{name}/shape"] = np.array(values.shape)
     found |= _pair()
     official.RECORDED.parent.mkdir(parents=True, exist_ok=True)

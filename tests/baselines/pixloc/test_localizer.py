@@ -279,7 +279,7 @@ def test_images_nobody_can_localize(localizer: PixlocLocalizer) -> None:
         assert estimate.reason and estimate.cam_from_world is None
 
 
-def test_blank_image(localizer: PixlocLocalizer) -> None:
+def test_a_blank_image_gives_a_finite_pose(localizer: PixlocLocalizer) -> None:
     """Whatever comes of it, it is a finite pose."""
     estimate = localizer.localize(replace(QUERY, image=np.zeros_like(QUERY.image)))
     assert estimate.cam_from_world is not None

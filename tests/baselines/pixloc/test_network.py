@@ -31,7 +31,7 @@ def test_equals_the_authors(extra: int) -> None:
                 name = f"vgg{16 + 3 * extra}/{height}x{width}/{kind}/{level}"
                 assert values.shape == tuple(recorded[f"{name}/shape"])
                 np.testing.assert_allclose(
-                    official.sampled(values), recorded[name], rtol=0, atol=TOLERANCE
+                    official.sample(values), recorded[name], rtol=0, atol=TOLERANCE
                 )
 
 
@@ -63,7 +63,7 @@ def test_written_weights_come_back(tmp_path: Path) -> None:
         assert torch.equal(tensor, again.state_dict()[name])
 
 
-def test_bad_weights(tmp_path: Path) -> None:
+def test_bad_weights_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no weights at"):
         read_network(tmp_path / "none.tar")
     lacking = dict(official.tensors())
@@ -83,7 +83,7 @@ def test_bad_weights(tmp_path: Path) -> None:
         *({"dims": (8, 8, 10**6)}, {"decoder": (64, 64, 64, 10**6)}, {"decoder": (0, 8, 8, 8)}),
     ],
 )
-def test_bad_configuration(wrong: dict[str, object]) -> None:
+def test_a_bad_configuration_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InputError):
         load_config(PixlocNetConfig, None, wrong)
 

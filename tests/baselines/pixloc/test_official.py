@@ -69,7 +69,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
     assert reprojection_error(start, *place) < 0.2 * reprojection_error(before, *place)
 
 
-def test_loss() -> None:
+def test_the_loss_equals_the_official_one() -> None:
     recorded = np.load(official.RECORDED)
     start, after = official.poses_after_levels()
     truth = official.pair().query_from_reference

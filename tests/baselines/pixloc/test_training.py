@@ -18,7 +18,7 @@ from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.training import contrast_of, levels_of, unroll
 from tests.objconnect.learning.training.made_pairs import pairs
-from tests.objconnect.learning.training.slopes import watched
+from tests.objconnect.learning.training.slopes import watch_functions
 
 TINY = TrainConfig(width=0.05, warm_up=0.5)
 STRIDES = (16, 4)
@@ -69,7 +69,7 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float) -> None:
 
 def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
     shares = {"contrast_of": 1, "pose_loss": 0.3}
-    parts = watched(monkeypatch, baselines.pixloc.training, shares)
+    parts = watch_functions(monkeypatch, baselines.pixloc.training, shares)
     loss, _ = PixlocTraining(TINY).loss(pairs(1), 1.0)
     loss.backward()
     slopes = {name: float(part.grad) for name, part in parts.items() if part.grad is not None}

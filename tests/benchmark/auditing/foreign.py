@@ -197,7 +197,7 @@ def table(
     return root / "positions.csv"
 
 
-def halved(file: Path) -> None:
+def halve(file: Path) -> None:
     """Resize a photograph to half its size."""
     with Image.open(file) as image:
         exif, small = image.info["exif"], image.resize((image.width // 2, image.height // 2))

@@ -15,7 +15,7 @@ from benchmark.auditing.matches import Pair, match_photographs
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.digests import sha256_of
-from tests.benchmark.auditing.foreign import colmap, halved, nerfstudio, odm, table, tum
+from tests.benchmark.auditing.foreign import colmap, halve, nerfstudio, odm, table, tum
 
 Plant = Callable[[Scene, Path], Path]
 
@@ -36,7 +36,7 @@ def _matched_once(monkeypatch: pytest.MonkeyPatch) -> None:
 MATCHED: dict[tuple[str, ...], list[Pair]] = {}
 
 
-def audited(path: Path) -> Audit:
+def run_audit(path: Path) -> Audit:
     (found,) = audit(path)
     return found
 
@@ -60,9 +60,9 @@ def missing(scene: Scene, root: Path) -> Path:
     return made
 
 
-def resized(scene: Scene, root: Path) -> Path:
+def resize(scene: Scene, root: Path) -> Path:
     made = colmap(scene, root)
-    halved(made / "images" / "000003.jpg")
+    halve(made / "images" / "000003.jpg")
     return made
 
 
@@ -80,7 +80,7 @@ def two_swapped(matrices: list[np.ndarray], document: dict[str, object]) -> None
     matrices[2], matrices[9] = matrices[9], matrices[2]
 
 
-def shuffled(matrices: list[np.ndarray], document: dict[str, object]) -> None:
+def shuffle(matrices: list[np.ndarray], document: dict[str, object]) -> None:
     matrices[:] = [matrices[k] for k in np.random.default_rng(3).permutation(len(matrices))]
 
 
@@ -91,12 +91,12 @@ PLANTED: dict[str, tuple[Plant, str]] = {
     "colmap-focal": (lambda s, p: colmap(s, p, focal=1.08), "focal-length"),
     "colmap-duplicate": (duplicate, "duplicates"),
     "colmap-missing": (missing, "photographs-missing"),
-    "colmap-resized": (resized, "sizes"),
+    "colmap-resized": (resize, "sizes"),
     "nerfstudio-axes": (lambda s, p: nerfstudio(s, p, opengl=False), "axes-flipped"),
     "nerfstudio-principal": (lambda s, p: nerfstudio(s, p, low_principal), "half-pixel"),
     "nerfstudio-feet": (lambda s, p: nerfstudio(s, p, in_feet), "scale"),
     "nerfstudio-swapped": (lambda s, p: nerfstudio(s, p, two_swapped), "names-swapped"),
-    "nerfstudio-shuffled": (lambda s, p: nerfstudio(s, p, shuffled), "names-shuffled"),
+    "nerfstudio-shuffled": (lambda s, p: nerfstudio(s, p, shuffle), "names-shuffled"),
     "tum-quaternion": (lambda s, p: tum(s, p, wxyz=True) / "trajectory.txt", "quaternion-order"),
     "tum-late": (lambda s, p: tum(s, p, late=1) / "trajectory.txt", "poses-shifted"),
     "odm-swapped": (lambda s, p: odm(s, p, swapped=True), "latlon-swapped"),
@@ -117,7 +117,7 @@ PLANTED: dict[str, tuple[Plant, str]] = {
 @pytest.mark.parametrize("name", PLANTED)
 def test_planted_fault_is_named(name: str, rendered: Scene, tmp_path: Path) -> None:
     plant, fault = PLANTED[name]
-    found = audited(plant(rendered, tmp_path / "project"))
+    found = run_audit(plant(rendered, tmp_path / "project"))
     assert found.faults == (fault,), found.text()
 
 
@@ -133,7 +133,7 @@ CLEAN: dict[str, Plant] = {
 
 @pytest.mark.parametrize("name", CLEAN)
 def test_clean_originals_have_no_fault(name: str, rendered: Scene, tmp_path: Path) -> None:
-    found = audited(CLEAN[name](rendered, tmp_path / "project"))
+    found = run_audit(CLEAN[name](rendered, tmp_path / "project"))
     assert found.ok, found.text()
 
 

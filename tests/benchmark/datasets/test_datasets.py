@@ -27,7 +27,7 @@ def only(path: Path) -> Dataset:
     return dataset
 
 
-def test_flight(made_flight: Path) -> None:
+def test_a_flight_opens_with_its_map_and_queries(made_flight: Path) -> None:
     dataset = only(made_flight)
     assert (dataset.name, dataset.track) == ("meadow", "flight")
     assert dataset.map_conditions == ("same-flight",)
@@ -62,7 +62,7 @@ def test_a_flight_declares_its_conditions(made_flight: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["all", " ", "win\x07ter"])
-def test_what_is_no_condition(made_flight: Path, wrong: str) -> None:
+def test_bad_tables_of_conditions_are_refused(made_flight: Path, wrong: str) -> None:
     table = _declare(made_flight, wrong)
     with pytest.raises(InputError, match=rf"{table}:6: .* is no condition"):
         only(made_flight)
@@ -72,7 +72,7 @@ def test_a_table_of_conditions_has_all_photographs(made_flight: Path) -> None:
     table = _declare(made_flight)
     lines = table.read_text().splitlines()
     table.write_text("\n".join(lines[:-1]) + "\n")
-    with pytest.raises(InputError, match=f"does not tell the condition of {QUERY_NAMES[-1]}"):
+    with pytest.raises(InputError, match=f"has no condition for {QUERY_NAMES[-1]}"):
         only(made_flight)
 
 
@@ -127,7 +127,7 @@ def test_flight_without_gps_has_no_prior(made_flight: Path) -> None:
     assert [query.prior for query in only(made_flight).queries] == [None] * 3
 
 
-def test_hard_split(made_flight: Path) -> None:
+def test_a_hard_split_is_a_data_set_of_its_own(made_flight: Path) -> None:
     for stem in ("queries", "reference_poses"):
         shutil.copy(made_flight / f"{stem}.txt", made_flight / f"{stem}_sparse.txt")
     poses = {name: pose_at(2 * k) for k, name in enumerate(MAP_NAMES[:3])}
@@ -139,7 +139,7 @@ def test_hard_split(made_flight: Path) -> None:
     assert alone.sha256 != open_datasets(made_flight)[0].sha256
 
 
-def test_hard_split_that_is_not_there(made_flight: Path) -> None:
+def test_a_missing_hard_split_is_refused(made_flight: Path) -> None:
     with pytest.raises(InputError, match=r"queries_sparse\.txt"):
         open_datasets(made_flight.with_name("meadow-sparse"))
 
@@ -152,7 +152,9 @@ def test_hard_split_that_is_not_there(made_flight: Path) -> None:
         ("gps.csv", "b.jpg,query,0,0,0,-", "b.jpg,query,0,0,0,-1"),
     ],
 )
-def test_digest_covers_what_is_scored(made_flight: Path, file: str, old: str, new: str) -> None:
+def test_the_digest_covers_everything_that_is_scored(
+    made_flight: Path, file: str, old: str, new: str
+) -> None:
     before = only(made_flight).sha256
     text = (made_flight / file).read_text()
     assert old in text
@@ -160,7 +162,7 @@ def test_digest_covers_what_is_scored(made_flight: Path, file: str, old: str, ne
     assert only(made_flight).sha256 != before
 
 
-def test_digest_covers_the_pixels_and_not_the_place(tmp_path: Path) -> None:
+def test_the_digest_covers_pixels_and_not_the_folder(tmp_path: Path) -> None:
     first = only(write_flight(tmp_path / "one" / "meadow"))
     second_path = write_flight(tmp_path / "two" / "meadow")
     assert only(second_path).sha256 == first.sha256
@@ -168,7 +170,7 @@ def test_digest_covers_the_pixels_and_not_the_place(tmp_path: Path) -> None:
     assert only(second_path).sha256 != first.sha256
 
 
-def test_scene(scene: Path) -> None:
+def test_a_scene_opens_with_its_map_and_queries(scene: Path) -> None:
     dataset = only(scene)
     assert (dataset.name, dataset.track) == ("hamlet", "uav-sim")
     assert dataset.map_conditions == ("summer-noon",)
@@ -197,7 +199,9 @@ def test_scene(scene: Path) -> None:
         ('"winter-grid":', '"autumn-grid":', "has no session 'autumn-grid'"),
     ],
 )
-def test_scene_whose_lists_contradict(scene: Path, old: str, new: str, message: str) -> None:
+def test_a_scene_with_contradicting_lists_is_refused(
+    scene: Path, old: str, new: str, message: str
+) -> None:
     splits = scene / "splits.json"
     splits.write_text(splits.read_text().replace(old, new))
     with pytest.raises(InputError, match=message):
@@ -212,7 +216,7 @@ def test_unfinished_scene_is_no_data_set(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["brighton_beach", "caliterra"])
-def test_real_flights(flights: Path, name: str) -> None:
+def test_real_flights_open(flights: Path, name: str) -> None:
     whole, hard = open_datasets(flights / name)
     assert (whole.name, hard.name) == (name, f"{name}-sparse")
     assert only(flights / f"{name}-sparse").sha256 == hard.sha256
@@ -227,7 +231,7 @@ def test_real_flights(flights: Path, name: str) -> None:
             assert gaps.min() < 60
 
 
-def test_gps_sigma_of_real_flights(flights: Path) -> None:
+def test_the_gps_sigma_of_real_flights_is_plausible(flights: Path) -> None:
     """The README of the flights states 0.55 m and 16.5 m horizontally, over all photographs."""
     for name, horizontal in (("brighton_beach", 0.55), ("caliterra", 16.5)):
         prior = open_datasets(flights / name)[0].queries[0].prior

@@ -39,7 +39,7 @@ def sigma_of(prior: Prior) -> list[float]:
     return sigma
 
 
-def test_metres_alone(tmp_path: Path) -> None:
+def test_a_table_may_state_metres(tmp_path: Path) -> None:
     prior = read(tmp_path, "name,e,n,u", "a.jpg,1,2,30")["a.jpg"]
     assert prior.position.tolist() == [1, 2, 30]
     assert sigma_of(prior) == [12, 12, 12]
@@ -47,7 +47,7 @@ def test_metres_alone(tmp_path: Path) -> None:
     assert prior.attitude_sigma_deg is None
 
 
-def test_latitude_and_longitude(tmp_path: Path) -> None:
+def test_a_table_may_state_latitude_and_longitude(tmp_path: Path) -> None:
     lat, lon, alt = geodetic_from_enu(np.array([15.0, -7.0, 38.0]), ORIGIN)
     row = f"a.jpg,{alt!r},{lon!r},{lat!r},4"
     prior = read(tmp_path, "name,alt,lon,lat,sigma_m", row)["a.jpg"]
@@ -114,7 +114,7 @@ def test_an_attitude_without_a_sigma_has_that_of_the_option(tmp_path: Path) -> N
         ("e,n,u", "1,2,3", "lacks the column name"),
     ],
 )
-def test_what_is_not_known_is_named(tmp_path: Path, header: str, row: str, said: str) -> None:
+def test_errors_name_what_is_missing(tmp_path: Path, header: str, row: str, said: str) -> None:
     with pytest.raises(InputError) as error:
         read(tmp_path, header, row)
     assert said in str(error.value)
@@ -127,7 +127,7 @@ def test_a_header_without_rows_is_checked(tmp_path: Path) -> None:
         read(tmp_path, "name,lat,lon,alt_ft")
 
 
-def test_a_far_position_that_says_so_is_believed(tmp_path: Path) -> None:
+def test_a_far_position_with_a_large_sigma_is_accepted(tmp_path: Path) -> None:
     prior = read(tmp_path, "name,e,n,u,sigma_m", "a.jpg,90000,0,40,50000")["a.jpg"]
     assert prior.position.tolist() == [90000, 0, 40]
 
@@ -138,7 +138,7 @@ def test_places_on_earth_need_a_map_on_earth(tmp_path: Path) -> None:
     read(tmp_path, "name,e,n", "a.jpg,1,2", frame=MapFrame(None, MIDDLE))
 
 
-def test_positions_of_other_photographs_are_not_asked(tmp_path: Path) -> None:
+def test_positions_of_other_photographs_are_not_checked(tmp_path: Path) -> None:
     path = tmp_path / "priors.csv"
     path.write_text("name,e,n,u\na.jpg,1,2,3\nelsewhere.jpg,465000,5205000,480\n")
     assert list(read_priors(path).priors(FRAME, ["a.jpg"], TOLD)) == ["a.jpg"]
@@ -172,7 +172,7 @@ def _random_table(random: Random) -> tuple[str, str, np.ndarray]:
     return ",".join(order), ",".join(str(columns[name]) for name in order), truth
 
 
-def test_the_truth_or_unknown_or_an_error(tmp_path: Path) -> None:
+def test_a_prior_is_exact_or_unknown_or_an_error(tmp_path: Path) -> None:
     """Never another value, whatever frame, order and unit a table has."""
     random, found, refused = Random(11), 0, 0
     logging.disable(logging.WARNING)
@@ -199,11 +199,11 @@ def test_the_truth_or_unknown_or_an_error(tmp_path: Path) -> None:
 def priors_of(made_flight: Path) -> Callable[..., list[Prior | None]]:
     """Write the priors of a flight and open it."""
 
-    def opened(*lines: str) -> list[Prior | None]:
+    def open_priors(*lines: str) -> list[Prior | None]:
         (made_flight / "priors.csv").write_text("\n".join(lines) + "\n")
         return [query.prior for query in open_flight(made_flight)[0].queries]
 
-    return opened
+    return open_priors
 
 
 def test_a_flight_measures_the_sigma_on_its_map(
@@ -220,14 +220,18 @@ def test_a_flight_measures_the_sigma_on_its_map(
     assert second is None
 
 
-def test_a_flight_knows_no_sigma(priors_of: Callable[..., list[Prior | None]]) -> None:
+def test_a_flight_without_gps_on_its_map_has_no_sigma(
+    priors_of: Callable[..., list[Prior | None]],
+) -> None:
     with pytest.raises(InputError, match=r"priors\.csv:2: .*add a value sigma_m"):
         priors_of("name,e,n,u", "b.jpg,1,2,3")
     with pytest.raises(InputError, match=r"priors\.csv:2: .*add a value sigma_deg"):
         priors_of("name,e,n,u,sigma_m,qw,qx,qy,qz", "b.jpg,1,2,3,4,0,1,0,0")
 
 
-def test_a_flight_on_earth(made_flight: Path, priors_of: Callable[..., list[Prior | None]]) -> None:
+def test_a_flight_with_an_origin_takes_geodetic_priors(
+    made_flight: Path, priors_of: Callable[..., list[Prior | None]]
+) -> None:
     lat, lon, _ = geodetic_from_enu(np.array([2.0, 1.0, 0.0]), ORIGIN)
     lines = ("name,lat,lon,sigma_m", f"b.jpg,{lat!r},{lon!r},8")
     with pytest.raises(InputError, match="no position on earth"):

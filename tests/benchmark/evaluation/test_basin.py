@@ -35,7 +35,7 @@ def priors(method: Believer) -> list[np.ndarray]:
     return [query.prior.position for query in method.seen if query.prior is not None]
 
 
-def test_errors_are_those_of_the_start_of_the_same_size(made_flight: Path, tmp_path: Path) -> None:
+def test_errors_equal_those_of_the_start_error(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     ours, theirs, other = Believer({}), Believer({}), Believer({})
     basin(dataset, ours, tmp_path, [Size(3, 5)])
@@ -48,7 +48,7 @@ def test_errors_are_those_of_the_start_of_the_same_size(made_flight: Path, tmp_p
     assert (np.abs(np.array(priors(other)) - priors(ours)).max(1) > 0.1).all()
 
 
-def test_sizes_lie_on_one_line(made_flight: Path, tmp_path: Path) -> None:
+def test_all_sizes_of_a_query_use_one_direction(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     method = Believer({})
     basin(dataset, method, tmp_path, [Size(1, 2), Size(20, 2)])
@@ -86,22 +86,22 @@ def test_failures_count_as_wrong(made_flight: Path, tmp_path: Path) -> None:
     assert set(level.correct.values()) == {1}
 
 
-def test_interrupted_leaves_nothing(made_flight: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_no_file(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     with pytest.raises(KeyboardInterrupt):
         basin(dataset, FakeLocalizer({"f.jpg": KeyboardInterrupt()}), tmp_path / "out", SIZES)
     assert not (tmp_path / "out").exists()
 
 
-def test_sizes_from_words() -> None:
+def test_sizes_are_read_from_text() -> None:
     assert parse_sizes("1m/2deg, 3.5m/5deg") == (Size(1, 2), Size(3.5, 5))
     assert parse_sizes(",".join(str(size) for size in DEFAULT_SIZES)) == DEFAULT_SIZES
     for words, message in [
-        ("1m", "errors are listed as"),
-        ("", "errors are listed as"),
-        ("-1m/2deg", "errors are listed as"),
+        ("1m", "write errors as"),
+        ("", "write errors as"),
+        ("-1m/2deg", "write errors as"),
         ("1m/2deg,1m/2deg", "listed twice"),
-        ("1m/200deg", "cannot be wrong by 200 degrees"),
+        ("1m/200deg", "an attitude error is at most 180 degrees; got 200"),
     ]:
         with pytest.raises(InputError, match=message):
             parse_sizes(words)
@@ -118,7 +118,7 @@ def test_sizes_from_words() -> None:
         {"colour": 1},
     ],
 )
-def test_counts_that_contradict_themselves(
+def test_contradicting_counts_are_refused(
     made_flight: Path, tmp_path: Path, change: dict[str, object]
 ) -> None:
     (dataset,) = open_datasets(made_flight)

@@ -19,7 +19,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, scored_query
+from tests.benchmark.made_data import FakeLocalizer, make_scored_query, move, pose_at
 
 
 def run(path: Path, localizer: FakeLocalizer, start: Start = PRIOR) -> Results:
@@ -27,7 +27,7 @@ def run(path: Path, localizer: FakeLocalizer, start: Start = PRIOR) -> Results:
     return evaluate(dataset, localizer, path.parent / "out", start)
 
 
-def written(path: Path) -> list[str]:
+def write(path: Path) -> list[str]:
     out = path.parent / "out"
     return sorted(file.relative_to(out).as_posix() for file in out.rglob("*") if file.is_file())
 
@@ -35,35 +35,35 @@ def written(path: Path) -> list[str]:
 def test_journal_keeps_answers_that_replace_others(tmp_path: Path) -> None:
     """The second run asks again with other photographs, and is interrupted, too."""
 
-    def asked(names: dict[str, float]) -> dict[str, float | None]:
+    def run_queries(names: dict[str, float]) -> dict[str, float | None]:
         journal = Journal(tmp_path / "j", "key", QueryResult)
         with pytest.raises(KeyboardInterrupt), journal:
             before = {name: result.t_err_m for name, result in journal.done.items()}
             for name, error in names.items():
-                journal.add(scored_query(name, error))
+                journal.add(make_scored_query(name, error))
             raise KeyboardInterrupt
         return before
 
-    asked({"a": 1.0, "b": 1.0})
-    asked({"a": 2.0, "b": 2.0, "c": 2.0})
-    assert asked({}) == {"a": 2.0, "b": 2.0, "c": 2.0}
+    run_queries({"a": 1.0, "b": 1.0})
+    run_queries({"a": 2.0, "b": 2.0, "c": 2.0})
+    assert run_queries({}) == {"a": 2.0, "b": 2.0, "c": 2.0}
 
 
-def test_scores_and_files(made_flight: Path) -> None:
+def test_evaluate_scores_queries_and_writes_files(made_flight: Path) -> None:
     covariance = np.diag([0, 0, 0, 0.01, 0.04, 0.04])
     answers = {
         "b.jpg": Estimate(
             Status.OK,
-            moved(pose_at(1), 0.1),
+            move(pose_at(1), 0.1),
             covariance,
             inliers=7,
             iterations=3,
             seconds={"matching": 0.5},
         ),
-        "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.3), seconds={"matching": 0.1}),
+        "d.jpg": Estimate(Status.OK, move(pose_at(3), 0.3), seconds={"matching": 0.1}),
     }
     results = run(made_flight, FakeLocalizer(answers))
-    assert written(made_flight) == [
+    assert write(made_flight) == [
         "meadow/album.h5",
         "meadow/fake-query.png",
         "meadow/fake.json",
@@ -92,7 +92,7 @@ def test_scores_and_files(made_flight: Path) -> None:
 
 
 def test_written_pose_is_the_scored_pose(made_flight: Path) -> None:
-    single = moved(pose_at(1), 0.1).to(dtype=torch.float32)
+    single = move(pose_at(1), 0.1).to(dtype=torch.float32)
     result = run(made_flight, FakeLocalizer({"b.jpg": Estimate(Status.OK, single)})).queries[0]
     assert result.cam_from_world is not None
     pose = Pose.from_quaternion(result.cam_from_world[:4], result.cam_from_world[4:])
@@ -122,7 +122,7 @@ def test_fallback_at_the_reference_pose_is_wrong(made_flight: Path) -> None:
     assert [recall.value for recall in results.summary.recall.values()] == [0, 0, 0]
     assert (results.summary.failed, results.summary.fallback) == (2, 1)
     # No query is localized: there is no median one to draw.
-    assert written(made_flight) == ["meadow/album.h5", "meadow/fake.json"]
+    assert write(made_flight) == ["meadow/album.h5", "meadow/fake.json"]
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_results_of_another_start_are_not_replaced_in_silence(
     run(made_flight, FakeLocalizer({}))
     (said,) = (record.getMessage() for record in caplog.records)
     assert said.endswith(
-        "meadow/fake.json will be replaced, which holds results of start none: "
+        "meadow/fake.json holds results of start none and will be replaced: "
         "choose another --out to keep both"
     )
 
@@ -197,22 +197,22 @@ def interrupted(made_flight: Path) -> Path:
     answers = {"b.jpg": Estimate(Status.OK, pose_at(1)), "f.jpg": KeyboardInterrupt()}
     with pytest.raises(KeyboardInterrupt):
         run(made_flight, FakeLocalizer(answers))
-    assert written(made_flight) == ["meadow/.objconnect-fake.journal"]
+    assert write(made_flight) == ["meadow/.objconnect-fake.journal"]
     return made_flight
 
 
-def asked(path: Path, **config: float) -> list[str]:
+def run_queries(path: Path, **config: float) -> list[str]:
     """The queries that another run puts to the method."""
     localizer = FakeLocalizer({})
     localizer.config = localizer.config.model_copy(update=config)
     results = run(path, localizer)
     assert [query.name for query in results.queries] == ["b.jpg", "d.jpg", "f.jpg"]
-    assert "meadow/.objconnect-fake.journal" not in written(path)
+    assert "meadow/.objconnect-fake.journal" not in write(path)
     return [query.name for query in localizer.seen]
 
 
 def test_an_interrupted_run_goes_on(interrupted: Path) -> None:
-    assert asked(interrupted) == ["f.jpg"]
+    assert run_queries(interrupted) == ["f.jpg"]
     again = load(interrupted.parent / "out/meadow/fake.json")
     assert [query.status for query in again.queries] == ["ok", "failed", "failed"]
 
@@ -220,17 +220,17 @@ def test_an_interrupted_run_goes_on(interrupted: Path) -> None:
 def test_a_line_cut_short_is_asked_again(interrupted: Path) -> None:
     partial = interrupted.parent / "out/meadow/.objconnect-fake.journal"
     partial.write_text(partial.read_text()[:-40])
-    assert asked(interrupted) == ["d.jpg", "f.jpg"]
+    assert run_queries(interrupted) == ["d.jpg", "f.jpg"]
 
 
 @pytest.mark.parametrize("rubbish", ["", "{", "[]\n", '{"key": "other"}\n{}\n', "\x00\x00"])
 def test_a_damaged_journal_starts_over(interrupted: Path, rubbish: str) -> None:
     (interrupted.parent / "out/meadow/.objconnect-fake.journal").write_text(rubbish)
-    assert asked(interrupted) == ["b.jpg", "d.jpg", "f.jpg"]
+    assert run_queries(interrupted) == ["b.jpg", "d.jpg", "f.jpg"]
 
 
 def test_another_configuration_starts_over(interrupted: Path) -> None:
-    assert asked(interrupted, strength=2.0) == ["b.jpg", "d.jpg", "f.jpg"]
+    assert run_queries(interrupted, strength=2.0) == ["b.jpg", "d.jpg", "f.jpg"]
 
 
 def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
@@ -254,7 +254,7 @@ def test_jobs_change_nothing_but_seconds(rendered: Scene, tmp_path: Path) -> Non
     assert any(query.status is Status.OK for query in answers[0])
 
 
-def test_out_that_is_a_file(made_flight: Path) -> None:
+def test_an_output_path_that_is_a_file_is_refused(made_flight: Path) -> None:
     (made_flight.parent / "out").write_text("mine")
     with pytest.raises(InputError, match="it is not a folder"):
         run(made_flight, FakeLocalizer({}))

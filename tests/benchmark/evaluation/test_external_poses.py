@@ -13,7 +13,7 @@ from benchmark.report import tables
 from benchmark.report.paper import side_by_side
 from benchmark.results.results_files import load
 from objconnect.scene.geometry.pose import Pose
-from tests.benchmark.made_data import moved, pose_at
+from tests.benchmark.made_data import move, pose_at
 from tests.benchmark.test_cli import error_line, invoke
 
 
@@ -22,9 +22,9 @@ def line(name: str, pose: Pose) -> str:
     return " ".join([name, *(f"{x:.9f}" for x in numbers)]) + "\n"
 
 
-def test_scored_as_our_own(made_flight: Path, tmp_path: Path) -> None:
+def test_external_poses_are_scored_like_our_own(made_flight: Path, tmp_path: Path) -> None:
     poses = tmp_path / "hloc.txt"
-    poses.write_text(line("b.jpg", moved(pose_at(1), 0.1)) + line("d.jpg", moved(pose_at(3), 0.3)))
+    poses.write_text(line("b.jpg", move(pose_at(1), 0.1)) + line("d.jpg", move(pose_at(3), 0.3)))
     arguments = ("score", poses, "--reference", made_flight, "--out", tmp_path / "out")
     result = invoke(*arguments, "--start", "retrieval=50")
     assert result.exit_code == 0, result.stderr
@@ -40,13 +40,13 @@ def test_scored_as_our_own(made_flight: Path, tmp_path: Path) -> None:
     assert "hloc" in result.stdout
 
 
-def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: Path) -> None:
+def test_the_last_part_of_a_name_is_enough_if_unique(scene: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(scene)
     poses = tmp_path / "poses.txt"
     poses.write_text(line("000000.jpg", pose_at(1)))
     result = invoke("score", poses, "--reference", scene, "--out", tmp_path / "out")
     assert result.exit_code == 2
-    assert "write whole names" in error_line(result.stderr)
+    assert "write the full names" in error_line(result.stderr)
     poses.write_text(line(dataset.queries[0].name, dataset.queries[0].reference))
     result = invoke("score", poses, "--reference", scene, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr
@@ -55,14 +55,16 @@ def test_last_part_of_a_name_is_enough_where_it_is_clear(scene: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no pose"),
-        ("z.jpg 1 0 0 0 0 0 0\n", "1 poses are of no query of the reference, such as z.jpg"),
+        ("", "contains no pose"),
+        ("z.jpg 1 0 0 0 0 0 0\n", "1 poses belong to no query of the data sets, such as z.jpg"),
         ("b.jpg 1 0 0 0 0 0\n", "expected 8 columns"),
         ("b.jpg 2 0 0 0 0 0 0\n", "quaternion"),
         ("b.jpg 1 0 0 0 0 0 nan\n", "not a finite number"),
     ],
 )
-def test_bad_poses(made_flight: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_bad_files_of_poses_are_refused(
+    made_flight: Path, tmp_path: Path, text: str, message: str
+) -> None:
     (tmp_path / "poses.txt").write_text(text)
     result = invoke(
         "score", tmp_path / "poses.txt", "--reference", made_flight, "--out", tmp_path / "out"

@@ -36,7 +36,7 @@ def meadow(made_flight: Path) -> Dataset:
         ("gps=50m", "gps=50m"),
     ],
 )
-def test_names(text: str, name: str) -> None:
+def test_starts_have_canonical_names(text: str, name: str) -> None:
     assert parse_start(text).name == name
 
 
@@ -57,13 +57,13 @@ def test_names(text: str, name: str) -> None:
         "gravity=1.2.3deg",
     ],
 )
-def test_unknown_starts(text: str) -> None:
+def test_unknown_starts_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="start"):
         parse_start(text)
 
 
 @pytest.mark.parametrize(("metres", "degrees"), [(3.0, 5.0), (0.0, 10.0), (12.0, 0.0)])
-def test_the_error_of_a_prior_is_exactly_as_told(metres: float, degrees: float) -> None:
+def test_the_error_of_a_prior_has_the_stated_size(metres: float, degrees: float) -> None:
     reference = pose_at(3)
     prior = move_prior(reference, "d.jpg", metres, degrees)
     assert prior.cam_from_world_rotation is not None
@@ -73,7 +73,7 @@ def test_the_error_of_a_prior_is_exactly_as_told(metres: float, degrees: float) 
     assert [float(part) for part in found] == pytest.approx([metres, degrees], abs=1e-6)
 
 
-def test_gravity_is_wrong_by_as_much_as_told_and_says_nothing_else() -> None:
+def test_gravity_has_the_stated_error_and_no_heading_or_position() -> None:
     reference, down = pose_at(3), torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     headings = set()
     for name in ("a.jpg", "b.jpg", "c.jpg"):
@@ -88,14 +88,14 @@ def test_gravity_is_wrong_by_as_much_as_told_and_says_nothing_else() -> None:
     assert len(headings) == 3
 
 
-def test_a_position_says_nothing_of_the_attitude() -> None:
+def test_a_position_prior_has_no_attitude() -> None:
     prior = position_prior(pose_at(3), "d.jpg", 50.0)
     off = np.linalg.norm(prior.position - pose_at(3).centre().numpy())
     assert off == pytest.approx(50.0) and prior.cam_from_world_rotation is None
     assert prior.has_position and not prior.has_heading
 
 
-def test_every_query_is_wrong_in_its_own_direction_and_always_the_same() -> None:
+def test_the_name_of_a_query_determines_the_direction_of_its_error() -> None:
     first, again, other = (
         move_prior(pose_at(0), name, 3, 5) for name in ("a.jpg", "a.jpg", "b.jpg")
     )
@@ -144,7 +144,9 @@ def test_pairs_reach_the_method(meadow: Dataset, tmp_path: Path) -> None:
         ("\n", "holds no pair"),
     ],
 )
-def test_bad_pairs(meadow: Dataset, tmp_path: Path, text: str, message: str) -> None:
+def test_bad_pair_lists_are_refused(
+    meadow: Dataset, tmp_path: Path, text: str, message: str
+) -> None:
     (tmp_path / "pairs.txt").write_text(text)
     with pytest.raises(InputError, match=message):
         parse_start(f"pairs={tmp_path / 'pairs.txt'}").loader(meadow, meadow.load_map())

@@ -25,15 +25,15 @@ def one(cmu: Path) -> Path:  # noqa: F811
     return cmu
 
 
-def tilted() -> Pose:
+def tilt() -> Pose:
     """A pose whose centre and translation differ in every number."""
     turn = so3_exp(torch.tensor([0.3, -0.5, 0.7], dtype=torch.float64))
     return Pose(turn @ pose_at(4).rotation, turn @ pose_at(4).translation)
 
 
-def test_lines(one: Path, tmp_path: Path) -> None:
+def test_a_submission_has_a_line_per_localized_image(one: Path, tmp_path: Path) -> None:
     answers = {
-        SNOW: Estimate(Status.OK, tilted()),
+        SNOW: Estimate(Status.OK, tilt()),
         AUTUMN: Estimate(Status.FALLBACK, pose_at(2), reason="prior"),
         HIDDEN: Estimate(Status.OK, pose_at(3)),
     }
@@ -46,8 +46,8 @@ def test_lines(one: Path, tmp_path: Path) -> None:
     assert [len(word.split(".")[1]) for word in words] == [6] * 7
     numbers = np.array([float(word) for word in words])
     assert np.linalg.norm(numbers[:4]) == pytest.approx(1, abs=2e-6)
-    assert numbers[4:] == pytest.approx(tilted().translation.numpy(), abs=1e-6)
-    assert numbers[4:] != pytest.approx(tilted().centre().numpy(), abs=0.1)
+    assert numbers[4:] == pytest.approx(tilt().translation.numpy(), abs=1e-6)
+    assert numbers[4:] != pytest.approx(tilt().centre().numpy(), abs=0.1)
 
 
 def test_each_image_has_its_own_camera(one: Path, tmp_path: Path) -> None:
@@ -83,14 +83,14 @@ def test_names_must_be_unique(cmu: Path, tmp_path: Path) -> None:  # noqa: F811
         submit(cmu, FakeLocalizer({}), tmp_path / "out")
 
 
-def test_not_the_data_set(made_flight: Path, tmp_path: Path) -> None:
+def test_another_data_set_is_refused(made_flight: Path, tmp_path: Path) -> None:
     result = invoke("submit", made_flight, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "is not Extended CMU Seasons" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_sift_end_to_end(one: Path, tmp_path: Path) -> None:
+def test_sift_writes_a_submission_end_to_end(one: Path, tmp_path: Path) -> None:
     """Noise finds nothing, and says so."""
     result = invoke("submit", one, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr

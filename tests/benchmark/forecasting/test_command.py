@@ -66,13 +66,13 @@ def test_an_interrupted_run_keeps_its_answers(
     method = create("sift", {})
     answer, asked = method.localize, []
 
-    def interrupted(query: object) -> object:
+    def interrupt(query: object) -> object:
         asked.append(query)
         if len(asked) == 4:
             raise KeyboardInterrupt
         return answer(query)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(method, "localize", interrupted)
+    monkeypatch.setattr(method, "localize", interrupt)
     with pytest.raises(KeyboardInterrupt):
         forecast(rendered.path, "nadir", method, out, QUICK)
     assert not (out / "forecast.json").exists()
@@ -97,7 +97,7 @@ def test_a_twin_that_exists_is_not_built_again(
 ) -> None:
     out, report = made
     monkeypatch.setattr("simulate.base_place.build_site", None)
-    monkeypatch.setattr(command, "simulate", _rendered_before(out))
+    monkeypatch.setattr(command, "simulate", _reuse_render(out))
     again = forecast(
         rendered.path, "nadir", create("sift", {}), tmp_path / "b", QUICK, twin=out / "views"
     )
@@ -105,15 +105,15 @@ def test_a_twin_that_exists_is_not_built_again(
     assert [w.enu_m for w in again.waypoints] == [w.enu_m for w in report.waypoints]
 
 
-def _rendered_before(out: Path) -> object:
+def _reuse_render(out: Path) -> object:
     """Return what stands for rendering: the views of an earlier run, copied."""
 
-    def simulated(views: object, folder: Path, jobs: int, twin: Path | None) -> Scene:
+    def simulate(views: object, folder: Path, jobs: int, twin: Path | None) -> Scene:
         assert twin == out / "views"
         shutil.copytree(out / "views", folder)
         return Scene.open(folder)
 
-    return simulated
+    return simulate
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from objconnect.scene.localizer import Status
 from tests.benchmark.forecasting.made_forecast import CENTRES, ORIGIN, observation, report
 
 
-def test_runs_of_flags() -> None:
+def test_runs_are_the_spans_of_true_values() -> None:
     assert runs([True, True, False, True, False, False]) == [(0, 1), (3, 3)]
     assert runs([False]) == []
     assert runs([True]) == [(0, 0)]

@@ -126,7 +126,7 @@ def test_flights_that_cannot_be_forecast_are_refused(
 
 def test_only_a_twin_of_the_same_place_is_taken(tmp_path: Path, scene: Scene, twin: Scene) -> None:
     flight = plan_file(tmp_path / "route.plan")
-    with pytest.raises(InputError, match="is no twin of a site"):
+    with pytest.raises(InputError, match="is not the twin of a site"):
         views_config(scene, scene.sparse_map(), flight, SNOW, scene)
     there = scene.manifest.origin._replace(latitude=47.01)
     other = retold(

@@ -21,7 +21,7 @@ from benchmark.report.album import (
     write_album,
 )
 from objconnect.scene.errors import InputError
-from tests.benchmark.made_data import moved, pose_at
+from tests.benchmark.made_data import move, pose_at
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_points_are_where_the_poses_put_them(made_flight: Path, album: Album) ->
     assert len(entry.world) > 8
     assert entry.project_at(dataset.queries[0].reference) == pytest.approx(entry.truth)
     # The world looks west from above by what the camera moves east: 80 px focal length, 40 m up.
-    shift = entry.project_at(moved(pose_at(1), 0.5)) - entry.truth
+    shift = entry.project_at(move(pose_at(1), 0.5)) - entry.truth
     assert shift[:, 0].mean() == pytest.approx(-1.0, abs=0.1)
     assert np.abs(shift[:, 1]).max() < 0.05
     image = sparse_map.images[entry.neighbour]
@@ -80,14 +80,14 @@ def test_neighbour_shows_most_of_the_ground(beach: Path) -> None:
 
 
 def test_points_out_of_sight_are_unknown(album: Album) -> None:
-    below = moved(pose_at(1), 0)
+    below = move(pose_at(1), 0)
     underground = type(below)(below.rotation, below.translation - 80)
     assert np.isnan(album.entries["b.jpg"].project_at(underground)).all()
 
 
 def test_a_query_off_the_map_has_no_neighbour(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
-    away = replace(dataset.queries[0], reference=moved(pose_at(1), 1e4))
+    away = replace(dataset.queries[0], reference=move(pose_at(1), 1e4))
     album = make_album(replace(dataset, queries=(away,)), dataset.load_map())
     write_album(tmp_path / ALBUM, album)
     again = read_album(tmp_path / ALBUM, album.sha256)

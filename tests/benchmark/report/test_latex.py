@@ -18,7 +18,7 @@ def text(scene: Path, tmp_path: Path) -> str:
     return latex([table(group) for group in found], side_by_side(found), note())
 
 
-def test_escaping() -> None:
+def test_text_is_escaped_for_latex() -> None:
     assert escape(r"a_b & 50% of #1 {x} $y$ C:\z ~^") == (
         r"a\_b \& 50\% of \#1 \{x\} \$y\$ C:\textbackslash{}z \textasciitilde{}\textasciicircum{}"
     )
@@ -27,7 +27,7 @@ def test_escaping() -> None:
     )
 
 
-def test_structure(text: str) -> None:
+def test_the_table_is_well_formed_latex(text: str) -> None:
     for name in ("table", "tabular"):
         begun, ended = (text.count(f"\\{word}{{{name}}}") for word in ("begin", "end"))
         assert begun == ended == 2
@@ -44,7 +44,7 @@ def test_structure(text: str) -> None:
     assert not re.findall(r"(?<!\\)%", "\n".join(text.splitlines()[2:]))
 
 
-def test_figures(text: str) -> None:
+def test_the_table_states_the_figures_of_the_results(text: str) -> None:
     assert r"my\_method & summer-noon & 3 & $100.0_{[43.9,\,100.0]}$" in text
     assert r"50\%\&\#\{\$\}" in text
     assert r"PixLoc & as reported by the paper & 90.4 & 81.1 & 62.5 & 93.8 \\" in text

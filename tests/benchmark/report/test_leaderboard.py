@@ -12,16 +12,16 @@ from benchmark.evaluation.starts import NONE, PRIOR, Start
 from benchmark.report.leaderboard import leaderboard
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
+from tests.benchmark.made_data import FakeLocalizer, move, pose_at
 
 
 def run(data: Path, out: Path, name: str, start: Start = PRIOR, **config: Any) -> Path:
     """A method that finds every summer query 0.1 m off, and one winter query 1 m off."""
     answers = {
-        f"summer-grid/images/{k:06d}.jpg": Estimate(Status.OK, moved(pose_at(k + 1), 0.1))
+        f"summer-grid/images/{k:06d}.jpg": Estimate(Status.OK, move(pose_at(k + 1), 0.1))
         for k in range(3)
     }
-    answers["winter-grid/images/000000.jpg"] = Estimate(Status.OK, moved(pose_at(2), 1.0))
+    answers["winter-grid/images/000000.jpg"] = Estimate(Status.OK, move(pose_at(2), 1.0))
     localizer = FakeLocalizer(answers)
     localizer.name = name
     localizer.config = localizer.config.model_copy(update=config)
@@ -35,7 +35,7 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
 
 
-def test_markdown(scene: Path, tmp_path: Path) -> None:
+def test_the_markdown_has_a_row_for_each_method(scene: Path, tmp_path: Path) -> None:
     run(scene, tmp_path / "out", "sift")
     text = leaderboard([tmp_path / "out"], tmp_path / "board")
     assert (tmp_path / "board" / "leaderboard.md").read_text() == text
@@ -64,9 +64,9 @@ def test_false_fixes_stand_beside_recall(scene: Path, tmp_path: Path) -> None:
     """One of six queries is answered 20 m off and called right, and one is so called a fallback."""
     name = "summer-grid/images/{:06d}.jpg".format
     answers = {
-        name(0): Estimate(Status.OK, moved(pose_at(1), 20)),
-        name(1): Estimate(Status.FALLBACK, moved(pose_at(2), 20), reason="far"),
-        name(2): Estimate(Status.OK, moved(pose_at(3), 4)),
+        name(0): Estimate(Status.OK, move(pose_at(1), 20)),
+        name(1): Estimate(Status.FALLBACK, move(pose_at(2), 20), reason="far"),
+        name(2): Estimate(Status.OK, move(pose_at(3), 4)),
     }
     (dataset,) = open_datasets(scene)
     evaluate(dataset, FakeLocalizer(answers), tmp_path / "out", PRIOR)
@@ -80,7 +80,7 @@ def test_false_fixes_stand_beside_recall(scene: Path, tmp_path: Path) -> None:
     assert "16.7_{[3.0" in (tmp_path / "board" / "leaderboard.tex").read_text()
 
 
-def test_results_of_before_false_fixes_were_counted_are_read(scene: Path, tmp_path: Path) -> None:
+def test_results_without_false_fixes_are_read(scene: Path, tmp_path: Path) -> None:
     file = run(scene, tmp_path / "out", "sift")
     text = leaderboard([file])
     stored = json.loads(file.read_text())
@@ -148,7 +148,7 @@ def test_changed_file_is_named(scene: Path, tmp_path: Path) -> None:
         leaderboard([tmp_path / "out"])
 
 
-def test_nothing_to_compare(tmp_path: Path) -> None:
+def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no results file"):
         leaderboard([tmp_path])
     with pytest.raises(InputError, match="do not exist"):

@@ -10,5 +10,5 @@ from benchmark.report.markdown import nees_text
 @pytest.mark.parametrize(
     ("value", "text"), [(6.04, "6.0"), (1000, "1000.0"), (1000.1, "> 1000"), (1e100, "> 1000")]
 )
-def test_texts(value: float, text: str) -> None:
+def test_large_nees_are_shown_as_a_bound(value: float, text: str) -> None:
     assert nees_text(value) == text

@@ -323,7 +323,7 @@ def test_a_script_of_somebody_else_does_not_run(
     assert any("Content Security Policy" in error for error in browser.errors)
 
 
-def test_results_without_an_album(out: Path, tmp_path: Path, browser: Browser) -> None:
+def test_results_without_an_album_are_shown(out: Path, tmp_path: Path, browser: Browser) -> None:
     load(out / "meadow" / "sift.json").write(tmp_path / "sift.json")
     leaderboard([tmp_path / "sift.json"], tmp_path)
     browser.open(tmp_path / "leaderboard.html")
@@ -334,7 +334,7 @@ def test_results_without_an_album(out: Path, tmp_path: Path, browser: Browser) -
     assert is_clean(browser)
 
 
-def test_a_query_off_the_map(out: Path, tmp_path: Path, browser: Browser) -> None:
+def test_a_query_off_the_map_is_shown(out: Path, tmp_path: Path, browser: Browser) -> None:
     results = load(out / "meadow" / "sift.json")
     album = read_album(out / "meadow" / ALBUM, results.dataset.sha256)
     assert album is not None
@@ -392,7 +392,7 @@ def four_by_five_hundred(out: Path, target: Path) -> Results:
 
 
 @pytest.mark.thorough
-def test_four_methods_and_five_hundred_queries(out: Path, tmp_path: Path, browser: Browser) -> None:
+def test_a_large_page_stays_small_and_quick(out: Path, tmp_path: Path, browser: Browser) -> None:
     last = four_by_five_hundred(out, tmp_path / "out")
     leaderboard([tmp_path / "out"], tmp_path)
     page = tmp_path / "leaderboard.html"

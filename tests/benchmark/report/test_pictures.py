@@ -10,15 +10,15 @@ from benchmark.datasets.open import open_datasets
 from benchmark.report.pictures import median_query, query_overlay
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import moved, pose_at, scored_query
+from tests.benchmark.made_data import make_scored_query, move, pose_at
 
 
-def test_median_query() -> None:
+def test_the_median_query_has_the_median_error() -> None:
     queries = [
-        scored_query("a", 3),
-        scored_query("b", 1),
-        scored_query("c", 2),
-        scored_query("d", 9, status=Status.FALLBACK),
+        make_scored_query("a", 3),
+        make_scored_query("b", 1),
+        make_scored_query("c", 2),
+        make_scored_query("d", 9, status=Status.FALLBACK),
     ]
     median = median_query(queries)
     assert median is not None
@@ -29,17 +29,17 @@ def test_median_query() -> None:
 def test_overlay_shows_both_poses(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     path = tmp_path / "picture.png"
-    query_overlay(dataset.queries[0], dataset.load_map(), moved(pose_at(1), 2.0), path, "fake")
+    query_overlay(dataset.queries[0], dataset.load_map(), move(pose_at(1), 2.0), path, "fake")
     pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
     for colour in ((0, 229, 255), (255, 45, 149)):
         assert (np.abs(pixels - colour).max(-1) < 8).sum() > 20
 
 
-def test_overlay_at_a_hopeless_pose(made_flight: Path, tmp_path: Path) -> None:
+def test_an_overlay_is_drawn_at_a_pose_that_sees_nothing(made_flight: Path, tmp_path: Path) -> None:
     """Every point behind the camera or out of sight is no reason to fail."""
     (dataset,) = open_datasets(made_flight)
     path = tmp_path / "picture.png"
-    query_overlay(dataset.queries[0], dataset.load_map(), moved(pose_at(1), 1e6), path, "fake")
+    query_overlay(dataset.queries[0], dataset.load_map(), move(pose_at(1), 1e6), path, "fake")
     assert path.stat().st_size > 1000
 
 

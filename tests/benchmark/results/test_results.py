@@ -11,12 +11,16 @@ from benchmark.results.results import DatasetId, Results, rescore
 from benchmark.results.results_files import load
 from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 
 @pytest.fixture
 def results() -> Results:
-    queries = (scored_query("a", 0.1), scored_query("b", 0.7), scored_query("c", None, "winter"))
+    queries = (
+        make_scored_query("a", 0.1),
+        make_scored_query("b", 0.7),
+        make_scored_query("c", None, "winter"),
+    )
     return Results.of(
         Method(name="fake", config={"strength": 1.0}, weights_sha256=None),
         DatasetId(name="meadow", track="flight", sha256="ab", map_conditions=("summer",)),
@@ -27,14 +31,14 @@ def results() -> Results:
     )
 
 
-def test_round_trip(results: Results, tmp_path: Path) -> None:
+def test_results_survive_writing_and_reading(results: Results, tmp_path: Path) -> None:
     path = tmp_path / "fake.json"
     results.write(path)
     assert load(path) == results
     assert rescore(results) == results
 
 
-def test_layout(results: Results, tmp_path: Path) -> None:
+def test_the_file_has_its_documented_layout(results: Results, tmp_path: Path) -> None:
     results.write(tmp_path / "fake.json")
     stored = json.loads((tmp_path / "fake.json").read_text())
     assert stored["schema"] == 1
@@ -67,7 +71,7 @@ def _error(stored: dict[str, Any]) -> None:
     stored["queries"][1]["t_err_m"] = 0.1
 
 
-def _dropped(stored: dict[str, Any]) -> None:
+def _drop(stored: dict[str, Any]) -> None:
     del stored["queries"][2]
 
 
@@ -78,7 +82,7 @@ def _dropped(stored: dict[str, Any]) -> None:
         (_interval, "by_condition.summer.recall.5m_10deg.low"),
         (_condition, "by_condition.winter"),
         (_error, "summary.median_t_m"),
-        (_dropped, "summary.failed"),
+        (_drop, "summary.failed"),
     ],
 )
 def test_changed_figures_are_noticed(
@@ -103,13 +107,15 @@ def test_changed_figures_are_noticed(
         ('"start": "prior"', '"start": "prior", "comment": 1', "unknown key 'comment'"),
         ('"t_err_m": 0.1', '"t_err_m": NaN', "queries.0.t_err_m"),
         ('"t_err_m": 0.1', '"t_err_m": -0.1', "queries.0.t_err_m"),
-        ('"t_err_m": 0.1', '"t_err_m": null', "its pose and errors say otherwise"),
-        ('"status": "failed"', '"status": "fallback"', "its pose and errors say otherwise"),
+        ('"t_err_m": 0.1', '"t_err_m": null', "contradicts its pose and errors"),
+        ('"status": "failed"', '"status": "fallback"', "contradicts its pose and errors"),
         ('"name": "b"', '"name": "a"', "query a is listed twice"),
         ('"schema"', "schema", "is not valid JSON"),
     ],
 )
-def test_damaged_files(results: Results, tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_damaged_files_are_refused(
+    results: Results, tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = tmp_path / "fake.json"
     results.write(path)
     text = path.read_text()

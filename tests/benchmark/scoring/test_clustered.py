@@ -37,14 +37,14 @@ def test_too_few_flights_have_no_interval() -> None:
     assert difference_interval([True] * 100, [False] * 100, flights) is None
 
 
-def test_the_same_at_every_run() -> None:
+def test_resamples_are_the_same_at_every_run() -> None:
     queries = [k % 3 == 0 for k in range(60)]
     flights = [str(k % 6) for k in range(60)]
     drawn = {difference_interval(queries, queries[::-1], flights) for _ in range(3)}
     assert len(drawn) == 1
 
 
-def test_p_of_whole_flights() -> None:
+def test_the_permutation_test_exchanges_whole_flights() -> None:
     """Of eight flights that all lose five queries, two of 2^8 signs are as extreme."""
     flights = [f"flight-{k // 10}" for k in range(80)]
     after = [k % 10 >= 5 for k in range(80)]

@@ -46,7 +46,7 @@ def test_both_thresholds_are_strict(metres: float, degrees: float, expected: boo
     assert is_correct(ok(metres, degrees), Threshold(0.25, 2)) is expected
 
 
-def test_hand_computed_recall() -> None:
+def test_recall_equals_a_hand_computed_one() -> None:
     scored = [ok(0.1, 0.1), ok(0.3, 0.1), ok(0.1, 6), FAILED, Scored(Status.FALLBACK, 0.0, 0.0)]
     assert [recall(scored, threshold).value for threshold in THRESHOLDS] == [20, 40, 60]
 
@@ -65,7 +65,9 @@ def test_fallback_at_the_reference_pose_is_wrong() -> None:
         (1, 1, 0.2065, 1.0),
     ],
 )
-def test_wilson_by_hand(successes: int, trials: int, low: float, high: float) -> None:
+def test_wilson_equals_a_hand_computed_interval(
+    successes: int, trials: int, low: float, high: float
+) -> None:
     assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
 
 

@@ -17,19 +17,19 @@ from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.scoring.uncertainty import risk_coverage
 from objconnect.localization.provenance import Method
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 TIGHT, MIDDLE, WIDE = THRESHOLDS
 LOST, WON = (3, 4, 5, 13, 14, 23, 33), (50, 51)
 
 
-def made(error_m: dict[int, float | None], name: str) -> Results:
+def make(error_m: dict[int, float | None], name: str) -> Results:
     """Sixty queries 0.1 m off, flight by flight of ten, but for those of `error_m`; None failed."""
     queries: list[QueryResult] = []
     for k in range(60):
         metres = error_m.get(k, 0.1)
         queries.append(
-            scored_query(
+            make_scored_query(
                 f"{k:02d}",
                 metres,
                 "summer" if k < 30 else "winter",
@@ -40,7 +40,7 @@ def made(error_m: dict[int, float | None], name: str) -> Results:
                 seconds={"total": 0.1 * (k + 1)},
             )
         )
-    queries[59] = scored_query("59", 0.1, "winter", Status.FALLBACK, group="flight 5")
+    queries[59] = make_scored_query("59", 0.1, "winter", Status.FALLBACK, group="flight 5")
     return Results.of(
         Method(name=name, config={}, weights_sha256=None),
         DatasetId(name="d", track="uav-sim", sha256="a" * 64, map_conditions=("summer",)),
@@ -50,8 +50,8 @@ def made(error_m: dict[int, float | None], name: str) -> Results:
 
 
 # Queries 50 and 51 of the first are 0.4 m off, 52 fails; the second finds them.
-FIRST = made({50: 0.4, 51: 0.4, 52: None}, "first")
-SECOND = made(dict.fromkeys(LOST, 7.0) | {52: None}, "second")
+FIRST = make({50: 0.4, 51: 0.4, 52: None}, "first")
+SECOND = make(dict.fromkeys(LOST, 7.0) | {52: None}, "second")
 
 
 def right(results: Results) -> list[bool]:
@@ -59,7 +59,7 @@ def right(results: Results) -> list[bool]:
 
 
 @pytest.mark.parametrize(("results", "correct"), [(FIRST, (56, 58, 58)), (SECOND, (51, 51, 51))])
-def test_recall_and_wilson(results: Results, correct: tuple[int, int, int]) -> None:
+def test_recall_and_its_interval_are_right(results: Results, correct: tuple[int, int, int]) -> None:
     for threshold, count in zip(THRESHOLDS, correct, strict=True):
         found = results.summary.recall[threshold.key]
         expected = stats.binomtest(count, 60).proportion_ci(0.95, method="wilson")
@@ -67,7 +67,7 @@ def test_recall_and_wilson(results: Results, correct: tuple[int, int, int]) -> N
         assert (found.low, found.high) == pytest.approx((100 * expected.low, 100 * expected.high))
 
 
-def test_medians_failures_and_seconds() -> None:
+def test_medians_failures_and_seconds_are_right() -> None:
     errors = [q.t_err_m for q in SECOND.queries if q.t_err_m is not None]
     assert len(errors) == 59
     assert SECOND.summary.median_t_m == np.median(errors) == 0.1
@@ -76,7 +76,7 @@ def test_medians_failures_and_seconds() -> None:
     assert SECOND.summary.seconds.per_query["total"] == pytest.approx((177 + 0.25) / 60)
 
 
-def test_parts() -> None:
+def test_parts_have_the_figures_of_their_queries() -> None:
     assert {n: part.queries for n, part in FIRST.by_condition.items()} == {
         "summer": 30,
         "winter": 30,
@@ -91,7 +91,7 @@ def test_parts() -> None:
     }
 
 
-def test_covariances() -> None:
+def test_covariance_figures_are_right() -> None:
     """NEES of 0, 0.5, 1 ... over the localized queries, of which 52 has none."""
     values = np.array([0.5 * k for k in range(59) if k != 52])
     found = FIRST.summary.uncertainty
@@ -105,7 +105,7 @@ def test_covariances() -> None:
     assert found.within_95.value == pytest.approx(100 * inside / 58)
 
 
-def test_risk_and_coverage() -> None:
+def test_the_risk_coverage_curve_is_right() -> None:
     """Sigmas grow with the number, so of the first k + 1 the wrong ones are those of LOST below."""
     curve = risk_coverage(SECOND.queries, TIGHT)
     for k in range(50):
@@ -114,7 +114,7 @@ def test_risk_and_coverage() -> None:
     assert curve[-1] == pytest.approx((100, 100 * 9 / 60))
 
 
-def test_paired() -> None:
+def test_the_paired_comparison_is_right() -> None:
     change = compare(right(FIRST), right(SECOND))
     assert (change.lost, change.won) == (len(LOST), len(WON))
     assert change.change == pytest.approx(-100 * 5 / 60)
@@ -129,7 +129,7 @@ def test_paired() -> None:
     assert (change.low, change.high) == pytest.approx((100 * (q - p - half), 100 * (q - p + half)))
 
 
-def test_bootstrap_by_flight() -> None:
+def test_the_bootstrap_resamples_flights() -> None:
     before, after = right(FIRST), right(SECOND)
     flights = [query.group for query in FIRST.queries]
     found = difference_interval(before, after, flights)

@@ -22,12 +22,12 @@ from objconnect.localization.align.covariance import Spread
 from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import pose_at, scored_query
+from tests.benchmark.made_data import make_scored_query, pose_at
 
 TIGHT = Threshold(0.5, 5)
 
 
-def drawn_errors(claimed: float) -> list[float]:
+def draw_errors(claimed: float) -> list[float]:
     """NEES of poses drawn with a covariance, of which `claimed` times as much is claimed."""
     rng = np.random.default_rng(0)
     spread = np.diag([1e-3, 2e-3, 1e-3, 0.2, 0.1, 0.4])
@@ -45,13 +45,13 @@ def drawn_errors(claimed: float) -> list[float]:
 
 
 def test_an_honest_covariance_has_its_expectation() -> None:
-    values = drawn_errors(1.0)
+    values = draw_errors(1.0)
     assert np.mean(values) == pytest.approx(6, abs=4 * np.sqrt(12 / 3000))
     assert np.mean(np.array(values) <= _CHI2_95) == pytest.approx(0.95, abs=0.015)
 
 
 def test_a_boastful_covariance_shows() -> None:
-    assert np.mean(drawn_errors(0.25)) == pytest.approx(24, rel=0.06)
+    assert np.mean(draw_errors(0.25)) == pytest.approx(24, rel=0.06)
 
 
 def test_quantile() -> None:
@@ -74,12 +74,12 @@ def test_no_covariance_no_figure(covariance: np.ndarray | None) -> None:
 
 def test_consistency_by_hand() -> None:
     queries = [
-        scored_query("a", 0.1, nees=2.0),
-        scored_query("b", 0.1, nees=4.0),
-        scored_query("c", 0.1, nees=30.0),
-        scored_query("d", 0.1),
-        scored_query("e", 0.1, status=Status.FALLBACK, nees=1000.0),
-        scored_query("f", None),
+        make_scored_query("a", 0.1, nees=2.0),
+        make_scored_query("b", 0.1, nees=4.0),
+        make_scored_query("c", 0.1, nees=30.0),
+        make_scored_query("d", 0.1),
+        make_scored_query("e", 0.1, status=Status.FALLBACK, nees=1000.0),
+        make_scored_query("f", None),
     ]
     found = consistency(queries)
     assert found is not None
@@ -90,10 +90,10 @@ def test_consistency_by_hand() -> None:
 
 def test_risk_coverage_by_hand() -> None:
     queries = [
-        scored_query("unsure and wrong", 3.0, sigma_t_m=2.0),
-        scored_query("sure and right", 0.1, sigma_t_m=0.1),
-        scored_query("failed", None),
-        scored_query("fairly sure and right", 0.2, sigma_t_m=0.3),
+        make_scored_query("unsure and wrong", 3.0, sigma_t_m=2.0),
+        make_scored_query("sure and right", 0.1, sigma_t_m=0.1),
+        make_scored_query("failed", None),
+        make_scored_query("fairly sure and right", 0.2, sigma_t_m=0.3),
     ]
     assert risk_coverage(queries, TIGHT) == [
         (25, 0),
@@ -105,17 +105,17 @@ def test_risk_coverage_by_hand() -> None:
 
 def test_a_predicted_probability_goes_before_a_sigma() -> None:
     queries = [
-        scored_query("unlikely and wrong", 3.0, sigma_t_m=0.1, probability=0.6),
-        scored_query("likely and right", 0.1, sigma_t_m=0.9, probability=0.999),
-        scored_query("as likely, and surer", 0.2, sigma_t_m=0.3, probability=0.999),
-        scored_query("failed", None, probability=0.2),
+        make_scored_query("unlikely and wrong", 3.0, sigma_t_m=0.1, probability=0.6),
+        make_scored_query("likely and right", 0.1, sigma_t_m=0.9, probability=0.999),
+        make_scored_query("as likely, and surer", 0.2, sigma_t_m=0.3, probability=0.999),
+        make_scored_query("failed", None, probability=0.2),
     ]
     order = [query.name for query in sorted(queries, key=doubt)]
     assert order == ["as likely, and surer", "likely and right", "unlikely and wrong", "failed"]
     assert risk_coverage(queries, TIGHT)[1] == (50, 0)
 
 
-def made_answers(
+def make_answers(
     numbers: CovarianceModel, seed: int, count: int = 2000, freedom: int = 8
 ) -> Answers:
     """Errors of Student's distribution that have the covariances that the numbers give."""
@@ -144,7 +144,7 @@ def made_answers(
     ],
 )
 def test_calibration_finds_what_was_planted(planted: CovarianceModel) -> None:
-    found = calibrate(made_answers(planted, seed=1, count=5000))
+    found = calibrate(make_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
     assert found.floor == pytest.approx(planted.floor, rel=0.1)
@@ -155,8 +155,8 @@ def test_calibration_finds_what_was_planted(planted: CovarianceModel) -> None:
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
     planted = CovarianceModel.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1))
-    found = calibrate(made_answers(planted, seed=1, freedom=20))
-    unseen = made_answers(planted, seed=2, freedom=20)
+    found = calibrate(make_answers(planted, seed=1, freedom=20))
+    unseen = make_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:
         changed = {"factor": found.factor * wrong, "floor": found.floor * wrong**0.5}
         off = found.model_copy(update=changed)

@@ -20,7 +20,7 @@ from objconnect.localization.provenance import Method
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
-from tests.benchmark.made_data import scored_query, write_scene
+from tests.benchmark.made_data import make_scored_query, write_scene
 from tests.conftest import RENDERED
 from tests.objconnect.scene.exports.test_cmu import street as street  # a fixture
 
@@ -51,21 +51,21 @@ def out(rendered: Scene, tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def written(folder: Path) -> Snapshot:
+def write(folder: Path) -> Snapshot:
     return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> None:
-    before = written(out) | written(board)
+    before = write(out) | write(board)
     report = track("tiny", out, board=board)
-    assert written(out) | written(board) == before
+    assert write(out) | write(board) == before
     (place,) = report.places
     assert place.sha256 == open_scene(out / "town-11").sha256
     assert (place.queries, place.recorded, place.same, place.export) == (7, (), None, None)
     assert report.text() == f"town-11: 7 queries, data set {place.sha256[:12]}, not recorded yet"
 
 
-def test_what_is_recorded(out: Path, board: Path) -> None:
+def test_update_records_renders_and_queries(out: Path, board: Path) -> None:
     report = track("tiny", out, board=board, update=True)
     table = board / "tiny" / "queries" / "town-11.csv"
     render = board / "tiny" / "renders" / "town-11.json.xz"
@@ -96,9 +96,9 @@ def test_a_render_of_another_machine_is_the_same_data_set(out: Path, board: Path
     report = track("tiny", out, board=board)
     assert report.differing == ()
     assert report.text().endswith(f", like the recorded {first[:12]} but for rounding")
-    before = written(board / "tiny" / "renders") | written(board / "tiny" / "queries")
+    before = write(board / "tiny" / "renders") | write(board / "tiny" / "queries")
     track("tiny", out, board=board, update=True)
-    assert written(board / "tiny" / "renders") | written(board / "tiny" / "queries") == before
+    assert write(board / "tiny" / "renders") | write(board / "tiny" / "queries") == before
     second = report.places[0].sha256
     assert load_track("tiny", board).places[0].renders == (first, second)
     assert track("tiny", out, board=board).text().endswith(", as recorded")
@@ -112,7 +112,7 @@ def test_a_record_that_is_missing_is_named(out: Path, board: Path) -> None:
     photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
     photograph.write_bytes(photograph.read_bytes() + b"\0")
     report = track("tiny", out, board=board)
-    assert "cameras and brightness town-11.json.xz would tell" in report.text()
+    assert "there is no town-11.json.xz to compare with" in report.text()
     assert report.differing == ("town-11",)
 
 
@@ -188,7 +188,7 @@ def test_every_place_is_rendered_and_mapped(tmp_path: Path, asked: list[tuple[An
     assert one.dataset == "town-2"
 
 
-def test_a_folder_of_something_else_is_told_first(
+def test_a_wrong_folder_is_refused_before_rendering(
     tmp_path: Path, asked: list[tuple[Any, ...]]
 ) -> None:
     board = write_board(tmp_path, seeds=(1, 2))
@@ -213,10 +213,10 @@ def test_streets_are_exported(
     assert place.export == tmp_path / "out" / "street-7-cmu"
     assert place.sha256 == open_scene(tmp_path / "out" / "street-7").sha256
     assert {d.name for d in open_datasets(place.export)} >= {"cmu-urban-slice2", "cmu-park-slice18"}
-    before = written(place.export)
+    before = write(place.export)
     monkeypatch.setattr(command, "simulate", lambda *_: Scene.open(place.scene))
     track("tiny", tmp_path / "out", board=board)
-    assert written(place.export) == before
+    assert write(place.export) == before
 
 
 def test_results_do_not_hinder(out: Path, board: Path) -> None:
@@ -225,7 +225,7 @@ def test_results_do_not_hinder(out: Path, board: Path) -> None:
         Method(name="sift", config={}, weights_sha256=None),
         DatasetId(name="town-11", track="uav-sim", sha256="ab", map_conditions=()),
         "none",
-        [scored_query("a", 0.1)],
+        [make_scored_query("a", 0.1)],
     )
     path = board / "tiny" / "results" / "none" / "town-11" / "sift.json.xz"
     write_compact(path, results)

@@ -23,13 +23,13 @@ from benchmark.tracks.compact import compact, store, targets_of, write_compact
 from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 DIGEST = "ab" * 32
 CONDITIONS = ("summer-noon", "snow-noon", "snow-dusk", "leafoff-noon")
 
 
-def made(name: str, rng: random.Random) -> QueryResult:
+def make(name: str, rng: random.Random) -> QueryResult:
     """A query of whatever outcome, with all the digits that measurements have."""
     status = rng.choices([Status.OK, Status.FALLBACK, Status.FAILED], [8, 1, 1])[0]
     located = status is not Status.FAILED
@@ -37,7 +37,7 @@ def made(name: str, rng: random.Random) -> QueryResult:
     turn = [rng.gauss(0, 1) for _ in range(4)]
     length = math.hypot(*turn)
     pose = (*(x / length for x in turn), *(rng.uniform(-150, 150) for _ in range(3)))
-    query = scored_query(
+    query = make_scored_query(
         name,
         math.exp(rng.gauss(-2, 2)) if located else None,
         rng.choice(CONDITIONS),
@@ -70,7 +70,7 @@ def run_of(queries: list[QueryResult], start: str = "none", **config: float) -> 
 def results() -> Results:
     """As many queries as a data set of a track has."""
     rng = random.Random(0)
-    return run_of([made(f"s{k // 40}/images/{k % 40:06d}.jpg", rng) for k in range(320)])
+    return run_of([make(f"s{k // 40}/images/{k % 40:06d}.jpg", rng) for k in range(320)])
 
 
 def figures(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
@@ -81,7 +81,7 @@ def figures(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
         yield where, value
 
 
-def test_it_is_small_and_says_the_same(results: Results, tmp_path: Path) -> None:
+def test_a_compact_file_is_small_and_has_the_same_figures(results: Results, tmp_path: Path) -> None:
     path = tmp_path / "sift.json.xz"
     write_compact(path, results)
     assert path.stat().st_size < 120 * len(results.queries)
@@ -99,7 +99,7 @@ def test_it_is_small_and_says_the_same(results: Results, tmp_path: Path) -> None
                 assert after[where] == value, where
 
 
-def test_what_is_rounded(results: Results) -> None:
+def test_numbers_are_rounded_as_documented(results: Results) -> None:
     for query, short in zip(results.queries, compact(results).queries, strict=True):
         rest = {"t_err_m", "r_err_deg", "sigma_t_m", "nees", "altitude_m", "cam_from_world"}
         assert query.model_dump(exclude=rest | {"seconds"}) == short.model_dump(
@@ -124,13 +124,13 @@ def test_rounding_moves_no_query_across_a_threshold() -> None:
     for metres, degrees in THRESHOLDS:
         for sign in (-1, 0, 1):
             queries += [
-                scored_query(f"t{len(queries)}", metres * (1 + sign * 1e-14)),
-                scored_query(f"r{len(queries)}", 0.1, r_err_deg=degrees * (1 + sign * 1e-14)),
+                make_scored_query(f"t{len(queries)}", metres * (1 + sign * 1e-14)),
+                make_scored_query(f"r{len(queries)}", 0.1, r_err_deg=degrees * (1 + sign * 1e-14)),
             ]
     # The 95 % quantile of chi-square with 6 degrees of freedom, and the edge of a band of heights.
     edge = 12.591587243743977
-    queries += [scored_query(f"n{k}", 0.1, nees=edge * (1 + k * 1e-14)) for k in (-1, 0, 1)]
-    queries += [scored_query(f"a{k}", 0.1, altitude_m=60 + k * 1e-6) for k in (-1, 0, 1)]
+    queries += [make_scored_query(f"n{k}", 0.1, nees=edge * (1 + k * 1e-14)) for k in (-1, 0, 1)]
+    queries += [make_scored_query(f"a{k}", 0.1, altitude_m=60 + k * 1e-6) for k in (-1, 0, 1)]
     results = run_of(queries)
     short = compact(results)
     for query, rounded in zip(queries, short.queries, strict=True):
@@ -147,7 +147,7 @@ def test_rounding_moves_no_query_across_a_threshold() -> None:
 
 def test_the_configuration_keeps_its_digits(tmp_path: Path) -> None:
     """It tells methods apart; it is no figure."""
-    results = run_of([scored_query("a", 0.1)], ratio=1 / 3)
+    results = run_of([make_scored_query("a", 0.1)], ratio=1 / 3)
     write_compact(tmp_path / "sift.json.xz", results)
     assert load(tmp_path / "sift.json.xz").method == results.method
 
@@ -202,7 +202,9 @@ def test_commands_read_both_forms(run: Path, track: Path, tmp_path: Path) -> Non
     assert update(compacted, baseline), "a baseline is replaced"
 
 
-def test_what_is_not_stored(run: Path, track: Path, results: Results, tmp_path: Path) -> None:
+def test_results_of_other_data_are_not_stored(
+    run: Path, track: Path, results: Results, tmp_path: Path
+) -> None:
     other = results.dataset.model_copy(update={"sha256": "cd" * 32})
     results.model_copy(update={"dataset": other}).write(tmp_path / "other" / "park-1" / "sift.json")
     with pytest.raises(InputError, match=r"another park-1 \(cdcdcdcdcdcd\) than the track parks"):
@@ -211,8 +213,8 @@ def test_what_is_not_stored(run: Path, track: Path, results: Results, tmp_path: 
     results.model_copy(update={"dataset": unknown}).write(tmp_path / "x" / "a" / "sift.json")
     with pytest.raises(InputError, match="no place '../../park-2'"):
         targets_of([tmp_path / "x"], track)
-    run_of([scored_query("a", 0.1)]).write(tmp_path / "again" / "park-1" / "sift.json")
-    with pytest.raises(InputError, match="other results of sift on park-1 from none"):
+    run_of([make_scored_query("a", 0.1)]).write(tmp_path / "again" / "park-1" / "sift.json")
+    with pytest.raises(InputError, match="has results of sift on park-1 from start none"):
         targets_of([run, tmp_path / "again"], track)
     with pytest.raises(InputError, match="none is not the folder of a track"):
         targets_of([run], track.with_name("none"))
@@ -239,7 +241,7 @@ def test_what_is_not_stored(run: Path, track: Path, results: Results, tmp_path: 
     ],
     ids=["empty", "plain", "zeroed", "cut", "two", "no text", "no JSON", "bomb", "no keys"],
 )
-def test_a_damaged_file(content: bytes, says: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused(content: bytes, says: str, tmp_path: Path) -> None:
     path = tmp_path / "sift.json.xz"
     path.write_bytes(content)
     with pytest.raises(InputError, match=says):

@@ -25,7 +25,7 @@ TRACK = Track(
 )
 
 
-def test_which_there_are() -> None:
+def test_the_project_has_its_tracks() -> None:
     assert TRACKS == ["street-seasons", "uav-seasons", "uav-small"]
 
 
@@ -57,7 +57,7 @@ def test_the_headline_cells_are_large_enough() -> None:
         assert min(asked.values()) >= least, asked
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_a_description_survives_writing_and_reading(tmp_path: Path) -> None:
     recorded = TRACK.with_renders({"park-1": ("0" * 63 + "a", "b" * 64)})
     assert [len(place.renders) for place in recorded.places] == [2, 0]
     for track in (TRACK, recorded):
@@ -75,7 +75,7 @@ def test_digests_of_digits_are_words(tmp_path: Path) -> None:
         assert load_track("tiny", tmp_path).places[0].renders == (digest,)
 
 
-def test_places_by_name() -> None:
+def test_sites_are_selected_by_name() -> None:
     assert TRACK.select() == TRACK.places
     assert TRACK.select(("b", "park-1")) == TRACK.places, "in the track's order"
     assert TRACK.select(("b",)) == TRACK.places[1:]
@@ -87,7 +87,7 @@ def test_places_by_name() -> None:
     ("old", "new", "says"),
     [
         ("name: tiny", "name: other", "called 'other', its folder 'tiny'"),
-        ("dataset: b", "dataset: park-1", "two places have one name"),
+        ("dataset: b", "dataset: park-1", "two sites have the same name"),
         ("dataset: b", "dataset: ../b", "places.1.dataset"),
         ("seed: 2", "seed: -2", "places.1.seed"),
         ("renders: []", "renders: [abc]", "places.0.renders.0"),
@@ -95,7 +95,7 @@ def test_places_by_name() -> None:
         ("title: Two parks", "", "missing key 'title'"),
     ],
 )
-def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> None:
+def test_a_wrong_description_is_refused(old: str, new: str, says: str, tmp_path: Path) -> None:
     write_track(TRACK, tmp_path)
     path = tmp_path / "tiny" / "track.yaml"
     text = path.read_text()
@@ -105,12 +105,12 @@ def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> N
         load_track("tiny", tmp_path)
 
 
-def test_an_unknown_track(tmp_path: Path) -> None:
+def test_an_unknown_track_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match="no track of the name 'uav'; there are street-seasons, uav-seasons, uav-small",
+        match="no track named 'uav'; there are street-seasons, uav-seasons, uav-small",
     ):
         load_track("uav")
     for name in ("tiny", "", "..", "../tracks/tiny"):
-        with pytest.raises(InputError, match=f"has no track of the name '{name}'$"):
+        with pytest.raises(InputError, match=f"has no track named '{name}'$"):
             load_track(name, tmp_path)

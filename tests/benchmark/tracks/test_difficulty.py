@@ -72,7 +72,9 @@ def narrow(centre: Sequence[float], tilt_deg: float = 0.0) -> View:
         (narrow((0, -30, 40), math.degrees(math.atan(0.75))), 1.25, math.degrees(math.atan(0.75))),
     ],
 )
-def test_of_one_place_from_two(query: View, scale: float, angle: float) -> None:
+def test_two_views_of_one_point_have_a_known_scale_and_angle(
+    query: View, scale: float, angle: float
+) -> None:
     ground = np.random.default_rng(0).uniform(-0.1, 0.1, (200, 3)) * [1, 1, 0]
     depth = np.full((60, 80), 40.0, np.float32)
     pair = compare(query, narrow((0, 0, 40)), ground, depth)
@@ -81,7 +83,7 @@ def test_of_one_place_from_two(query: View, scale: float, angle: float) -> None:
     assert pair[1] == pytest.approx(angle, abs=0.15)
 
 
-def test_the_focal_length_counts() -> None:
+def test_the_scale_depends_on_the_focal_length() -> None:
     """A lens twice as long from twice as far shows the same."""
     tele = View(Camera("PINHOLE", 80, 60, (160.0, 160.0, 40.0, 30.0)), looking((0, 0, 80)), 0.0)
     ground = np.array([[1.0, 2.0, 0.0], [np.nan] * 3])
@@ -91,7 +93,7 @@ def test_the_focal_length_counts() -> None:
     assert pair[0] == pytest.approx(1.0)
 
 
-def test_what_is_hidden_or_not_there_is_not_compared() -> None:
+def test_hidden_and_missing_points_are_not_compared() -> None:
     photograph = View(CAMERA, looking((0, 0, 40)), 0.0)
     roof = np.full((60, 80), 30.0, np.float32)
     assert compare(photograph, photograph, np.zeros((1, 3)), roof) is None
@@ -110,7 +112,7 @@ def test_what_is_hidden_or_not_there_is_not_compared() -> None:
         (math.nan, moment(2026, 7, 4), None),
     ],
 )
-def test_days_go_round_the_year(one: float, other: float, days: int | None) -> None:
+def test_days_wrap_around_the_year(one: float, other: float, days: int | None) -> None:
     assert days_between(one, other) == days_between(other, one) == days
 
 
@@ -170,7 +172,7 @@ def write_place(root: Path, parts: tuple[Surroundings, ...] = ()) -> Scene:
     return finish_scene(root, manifest)
 
 
-def test_queries_of_a_scene(tmp_path: Path) -> None:
+def test_every_query_of_a_scene_has_a_difficulty(tmp_path: Path) -> None:
     rows = measure(write_place(tmp_path / "park-1"))
     assert [row.name for row in rows] == [
         *(f"snow/images/{k:06d}.jpg" for k in range(3)),
@@ -210,15 +212,15 @@ def test_a_street_has_parts(tmp_path: Path) -> None:
     assert [row.part for row in rows] == ["urban", "suburban", "park", "suburban"]
 
 
-def test_a_scene_that_contradicts_itself(tmp_path: Path) -> None:
+def test_a_contradicting_scene_is_refused(tmp_path: Path) -> None:
     scene = write_place(tmp_path / "park-1")
     splits = scene.splits.model_copy(update={"map": ("map/images/000009.jpg",)})
     write_json(scene.path / "splits.json", splits)
-    with pytest.raises(InputError, match="000009.jpg of splits.json is no frame"):
+    with pytest.raises(InputError, match="000009.jpg in splits.json is not a frame"):
         measure(Scene.open(scene.path))
 
 
-def test_the_table(tmp_path: Path) -> None:
+def test_the_table_has_a_row_for_each_query(tmp_path: Path) -> None:
     rows = [
         QueryRow("a,b.jpg", "snow-noon", "snow", "park", Difficulty(0.51249, 1.5, 20.04, 151)),
         QueryRow("c.jpg", "snow-noon", "snow", "park", Difficulty(0.0, None, None, None)),

@@ -17,7 +17,7 @@ ROWS = [
 ]
 
 
-def test_what_was_written_is_read(tmp_path: Path) -> None:
+def test_a_list_survives_writing_and_reading(tmp_path: Path) -> None:
     write_queries(tmp_path / "q.csv", ROWS)
     assert list(read_queries(tmp_path / "q.csv")) == ROWS
 
@@ -25,21 +25,21 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("a,snow,f,park,1.5,1,1,1", "overlap '1.5' is no number from 0 to 1"),
+        ("a,snow,f,park,1.5,1,1,1", "overlap '1.5' is not a number from 0 to 1"),
         ("a,snow,f,park,,1,1,1", "overlap is empty"),
         ("a,snow,f,park,0.5,-1,1,1", "scale '-1'"),
         ("a,snow,f,park,0.5,nan,1,1", "scale 'nan'"),
-        ("a,snow,f,park,0.5,1,181,1", "angle_deg '181' is no number from 0 to 180"),
-        ("a,snow,f,park,0.5,1,1,200", "days '200' is no number from 0 to 182"),
+        ("a,snow,f,park,0.5,1,181,1", "angle_deg '181' is not a number from 0 to 180"),
+        ("a,snow,f,park,0.5,1,1,200", "days '200' is not a number from 0 to 182"),
         ("a,snow,f,park,0.5,1,1", "expected 8 columns, got 7"),
-        (",snow,f,park,0.5,1,1,1", "name '' is no name"),
-        ("a,changed,f,park,0.5,1,1,1", "no condition can be called 'changed'"),
-        ("a,all,f,park,0.5,1,1,1", "no condition can be called 'all'"),
-        ("a,snow,f,all,0.5,1,1,1", "no part can be called 'all'"),
+        (",snow,f,park,0.5,1,1,1", "name '' is not a name"),
+        ("a,changed,f,park,0.5,1,1,1", "the condition 'changed' is a reserved name"),
+        ("a,all,f,park,0.5,1,1,1", "the condition 'all' is a reserved name"),
+        ("a,snow,f,all,0.5,1,1,1", "the part 'all' is a reserved name"),
         ("b,snow,f,park,0.5,1,1,1", "query b is listed twice"),
     ],
 )
-def test_the_line_is_named(line: str, says: str, tmp_path: Path) -> None:
+def test_errors_name_the_line(line: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "q.csv"
     path.write_text(f"{HEAD}b,snow,f,park,0.5,1,1,1\n{line}\n")
     with pytest.raises(InputError, match=r"q\.csv:3: ") as raised:
@@ -47,7 +47,7 @@ def test_the_line_is_named(line: str, says: str, tmp_path: Path) -> None:
     assert says in str(raised.value)
 
 
-def test_no_query_and_no_column(tmp_path: Path) -> None:
+def test_a_list_without_queries_or_columns_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "q.csv"
     path.write_text(HEAD)
     with pytest.raises(InputError, match="lists no query"):

@@ -24,7 +24,7 @@ def render(rendered: Scene) -> Render:
     return render_of(rendered)
 
 
-def changed(render: Render, row: int, **fields: object) -> Render:
+def change(render: Render, row: int, **fields: object) -> Render:
     """The record with some fields of one frame replaced."""
     frames = list(render.frames)
     frames[row] = frames[row].model_copy(update=fields)
@@ -34,13 +34,13 @@ def changed(render: Render, row: int, **fields: object) -> Render:
 def brighter(render: Render, row: int, block: int, levels: float) -> Render:
     blocks = list(render.frames[row].blocks)
     blocks[block] += levels
-    return changed(render, row, blocks=tuple(blocks))
+    return change(render, row, blocks=tuple(blocks))
 
 
-def moved(render: Render, row: int, metres: float) -> Render:
+def move(render: Render, row: int, metres: float) -> Render:
     pose = list(render.frames[row].cam_from_world)
     pose[3] += metres
-    return changed(render, row, cam_from_world=tuple(pose))
+    return change(render, row, cam_from_world=tuple(pose))
 
 
 def test_a_record_has_every_frame(rendered: Scene, render: Render) -> None:
@@ -58,7 +58,7 @@ def test_blocks_are_means(rendered: Scene, render: Render) -> None:
     np.testing.assert_allclose(np.reshape(frame.blocks, (8, 8)), means, atol=0.051)
 
 
-def test_round_trip(render: Render, tmp_path: Path) -> None:
+def test_a_record_survives_writing_and_reading(render: Render, tmp_path: Path) -> None:
     path = tmp_path / "renders" / "town-11.json.xz"
     write_render(path, render)
     assert read_render(path) == render
@@ -68,26 +68,26 @@ def test_round_trip(render: Render, tmp_path: Path) -> None:
 def test_rounding_is_alike(render: Render) -> None:
     assert difference(render, render) == ""
     assert difference(render, brighter(render, 2, 5, 0.4)) == ""
-    assert difference(render, moved(render, 2, 5e-6)) == ""
+    assert difference(render, move(render, 2, 5e-6)) == ""
     camera = Camera.parse(render.frames[2].camera.split())
     focal = float(np.nextafter(camera.params[0], np.inf))
     rounded = replace(camera, params=(focal, *camera.params[1:]))
     assert str(rounded) != str(camera)
-    assert difference(render, changed(render, 2, camera=str(rounded))) == ""
+    assert difference(render, change(render, 2, camera=str(rounded))) == ""
     points = render.map_points + int(0.01 * render.map_points)
     assert difference(render, render.model_copy(update={"map_points": points})) == ""
 
 
-def test_what_differs_is_named(render: Render) -> None:
+def test_differences_are_named(render: Render) -> None:
     name = render.frames[2].name
     said = difference(render, brighter(render, 2, 5, -0.7))
     assert said == f"{name} differs by 0.7 grey levels"
-    assert difference(render, moved(render, 2, 1e-3)) == f"another pose of {name}"
+    assert difference(render, move(render, 2, 1e-3)) == f"another pose of {name}"
     for camera in ("PINHOLE 96 96 100.001 100 48 48", "PINHOLE 96 98 100 100 48 48"):
-        before = changed(render, 2, camera="PINHOLE 96 96 100 100 48 48")
-        said = difference(before, changed(render, 2, camera=camera))
+        before = change(render, 2, camera="PINHOLE 96 96 100 100 48 48")
+        said = difference(before, change(render, 2, camera=camera))
         assert said == f"another camera of {name}"
-    assert difference(render, changed(render, 2, name="x.jpg")) == "other frames"
+    assert difference(render, change(render, 2, name="x.jpg")) == "other frames"
     fewer = render.model_copy(update={"frames": render.frames[1:]})
     assert difference(render, fewer) == "other frames"
     points = 2 * render.map_points

@@ -10,7 +10,7 @@ from objconnect.ingestion.command import ingest
 from objconnect.ingestion.report import REPORT, IngestReport
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.images import resize_file
-from tests.shared import made_once
+from tests.shared import make_once
 
 SIDE = 500
 
@@ -23,7 +23,7 @@ def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         for path in sorted((beach / "photos").iterdir()):
             resize_file(path, folder / path.name, SIDE)
 
-    return made_once(tmp_path_factory, "photographs", make)
+    return make_once(tmp_path_factory, "photographs", make)
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +31,7 @@ def ingested(
     photographs: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scene, IngestReport]:
     """The scene of them. Tests that change it take a copy."""
-    made = made_once(
+    made = make_once(
         tmp_path_factory, "ingested", lambda folder: ingest(photographs, folder / "shore")
     )
     out = made / "shore"

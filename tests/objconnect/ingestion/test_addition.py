@@ -220,20 +220,20 @@ def test_an_interrupted_addition_goes_on(
     extracted: list[str] = []
     matched = 0
 
-    def noted(root: Path, names: Sequence[str], *rest: Any, **options: Any) -> Any:
+    def note(root: Path, names: Sequence[str], *rest: Any, **options: Any) -> Any:
         extracted.extend(names)
         return extract(root, names, *rest, **options)
 
-    def killed(*args: Any) -> Any:
+    def kill(*args: Any) -> Any:
         nonlocal matched
         matched += 1
         if matched == 3:
             raise KeyboardInterrupt
         return match(*args)
 
-    monkeypatch.setattr(objconnect.scene.colmap.database, "extract_sift", noted)
+    monkeypatch.setattr(objconnect.scene.colmap.database, "extract_sift", note)
     with monkeypatch.context() as patch:
-        patch.setattr(objconnect.scene.colmap.database, "match", killed)
+        patch.setattr(objconnect.scene.colmap.database, "match", kill)
         with pytest.raises(KeyboardInterrupt):
             ingest(photos, out, add=old)
     assert contents(old) == before
@@ -373,7 +373,7 @@ def test_photographs_look_alike_by_their_largest_features() -> None:
     assert nearest == [("a", "new")]
 
 
-def aligned(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, float]:
+def align(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, float]:
     """Distances (m) after the best similarity of all common centres."""
     names = sorted(ours.keys() & theirs.keys())
     a, b = (np.array([found[name] for name in names]) for found in (ours, theirs))
@@ -396,7 +396,7 @@ def test_a_real_flight_in_two_parts(photographs: Path, ingested: Ingested, tmp_p
     turned = {path.name for path in late} & set(ingested[1].turned)
     assert set(report.turned) == turned
     assert report.wrong_attitudes == {}
-    apart = aligned(centres(Scene.open(tmp_path / "both")), centres(ingested[0]))
+    apart = align(centres(Scene.open(tmp_path / "both")), centres(ingested[0]))
     new: Collection[float] = [apart[path.name] for path in late]
     assert max(new) < 0.3
     before = Scene.open(tmp_path / "scene").manifest.effective_georeference

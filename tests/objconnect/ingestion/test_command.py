@@ -266,7 +266,7 @@ def test_an_interrupted_run_goes_on(
     calls = 0
     match = adapter.match
 
-    def counted(*args: Any) -> Any:
+    def count(*args: Any) -> Any:
         nonlocal calls
         calls += 1
         if calls == 5:
@@ -274,7 +274,7 @@ def test_an_interrupted_run_goes_on(
         return match(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(adapter, "match", counted)
+        patch.setattr(adapter, "match", count)
         with pytest.raises(KeyboardInterrupt):
             run(folder, out)
         patch.setattr(objconnect.ingestion.command, "map_photographs", stop)

@@ -57,11 +57,11 @@ def true_model(folder: Path) -> SparseMap:
     ground = np.random.default_rng(3).uniform([-60, -60, 0], [60, 60, 8], (500, 3))
     nothing = np.zeros((0, 2)), np.zeros(0, np.int64)
     blank = {name: MapImage(name, CAMERA, pose, *nothing) for name, pose in poses.items()}
-    seen_often = sum(projected(image, ground)[1].astype(int) for image in blank.values()) >= 2
+    seen_often = sum(project(image, ground)[1].astype(int) for image in blank.values()) >= 2
     ground = ground[seen_often]
     images = {}
     for name, image in blank.items():
-        xy, there = projected(image, ground)
+        xy, there = project(image, ground)
         images[name] = replace(image, xy=xy[there], point_rows=np.flatnonzero(there))
     count = len(ground)
     colours = np.zeros((count, 3), np.uint8)
@@ -71,7 +71,7 @@ def true_model(folder: Path) -> SparseMap:
     return read_model(folder)
 
 
-def projected(image: MapImage, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+def project(image: MapImage, points: Array) -> tuple[Array, NDArray[np.bool_]]:
     seen = image.camera.project(image.pose.transform(torch.from_numpy(points)))
     there = seen.valid & image.camera.contains(seen.xy)
     return seen.xy.numpy(), there.numpy()
@@ -84,7 +84,7 @@ def survey(model: SparseMap, moved: Mapping[str, Array], checks: set[str]) -> li
     for name, place in zip("ABCDEF", np.array(places, float), strict=True):
         marks = {}
         for image in model.images.values():
-            xy, there = projected(image, place[None])
+            xy, there = project(image, place[None])
             if there[0]:
                 marks[image.name] = xy[0]
         told = geodetic_from_enu(place + moved.get(name, np.zeros(3)), ORIGIN)
@@ -104,7 +104,7 @@ def by_gps(model: SparseMap, folder: Path) -> AdjustedModel:
     return AdjustedModel(read_model(folder), placed, RefinedLenses(()), 0.0, {}, folder)
 
 
-def fitted(
+def fit(
     tmp_path: Path, moved: Mapping[str, Array], checks: set[str], sigma: float = 0.02
 ) -> tuple[SparseMap, AdjustedModel, dict[str, Any], list[str]]:
     (tmp_path / "true").mkdir()
@@ -139,7 +139,7 @@ def test_marks_show_a_point(tmp_path: Path) -> None:
 
 
 def test_exact_points_correct_the_model(tmp_path: Path) -> None:
-    model, adjusted, points, text = fitted(tmp_path, {}, set())
+    model, adjusted, points, text = fit(tmp_path, {}, set())
     assert {p.role for p in points.values()} == {"used"}
     assert worst_centre(model, adjusted) < 1e-3
     assert adjusted.placed.level == "control"
@@ -159,7 +159,7 @@ def test_exact_points_correct_the_model(tmp_path: Path) -> None:
 
 def test_a_wrong_point_is_named_and_not_used(tmp_path: Path) -> None:
     planted = np.array([3.0, 0.0, -4.0])
-    model, adjusted, points, text = fitted(tmp_path, {"D": planted}, set())
+    model, adjusted, points, text = fit(tmp_path, {"D": planted}, set())
     roles = {name: p.role for name, p in points.items()}
     assert roles == {**dict.fromkeys("ABCEF", "used"), "D": "wrong"}
     assert worst_centre(model, adjusted) < 1e-3
@@ -169,7 +169,7 @@ def test_a_wrong_point_is_named_and_not_used(tmp_path: Path) -> None:
 
 def test_a_check_point_is_reported_and_not_used(tmp_path: Path) -> None:
     planted = np.array([0.0, 0.3, 0.4])
-    model, adjusted, points, text = fitted(tmp_path, {"E": planted}, {"E"})
+    model, adjusted, points, text = fit(tmp_path, {"E": planted}, {"E"})
     assert points["E"].role == "check"
     assert worst_centre(model, adjusted) < 1e-3
     np.testing.assert_allclose(points["E"].off, -planted, atol=1e-2)
@@ -186,7 +186,7 @@ def test_sigma_is_the_weight_of_a_point(tmp_path: Path) -> None:
     for sigma in (0.005, 1.0):
         folder = tmp_path / str(sigma)
         folder.mkdir()
-        found[sigma] = fitted(folder, {"F": np.array([0.0, 0.0, 0.05])}, set(), sigma)[2]["F"]
+        found[sigma] = fit(folder, {"F": np.array([0.0, 0.0, 0.05])}, set(), sigma)[2]["F"]
         assert found[sigma].role == "used"
     exact, rough = found.values()
     assert np.linalg.norm(exact.off) < 0.9 * np.linalg.norm(rough.off)
@@ -196,7 +196,7 @@ def test_sigma_is_the_weight_of_a_point(tmp_path: Path) -> None:
 @pytest.mark.parametrize("names", ["A", "AB"])
 def test_few_points_shift_the_model(tmp_path: Path, names: str) -> None:
     checks = set("ABCDEF") - set(names)
-    model, adjusted, points, _ = fitted(tmp_path, {}, checks)
+    model, adjusted, points, _ = fit(tmp_path, {}, checks)
     off = np.array([points[name].off for name in names])
     np.testing.assert_allclose(off.mean(0), 0, atol=1e-6)
     assert adjusted.placed.level == "gps"

@@ -25,7 +25,7 @@ SCALE = 0.013
 TURN = Pose.exp(torch.tensor([0.4, -1.1, 2.0, 3.0, -5.0, 7.0], dtype=torch.float64))
 
 
-def lost(model: SparseMap) -> SparseMap:
+def lose(model: SparseMap) -> SparseMap:
     """The same model in another frame and scale, as structure from motion would find it."""
 
     def move(points: Array) -> Array:
@@ -54,7 +54,7 @@ def shore(beach: Path) -> tuple[SparseMap, Fixes]:
 def off(model: SparseMap, fixes: Fixes, placed: Georegistration) -> Array:
     """Camera minus fix, (N, 3), in the order of the names."""
     return np.asarray(
-        placed.apply(lost(model).centres) - np.array([fixes[name] for name in model.names])
+        placed.apply(lose(model).centres) - np.array([fixes[name] for name in model.names])
     )
 
 
@@ -62,9 +62,9 @@ def rms(values: Array) -> float:
     return float(np.sqrt((values**2).sum(-1).mean()))
 
 
-def test_good_gps(shore: tuple[SparseMap, Fixes]) -> None:
+def test_good_gps_is_fitted(shore: tuple[SparseMap, Fixes]) -> None:
     model, fixes = shore
-    placed = georegister(lost(model), fixes)
+    placed = georegister(lose(model), fixes)
     assert placed.level == "gps"
     assert placed.blunders == ()
     residuals = off(model, fixes, placed)
@@ -78,15 +78,15 @@ def test_good_gps(shore: tuple[SparseMap, Fixes]) -> None:
 def test_blunders_are_named_and_do_not_count(shore: tuple[SparseMap, Fixes]) -> None:
     """Five of thirteen: off by metres, off by a town, on the equator, twice upwards."""
     model, fixes = shore
-    good = georegister(lost(model), fixes)
+    good = georegister(lose(model), fixes)
     wrong = dict(fixes)
     moves = [(15, 0, 0), (0, -2000, 300), (5e6, 5e6, -4e6), (0, 0, 60), (0, 0, 60)]
     names = model.names[1:11:2]
     for name, move in zip(names, moves, strict=True):
         wrong[name] = fixes[name] + move
-    placed = georegister(lost(model), wrong)
+    placed = georegister(lose(model), wrong)
     assert set(placed.blunders) == set(names)
-    apart = placed.apply(lost(model).centres) - good.apply(lost(model).centres)
+    apart = placed.apply(lose(model).centres) - good.apply(lose(model).centres)
     assert rms(apart) < 0.5
 
 
@@ -95,10 +95,10 @@ def test_altitudes_that_drift_do_not_tilt_the_world(shore: tuple[SparseMap, Fixe
     drift = {
         name: fix + np.array([0, 0, 2.0 * fix[0] + 0.5 * fix[1]]) for name, fix in fixes.items()
     }
-    placed = georegister(lost(model), drift)
+    placed = georegister(lose(model), drift)
     assert placed.level == "ground"
     assert rms(off(model, fixes, placed)[:, :2]) < 0.65
-    ground = placed.apply(lost(model).xyz)
+    ground = placed.apply(lose(model).xyz)
     tilt = np.linalg.lstsq(
         np.column_stack([ground[:, :2], np.ones(len(ground))]), ground[:, 2], rcond=None
     )[0]
@@ -116,7 +116,7 @@ def test_a_hillside_stays_a_hillside(shore: tuple[SparseMap, Fixes]) -> None:
         images[name] = replace(image, cam_from_world=pose)
     hillside = replace(model, images=images, xyz=model.xyz @ slope.T)
     inclined = {name: slope @ fix for name, fix in fixes.items()}
-    placed = georegister(lost(hillside), inclined)
+    placed = georegister(lose(hillside), inclined)
     assert placed.level == "gps"
     assert rms(off(hillside, inclined, placed)) < 0.65
 
@@ -124,10 +124,10 @@ def test_a_hillside_stays_a_hillside(shore: tuple[SparseMap, Fixes]) -> None:
 def test_gps_that_lags_and_drifts(flights: Path) -> None:
     """The other real flight: altitudes drift by 110 m, positions lag by 16.5 m rms (README)."""
     model, fixes = flight(flights / "caliterra")
-    placed = georegister(lost(model), fixes)
+    placed = georegister(lose(model), fixes)
     assert placed.level == "ground"
     assert rms(off(model, fixes, placed)[:, :2]) <= 16.5
-    moved = placed.apply(lost(model).centres)
+    moved = placed.apply(lose(model).centres)
     distance = np.linalg.norm(moved - moved.mean(0), axis=1)
     expected = np.linalg.norm(model.centres - model.centres.mean(0), axis=1)
     assert np.median(distance / expected) == pytest.approx(1, abs=0.05)
@@ -137,9 +137,9 @@ def test_one_flight_line_takes_up_from_the_ground(shore: tuple[SparseMap, Fixes]
     model, fixes = shore
     names = [f"DJI_{k:04d}.jpg" for k in (18, 20, 21, 22)]
     line = replace(model, images={name: model.images[name] for name in names})
-    placed = georegister(lost(line), fixes)
+    placed = georegister(lose(line), fixes)
     assert placed.level == "ground"
-    assert rms(placed.apply(lost(line).xyz) - line.xyz) < 5
+    assert rms(placed.apply(lose(line).xyz) - line.xyz) < 5
 
 
 def test_too_few_positions(shore: tuple[SparseMap, Fixes]) -> None:
@@ -180,9 +180,9 @@ def made_flight(altitudes: int) -> tuple[SparseMap, Fixes, Fixes]:
 def test_fixes_without_an_altitude(altitudes: int, level: str) -> None:
     model, fixes, truth = made_flight(altitudes)
     fixes["11.jpg"] = fixes["11.jpg"] + [40.0, 0.0, 0.0]
-    placed = georegister(lost(model), fixes)
+    placed = georegister(lose(model), fixes)
     assert placed.level == level
     assert placed.blunders == ("11.jpg",)
-    found = placed.apply(lost(model).centres)
+    found = placed.apply(lose(model).centres)
     assert np.abs(found - [truth[name] for name in model.names]).max() < 1.0
     assert np.isfinite(placed.sigma).all()

@@ -31,7 +31,7 @@ def survey(lines: int = LINES) -> Placed:
     return centres
 
 
-def received(centres: Placed, lag: float, drift: float) -> Placed:
+def receive(centres: Placed, lag: float, drift: float) -> Placed:
     """Fixes of a receiver that lags, is off by a constant, and drifts from line to line."""
     rng = np.random.default_rng(3)
     moving = estimate_motions(sorted(centres), centres, TIMES)
@@ -54,7 +54,7 @@ def lag_of(centres: Placed, fixes: Placed) -> float:
 @pytest.mark.parametrize("lag", [1.7, -0.6])
 def test_a_known_lag_is_found(lag: float) -> None:
     centres = survey()
-    fixes = received(centres, lag, drift=0.5)
+    fixes = receive(centres, lag, drift=0.5)
     assert lag_of(centres, fixes) == pytest.approx(lag, abs=0.15)
     # Whole seconds, as most cameras write them, change little.
     coarse = {name: float(round(time / 2.13 * 2.0)) for name, time in TIMES.items()}
@@ -64,7 +64,7 @@ def test_a_known_lag_is_found(lag: float) -> None:
 
 def test_positions_without_the_lag_are_better() -> None:
     centres = survey()
-    fixes = received(centres, 1.7, drift=0.5)
+    fixes = receive(centres, 1.7, drift=0.5)
     motions = estimate_motions(sorted(centres), centres, TIMES)
     undone = undo_delay(fixes, motions, lag_of(centres, fixes))
 
@@ -78,14 +78,14 @@ def test_positions_without_the_lag_are_better() -> None:
 def test_drift_is_no_lag() -> None:
     """As far off from line to line as a lag of a second would be."""
     centres = survey()
-    assert lag_of(centres, received(centres, 0.0, drift=5.0)) == 0
+    assert lag_of(centres, receive(centres, 0.0, drift=5.0)) == 0
 
 
 def test_nothing_is_said_where_nothing_can_be_told() -> None:
     few = survey(lines=5)
-    assert lag_of(few, received(few, 1.7, drift=0.1)) == 0
+    assert lag_of(few, receive(few, 1.7, drift=0.1)) == 0
     straight = {name: np.array([0, SPEED * TIMES[name], 40.0]) for name in NAMES}
-    assert lag_of(straight, received(straight, 1.7, drift=0.1)) == 0
+    assert lag_of(straight, receive(straight, 1.7, drift=0.1)) == 0
     centres = survey()
     assert find_delay(estimate_motions(sorted(centres), centres, {}), centres, centres) == 0
     at_once = dict.fromkeys(NAMES, 5.0)

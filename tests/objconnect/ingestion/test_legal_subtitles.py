@@ -72,7 +72,7 @@ class Style:
         return between.join([self.number(first, 6), self.number(second, 6), *more])
 
 
-def bracketed(truth: Truth, style: Style) -> str:
+def bracket(truth: Truth, style: Style) -> str:
     words = []
     if not style.focal_in_tenths:
         words.append(f"[fnum: {style.number(2.8, 1)}] ")
@@ -122,7 +122,7 @@ def barometric(truth: Truth, style: Style) -> str:
     return f"{home}GPS({style.pair(truth.place or (0.0, 0.0), third)}) {barometer}"
 
 
-def lettered(truth: Truth, style: Style) -> str:
+def letter(truth: Truth, style: Style) -> str:
     latitude, longitude = truth.place or (0.0, 0.0)
     parts = [
         f"{'N' if latitude >= 0 else 'S'}: {style.number(abs(latitude), 6)}",
@@ -134,14 +134,14 @@ def lettered(truth: Truth, style: Style) -> str:
 
 
 DIALECTS: dict[str, Callable[[Truth, Style], str]] = {
-    "bracketed": bracketed,
+    "bracketed": bracket,
     "compact": compact,
     "barometric": barometric,
-    "lettered": lettered,
+    "lettered": letter,
 }
 
 
-def flown(random: Random, count: int, style: Style) -> list[Truth]:
+def fly(random: Random, count: int, style: Style) -> list[Truth]:
     """A flight of some seconds, a subtitle each second."""
     latitude, longitude = random.uniform(-75, 75), random.uniform(-179, 179)
     if random.random() < 0.2:  # where both orders lie close together
@@ -173,7 +173,7 @@ def flown(random: Random, count: int, style: Style) -> list[Truth]:
     return truths
 
 
-def styled(random: Random) -> Style:
+def add_style(random: Random) -> Style:
     return Style(
         mark=random.choice("..,"),
         height_unit=random.choice(["", "", "m", "M", " m", "ft", " feet"]),
@@ -238,8 +238,8 @@ def test_no_reading_is_another_value_than_the_truth(
     known: Counter[str] = Counter()
     unknown: Counter[str] = Counter()
     for number in range(FILES):
-        style = styled(random)
-        truths = flown(random, random.randint(3, 12), style)
+        style = add_style(random)
+        truths = fly(random, random.randint(3, 12), style)
         write(path, random, truths, style)
         north, east = (random.uniform(-0.03, 0.03) for _ in range(2))
         home = truths[0].home

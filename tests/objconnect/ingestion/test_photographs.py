@@ -39,7 +39,7 @@ def test_order_is_that_of_time(photographs: Path, tmp_path: Path) -> None:
     assert [image.file[0] for image in read_flight(tmp_path).images] == list("abcd")
 
 
-def test_no_photographs(tmp_path: Path) -> None:
+def test_a_folder_without_photographs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no photograph"):
         read_flight(tmp_path)
     with pytest.raises(InputError, match="does not exist"):

@@ -65,7 +65,7 @@ def test_a_receiver_that_is_stuck(flight: Flight, tmp_path: Path) -> None:
         local_positions(replace_positions(flight, tmp_path / "gps.csv").images)
 
 
-def placed_at(*altitudes: float) -> list[FlightImage]:
+def place_at(*altitudes: float) -> list[FlightImage]:
     """Photographs on a line to the north, 11 m apart."""
     return [
         FlightImage(
@@ -80,7 +80,7 @@ def placed_at(*altitudes: float) -> list[FlightImage]:
 
 
 def test_unknown_altitudes_take_no_part(caplog: pytest.LogCaptureFixture) -> None:
-    origin, fixes = local_positions(placed_at(198.0, math.nan, 199.0, math.nan, 200.0))
+    origin, fixes = local_positions(place_at(198.0, math.nan, 199.0, math.nan, 200.0))
     assert origin == pytest.approx((46.8002, -92.0, 199.0))
     up = [fix[2] for fix in fixes.values()]
     assert up == pytest.approx([-1, math.nan, 0, math.nan, 1], abs=1e-3, nan_ok=True)
@@ -90,7 +90,7 @@ def test_unknown_altitudes_take_no_part(caplog: pytest.LogCaptureFixture) -> Non
 
 
 def test_no_altitude_at_all_is_no_origin() -> None:
-    blind = placed_at(*[math.nan] * 4)
+    blind = place_at(*[math.nan] * 4)
     with pytest.raises(InputError, match=r"none of 4 photographs .* \(GPSAltitude\).*--gps"):
         local_positions(blind)
     # A world that is known needs none.

@@ -65,7 +65,7 @@ HERE = (47.4, 8.5)
 TEXAS = (-30.214199, -97.621475)
 
 
-def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     path = folder / "FLIGHT.SRT"
     path.write_bytes(text.encode(encoding))
     return path
@@ -133,7 +133,7 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     ids=["brackets", "mavic-2", "mini-2", "phantom-4-rtk", "phantom-4", "matrice-300", "autel"],
 )
 def test_every_dialect_is_read(tmp_path: Path, text: str, expected: Telemetry) -> None:
-    said = read_telemetry(written(tmp_path, text), near=HERE if expected.place != TEXAS else TEXAS)
+    said = read_telemetry(write(tmp_path, text), near=HERE if expected.place != TEXAS else TEXAS)
     assert said[0] == expected
 
 
@@ -155,7 +155,7 @@ def test_latitude_and_longitude_are_told_apart(
     tmp_path: Path, pair: str, place: tuple[float, float] | None
 ) -> None:
     text = f"1\n00:00:00,000 --> 00:00:01,000\n{pair}, H 5.00m\n"
-    assert read_telemetry(written(tmp_path, text))[0].place == place
+    assert read_telemetry(write(tmp_path, text))[0].place == place
 
 
 def test_one_longitude_tells_the_order_of_all(tmp_path: Path) -> None:
@@ -164,25 +164,25 @@ def test_one_longitude_tells_the_order_of_all(tmp_path: Path) -> None:
         "1\n00:00:00,000 --> 00:00:01,000\nGPS (30.2, 89.9999, 9), H 5.00m\n\n"
         "2\n00:00:01,000 --> 00:00:02,000\nGPS (30.2, 90.0001, 9), H 5.00m\n"
     )
-    flight = read_telemetry(written(tmp_path, text))
+    flight = read_telemetry(write(tmp_path, text))
     assert [item.place for item in flight] == [(30.2, 89.9999), (30.2, 90.0001)]
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
 def test_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
-    flight = read_telemetry(written(tmp_path, PHANTOM_4_RTK, encoding))
+    flight = read_telemetry(write(tmp_path, PHANTOM_4_RTK, encoding))
     assert flight[0].gimbal == (28.2, -40.0, 0.5)
 
 
 def test_windows_line_ends_are_read(tmp_path: Path) -> None:
-    flight = read_telemetry(written(tmp_path, BRACKETS.replace("\n", "\r\n")))
+    flight = read_telemetry(write(tmp_path, BRACKETS.replace("\n", "\r\n")))
     assert [item.rel_alt for item in flight] == [60.1, 60.2]
 
 
 def test_no_fix_is_no_place(tmp_path: Path) -> None:
     for number in ("0.000000", "nan", "1e999", "91.0", "999999999999999999999"):
         text = BRACKETS.replace("47.377000", number).replace("8.541000", number)
-        first, second = read_telemetry(written(tmp_path, text))
+        first, second = read_telemetry(write(tmp_path, text))
         assert first.place is None, number
         assert second.place == (47.37701, 8.54102)
         assert first.gimbal == (-67.6, -89.9, 0.1)
@@ -191,13 +191,13 @@ def test_no_fix_is_no_place(tmp_path: Path) -> None:
 def test_impossible_numbers_are_left_out(tmp_path: Path) -> None:
     text = BRACKETS.replace("gb_yaw: -67.6", "gb_yaw: 9999").replace("512.300", "1" * 400)
     text = text.replace("10:12:34.123", "25:61:61.123").replace("24.00", "0")
-    first = read_telemetry(written(tmp_path, text))[0]
+    first = read_telemetry(write(tmp_path, text))[0]
     assert (first.gimbal, first.abs_alt, first.time, first.focal_mm) == (None, None, None, None)
     assert first.place == (47.377, 8.541)
 
 
 def test_truncated_file_is_read_to_its_end(tmp_path: Path) -> None:
-    path = written(tmp_path, BRACKETS[: BRACKETS.index("[gb_yaw: -67.5")])
+    path = write(tmp_path, BRACKETS[: BRACKETS.index("[gb_yaw: -67.5")])
     flight = read_telemetry(path)
     assert [item.gimbal for item in flight] == [(-67.6, -89.9, 0.1), None]
 

@@ -17,7 +17,7 @@ pytest.importorskip("srt")
 ALPS = (47.0, 8.0)
 
 
-def said(folder: Path, *texts: str, **checks: object) -> list[Telemetry]:
+def read_subtitles(folder: Path, *texts: str, **checks: object) -> list[Telemetry]:
     """Read subtitles of a second each."""
     path = folder / "FLIGHT.SRT"
     path.write_text(
@@ -42,47 +42,47 @@ def said(folder: Path, *texts: str, **checks: object) -> list[Telemetry]:
     ],
 )
 def test_the_map_tells_the_order(tmp_path: Path, text: str) -> None:
-    (found,) = said(tmp_path, text, near=ALPS)
+    (found,) = read_subtitles(tmp_path, text, near=ALPS)
     assert found.place == (47.001, 8.002) and found.rel_alt == 60.0
-    (elsewhere,) = said(tmp_path, text, near=(8.0, 47.0))
+    (elsewhere,) = read_subtitles(tmp_path, text, near=(8.0, 47.0))
     assert elsewhere.place == (8.002, 47.001)
-    (far,) = said(tmp_path, text, near=(0.0, 0.0))
+    (far,) = read_subtitles(tmp_path, text, near=(0.0, 0.0))
     assert far.place is None
 
 
 def test_without_a_check_the_order_is_unknown(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (found,) = said(tmp_path, "GPS(47.001,8.002,512.0) BAROMETER(60.0)")
+    (found,) = read_subtitles(tmp_path, "GPS(47.001,8.002,512.0) BAROMETER(60.0)")
     assert found.place is None and found.rel_alt == 60.0
     assert caplog.messages == [
         f"{tmp_path / 'FLIGHT.SRT'}: the order of latitude and longitude in GPS(a, b) is unknown"
     ]
     # Where the map lies on the diagonal it tells nothing, either.
-    (found,) = said(tmp_path, "GPS(8.02,8.01,512.0) BAROMETER(60.0)", near=(8.0, 8.0))
+    (found,) = read_subtitles(tmp_path, "GPS(8.02,8.01,512.0) BAROMETER(60.0)", near=(8.0, 8.0))
     assert found.place is None
 
 
 def test_home_with_letters_tells_the_order(tmp_path: Path) -> None:
-    (found,) = said(tmp_path, "HOME(E: 8.0, N: 47.0) GPS(8.002,47.001,17) BAROMETER:60.0")
+    (found,) = read_subtitles(tmp_path, "HOME(E: 8.0, N: 47.0) GPS(8.002,47.001,17) BAROMETER:60.0")
     assert found.place == (47.001, 8.002)
 
 
 def test_a_stated_distance_tells_the_order(tmp_path: Path) -> None:
     """One degree to the east is 556 m in 60 degrees north, and 1113 m the other way around."""
     texts = [f"GPS (8.0{k}, 60.0, 17), HOME (8.0, 60.0), D {556.6 * k:.2f}m, H 9m" for k in (1, 2)]
-    assert [item.place for item in said(tmp_path, *texts)] == [(60.0, 8.01), (60.0, 8.02)]
+    assert [item.place for item in read_subtitles(tmp_path, *texts)] == [(60.0, 8.01), (60.0, 8.02)]
     texts = [text.replace("556.6", "1113.2") for text in texts]
     texts = [f"GPS (60.0, 8.0{k}, 17), HOME (60.0, 8.0), D {556.6 * k:.2f}m, H 9m" for k in (1, 2)]
-    assert [item.place for item in said(tmp_path, *texts)] == [(60.0, 8.01), (60.0, 8.02)]
+    assert [item.place for item in read_subtitles(tmp_path, *texts)] == [(60.0, 8.01), (60.0, 8.02)]
 
 
 def test_a_speed_that_no_drone_has_tells_the_order(tmp_path: Path) -> None:
     """At 80 degrees north the other order would be 5.8 times as fast."""
     texts = [f"GPS (80.0, {8 + 0.003 * k:.4f}, 17), H 9m" for k in range(8)]
-    assert said(tmp_path, *texts)[7].place == (80.0, 8.021)
+    assert read_subtitles(tmp_path, *texts)[7].place == (80.0, 8.021)
     texts = [f"GPS ({8 + 0.0006 * k:.4f}, 80.0, 17), H 9m, H.S 11.6m/s" for k in range(8)]
-    assert said(tmp_path, *texts)[7].place == (80.0, 8.0042)
+    assert read_subtitles(tmp_path, *texts)[7].place == (80.0, 8.0042)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_speed_that_no_drone_has_tells_the_order(tmp_path: Path) -> None:
 def test_pairs_that_cannot_be_taken_apart_are_unknown(
     tmp_path: Path, text: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (found,) = said(tmp_path, text, near=(47.1, 8.5))
+    (found,) = read_subtitles(tmp_path, text, near=(47.1, 8.5))
     assert found.place is None
     assert len(caplog.messages) >= 1 and "GPS" in caplog.messages[0]
 
@@ -132,13 +132,13 @@ def test_pairs_that_cannot_be_taken_apart_are_unknown(
 def test_numbers_are_read_whole_or_not_at_all(
     tmp_path: Path, text: str, place: tuple[float, float] | None, height: float | None
 ) -> None:
-    (found,) = said(tmp_path, "[gb_yaw: 1 gb_pitch: 2 gb_roll: 3] " + text)
+    (found,) = read_subtitles(tmp_path, "[gb_yaw: 1 gb_pitch: 2 gb_roll: 3] " + text)
     assert (found.place, found.rel_alt) == (place, height)
 
 
 def test_a_file_that_tells_nothing_for_sure_is_refused_by_the_field(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="latitude 47,000 is not understood.*decimal mark"):
-        said(tmp_path, "[latitude: 47,000] [longitude: 8,500]")
+        read_subtitles(tmp_path, "[latitude: 47,000] [longitude: 8,500]")
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_a_file_that_tells_nothing_for_sure_is_refused_by_the_field(tmp_path: Pa
 def test_units_of_heights(
     tmp_path: Path, text: str, rel_alt: float | None, abs_alt: float | None
 ) -> None:
-    (found,) = said(tmp_path, "[gb_yaw: 1 gb_pitch: 2 gb_roll: 3] " + text)
+    (found,) = read_subtitles(tmp_path, "[gb_yaw: 1 gb_pitch: 2 gb_roll: 3] " + text)
     assert found.rel_alt == pytest.approx(rel_alt) and found.abs_alt == pytest.approx(abs_alt)
 
 
@@ -191,7 +191,7 @@ def test_units_of_heights(
 def test_units_of_focal_lengths(
     tmp_path: Path, text: str, lenses: Sequence[float], focal: float | None
 ) -> None:
-    (found,) = said(tmp_path, text + " [rel_alt: 5]", lenses=lenses)
+    (found,) = read_subtitles(tmp_path, text + " [rel_alt: 5]", lenses=lenses)
     assert found.focal_mm == pytest.approx(focal)
 
 
@@ -220,7 +220,7 @@ def test_scales_of_zoom(
     tmp_path: Path, text: str, zoom: float | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     height = "[rel_alt: 5,0]" if "2,50" in text else "[rel_alt: 5.0]"
-    (found,) = said(tmp_path, f"{text} {height}")
+    (found,) = read_subtitles(tmp_path, f"{text} {height}")
     assert found.zoom == zoom
     assert (zoom is None) == any("zoom" in line for line in caplog.messages)
 
@@ -228,14 +228,18 @@ def test_scales_of_zoom(
 def test_fields_that_some_subtitles_lack(tmp_path: Path) -> None:
     """One lens is that of all; of several, those of the others are not known."""
     height = "[rel_alt: 5.0]"
-    same = said(tmp_path, f"[focal_len: 24.00] {height}", height, f"[focal_len: 24.00] {height}")
+    same = read_subtitles(
+        tmp_path, f"[focal_len: 24.00] {height}", height, f"[focal_len: 24.00] {height}"
+    )
     assert [item.focal_mm for item in same] == [24.0, 24.0, 24.0]
-    zooming = said(tmp_path, f"[focal_len: 24.00] {height}", height, f"[focal_len: 48.00] {height}")
+    zooming = read_subtitles(
+        tmp_path, f"[focal_len: 24.00] {height}", height, f"[focal_len: 48.00] {height}"
+    )
     assert [item.focal_mm for item in zooming] == [24.0, None, 48.0]
 
 
 def test_a_roll_that_is_missing_is_not_zero(tmp_path: Path) -> None:
-    first, second = said(
+    first, second = read_subtitles(
         tmp_path,
         "[gb_yaw: 1.0 gb_pitch: -90.0] [rel_alt: 5.0]",
         "[gb_yaw: 1.0 gb_pitch: -90.0 gb_roll: 0.0] [rel_alt: 5.0]",
@@ -245,7 +249,7 @@ def test_a_roll_that_is_missing_is_not_zero(tmp_path: Path) -> None:
 
 def test_whole_angles_beyond_a_turn_are_in_another_unit(tmp_path: Path) -> None:
     """Those of tenths that could be degrees are not taken for them."""
-    first, second = said(
+    first, second = read_subtitles(
         tmp_path,
         "[gb_yaw: -676 gb_pitch: -900 gb_roll: 1] [rel_alt: 5.0]",
         "[gb_yaw: -10 gb_pitch: -300 gb_roll: 1] [rel_alt: 5.0]",
@@ -260,7 +264,7 @@ def test_jumps_are_no_positions(
     places = [(47.0 + 1e-5 * k, 8.0) for k in range(12)]
     places[6] = jump
     texts = [f"[latitude: {a:.6f}] [longitude: {b:.6f}] [rel_alt: 5.0]" for a, b in places]
-    found = [item.place for item in said(tmp_path, *texts)]
+    found = [item.place for item in read_subtitles(tmp_path, *texts)]
     assert found[6] is None and sum(place is None for place in found) == 1
     assert (jump != (0.0, 0.0)) == any("1 positions jump" in line for line in caplog.messages)
 
@@ -288,5 +292,5 @@ def test_encodings(tmp_path: Path, encoding: str) -> None:
     ],
 )
 def test_tags_and_entities(tmp_path: Path, text: str) -> None:
-    (found,) = said(tmp_path, text)
+    (found,) = read_subtitles(tmp_path, text)
     assert (found.place, found.rel_alt) == ((47.1, 8.2), 5.0)

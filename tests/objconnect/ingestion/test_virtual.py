@@ -195,7 +195,7 @@ def test_a_white_rim_is_told(files: dict[str, tuple[Path, Path]], tmp_path: Path
 
 def test_what_cannot_be_photographed(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     ortho, dsm = files[SYSTEMS[0]]
-    elsewhere, far_dsm = _moved(ortho, tmp_path / "o.tif"), _moved(dsm, tmp_path / "d.tif")
+    elsewhere, far_dsm = _move(ortho, tmp_path / "o.tif"), _move(dsm, tmp_path / "d.tif")
     few = ViewOptions(altitude=5, overlap=0.95)
     cases = [
         (elsewhere, dsm, VIEWS, "do not overlap"),
@@ -216,7 +216,7 @@ def test_what_cannot_be_photographed(files: dict[str, tuple[Path, Path]], tmp_pa
         photograph_orthophoto(ortho, dsm, tmp_path / "mine")
 
 
-def _moved(path: Path, out: Path) -> Path:
+def _move(path: Path, out: Path) -> Path:
     """The same raster 5 km further east."""
     with rasterio.open(path) as file:
         profile, values = file.profile, file.read()
@@ -226,7 +226,9 @@ def _moved(path: Path, out: Path) -> Path:
     return out
 
 
-def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+def test_the_command_maps_an_orthophoto(
+    files: dict[str, tuple[Path, Path]], tmp_path: Path
+) -> None:
     ortho, dsm = files[SYSTEMS[0]]
     words = ["map", "--ortho", ortho, "--dsm", dsm, "--out", tmp_path / "out", "--json"]
     words += ["--altitude", "34", "--overlap", "0.4", "--georeference", "0.25"]

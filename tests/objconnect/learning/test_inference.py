@@ -16,7 +16,7 @@ from objconnect.network.localizer import ObjConnectConfig
 from objconnect.network.network import ObjConnectNet
 
 
-def trained(network: nn.Module) -> nn.Module:
+def train(network: nn.Module) -> nn.Module:
     """Give every batch normalisation statistics and weights of its own."""
     torch.manual_seed(3)
     for module in network.modules():
@@ -41,7 +41,7 @@ def networks() -> list[nn.Module]:
 
 @pytest.mark.parametrize("which", range(3), ids=["pixloc", "unet", "fpn"])
 def test_folded_networks_are_the_same(which: int) -> None:
-    plain = trained(networks()[which])
+    plain = train(networks()[which])
     folded = copy.deepcopy(plain)
     fuse_layers(folded, "float32")
     assert any(isinstance(module, ConvReLU) for module in folded.modules())
@@ -63,7 +63,7 @@ def test_pooling_is_that_of_torch(size: tuple[int, int], dtype: torch.dtype) -> 
 
 
 def test_bfloat16_is_near() -> None:
-    plain = trained(networks()[0])
+    plain = train(networks()[0])
     folded = copy.deepcopy(plain)
     fuse_layers(folded, "bfloat16")
     image = torch.rand(1, 3, 64, 64)

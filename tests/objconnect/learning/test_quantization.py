@@ -20,7 +20,7 @@ from objconnect.network.network import read_network
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
-from tests.objconnect.learning.test_inference import networks, trained
+from tests.objconnect.learning.test_inference import networks, train
 
 STRIDES = (16, 4, 1)
 needs_units = pytest.mark.skipif(
@@ -45,7 +45,7 @@ def similarity(a: torch.Tensor, b: torch.Tensor) -> float:
 @needs_units
 @pytest.mark.parametrize("method", ["pixloc", "objconnect"])
 def test_features_are_nearly_the_same(method: str) -> None:
-    network = trained(networks()[0]) if method == "pixloc" else read_network(SHIPPED)[0]
+    network = train(networks()[0]) if method == "pixloc" else read_network(SHIPPED)[0]
     fuse_layers(network, "float32")
     seen = pictures(4)
     with torch.inference_mode():

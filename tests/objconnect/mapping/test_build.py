@@ -208,10 +208,10 @@ def test_killed_at_ten_random_moments_is_the_same_map(
 def test_what_an_interrupted_run_kept_may_be_damaged_or_of_other_photographs(
     rendered_copy: Path, finished: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*args: object) -> None:
+    def interrupt(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("objconnect.mapping.build.write_features", interrupted)
+    monkeypatch.setattr("objconnect.mapping.build.write_features", interrupt)
     with pytest.raises(KeyboardInterrupt):
         build_map(rendered_copy, "triangulate")
     monkeypatch.undo()

@@ -27,7 +27,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 
 
-def made(seed: int, count: int = 3000) -> TrainingData:
+def make(seed: int, count: int = 3000) -> TrainingData:
     """Return places that are on objects where two figures together say so."""
     rng = np.random.default_rng(seed)
     figures = rng.normal(3, 5, (count, FIGURES)).astype(np.float32)
@@ -37,8 +37,8 @@ def made(seed: int, count: int = 3000) -> TrainingData:
 
 
 def test_it_learns_what_only_figures_together_say() -> None:
-    judge = train_classifier([made(seed) for seed in range(5)], steps=1000)
-    other = made(2)
+    judge = train_classifier([make(seed) for seed in range(5)], steps=1000)
+    other = make(2)
     right = (judge.predict(other.figures) > 0.5) == other.on_object
     assert right.mean() > 0.85
     assert "8 of 8 small objects" in report(judge, other)[-1]
@@ -47,7 +47,7 @@ def test_it_learns_what_only_figures_together_say() -> None:
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    first, second = (train_classifier([made(0)], steps=20, seed=3).state_dict() for _ in range(2))
+    first, second = (train_classifier([make(0)], steps=20, seed=3).state_dict() for _ in range(2))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -68,7 +68,7 @@ def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is no classifier of this version"):
         read_classifier(path)
     with pytest.raises(InputError, match="no points to train on"):
-        train_classifier([made(0, 0)])
+        train_classifier([make(0, 0)])
     assert read_weights(SHIPPED).config == {"figures": FIGURES}
 
 

@@ -136,11 +136,11 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
     asked: list[int] = []
     found = MapExtractor.__call__
 
-    def counted(of: MapExtractor, *args: Any) -> Any:
+    def count_calls(of: MapExtractor, *args: Any) -> Any:
         asked.append(1)
         return found(of, *args)
 
-    monkeypatch.setattr(MapExtractor, "__call__", counted)
+    monkeypatch.setattr(MapExtractor, "__call__", count_calls)
     source = source_of(finder, whole, rendered, grown)
     load_references(source, 64, finder.observer(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them

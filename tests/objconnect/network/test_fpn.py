@@ -77,7 +77,7 @@ def test_levels_are_laterals_plus_the_coarser_step_smoothed(
         torch.testing.assert_close(found[stride], expected, atol=1e-5, rtol=1e-4)
 
 
-def changed(before: Tensor, after: Tensor) -> set[tuple[int, int]]:
+def change(before: Tensor, after: Tensor) -> set[tuple[int, int]]:
     """Rows and columns of the cells that differ."""
     return {(int(row), int(column)) for row, column in (before != after).any(0).nonzero()}
 
@@ -89,7 +89,7 @@ def test_fine_levels_see_what_only_the_coarsest_block_shows(
     blocks[-1][:, :, 0, 0] += 10
     after = levels(pyramid, blocks)
     for stride in STRIDES:
-        cells = changed(before[stride], after[stride])
+        cells = change(before[stride], after[stride])
         assert (0, 0) in cells
         # The coarse cell, a half more by interpolation on each of three steps, and smoothing.
         reach = 16 * 2 + 3 * stride
@@ -111,4 +111,4 @@ def test_what_one_cell_shows_is_smoothed_over_its_neighbours(
     blocks[1][:, :, 7, 9] += 10
     after = levels(pyramid, blocks)
     around = {(row, column) for row in (6, 7, 8) for column in (8, 9, 10)}
-    assert changed(before[2], after[2]) == around
+    assert change(before[2], after[2]) == around

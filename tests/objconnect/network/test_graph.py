@@ -27,7 +27,7 @@ def members(objects: Occupancy, b: int, n: int) -> list[int]:
     return [k for k, label in enumerate(objects.index[b].tolist()) if label == n]
 
 
-def convolved(layer: PointConvolution, points: Tensor, own: list[int]) -> list[Tensor]:
+def convolve(layer: PointConvolution, points: Tensor, own: list[int]) -> list[Tensor]:
     """G over one object: every point joined to every point of it."""
     made = []
     for k in own:
@@ -52,11 +52,11 @@ def test_object_graph_is_equations_4_and_5(objects: Occupancy, rows: Tensor) -> 
             if not own:
                 assert not weights[b, n].any()
                 continue
-            pooled = torch.stack(convolved(block.convolution, rows[b], own)).mean(0)
+            pooled = torch.stack(convolve(block.convolution, rows[b], own)).mean(0)
             mean = torch.stack([rows[b, k] for k in own]).mean(0)
             f_c = unit(pooled) * unit(mean)
             torch.testing.assert_close(weights[b, n], f_c)
-            for k, value in zip(own, convolved(block.convolution, rows[b] * f_c, own), strict=True):
+            for k, value in zip(own, convolve(block.convolution, rows[b] * f_c, own), strict=True):
                 expected[b, k] += block.out.weight @ value
     torch.testing.assert_close(found, expected)
 

@@ -17,7 +17,7 @@ from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
-from tests.programs import printed
+from tests.programs import run_and_print
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 
@@ -31,7 +31,7 @@ def localizer(tmp_path_factory: pytest.TempPathFactory) -> FeaturemetricLocalize
     return made
 
 
-def found_from(localizer: Localizer, start: Pose) -> tuple[float, float]:
+def find_from(localizer: Localizer, start: Pose) -> tuple[float, float]:
     """Metres and degrees from the truth."""
     prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
     estimate = localizer.localize(Query("query.png", photograph(TRUTH), CAMERA, prior))
@@ -42,13 +42,13 @@ def found_from(localizer: Localizer, start: Pose) -> tuple[float, float]:
 
 
 def test_a_near_start(localizer: Localizer) -> None:
-    metres, degrees = found_from(localizer, looking_down(8.9, -0.1, (0.5, 0.0, 3.0)))
+    metres, degrees = find_from(localizer, looking_down(8.9, -0.1, (0.5, 0.0, 3.0)))
     assert metres < 0.1 and degrees < 0.25
 
 
 def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None:
     """A third of the altitude aside and ten degrees off: found from many starts alone."""
-    metres, degrees = found_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
+    metres, degrees = find_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
     assert metres < 0.2 and degrees < 0.5
 
 
@@ -61,10 +61,10 @@ def test_a_query_leaves_no_tensor_behind(localizer: FeaturemetricLocalizer) -> N
         return sum(each.nbytes for each in gc.get_objects() if type(each) is torch.Tensor)
 
     start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
-    found_from(localizer, start)
+    find_from(localizer, start)
     before = held()
     for _ in range(2):
-        found_from(localizer, start)
+        find_from(localizer, start)
     assert held() == before
 
 
@@ -91,11 +91,11 @@ def test_where_no_pose_is_believed_more_are_tried(
     search, numbers = localizer.config.search, []
     refine = Refiner.__call__
 
-    def watched(self: Refiner, *arguments: Any) -> Attempt:
+    def record_width(self: Refiner, *arguments: Any) -> Attempt:
         numbers.append(self.width.refined)
         return refine(self, *arguments)
 
-    monkeypatch.setattr(Refiner, "__call__", watched)
+    monkeypatch.setattr(Refiner, "__call__", record_width)
     options = {"search": search.model_copy(update={"again": again})}
     monkeypatch.setattr(localizer, "config", localizer.config.model_copy(update=options))
     localizer.localize(something_else())
@@ -119,4 +119,4 @@ def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
     """It takes 60 MB, and a query with a prior needs nothing of it."""
     code = "from objconnect.methods import create; import sys; create('objconnect', {})\n"
     code += "print('pycolmap' in sys.modules)"
-    assert printed(code).strip() == "False"
+    assert run_and_print(code).strip() == "False"

@@ -161,7 +161,7 @@ def test_given_masks() -> None:
         *({"dims": (8, 8, 10**6)}, {"steps": (64, 64, 64, 10**6)}, {"pyramid": 10**6}),
     ],
 )
-def test_bad_configuration(wrong: dict[str, Any]) -> None:
+def test_a_bad_configuration_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         load_config(ObjConnectNetConfig, None, wrong)
 

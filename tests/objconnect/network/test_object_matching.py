@@ -92,13 +92,13 @@ def test_a_constellation_means_the_same_wherever_it_stands() -> None:
     near, there = with_neighbours.neighbours(place)
     ones = torch.ones(1, len(xyz))
 
-    def described(where: torch.Tensor) -> torch.Tensor:
+    def describe(where: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
             made: torch.Tensor = with_neighbours(vectors, where[None], ones, ones, near, there)
         return made[0]
 
-    assert torch.allclose(described(place), described(place + 100), atol=1e-4)
-    assert not torch.allclose(described(place), described(place * 1.5), atol=1e-2)
+    assert torch.allclose(describe(place), describe(place + 100), atol=1e-4)
+    assert not torch.allclose(describe(place), describe(place * 1.5), atol=1e-2)
 
 
 def alone_alike(count: int, seed: int) -> TrainingScene:
@@ -121,7 +121,7 @@ def alone_alike(count: int, seed: int) -> TrainingScene:
     return TrainingScene(f"scene {seed}", landmarks, queries)
 
 
-def found_first(graph: ConstellationGraph, lesson: TrainingScene) -> float:
+def find_first(graph: ConstellationGraph, lesson: TrainingScene) -> float:
     """The share of objects whose own landmark is most like them."""
     hits = []
     with torch.no_grad():
@@ -139,7 +139,7 @@ def test_the_graph_learns_to_tell_what_looks_the_same() -> None:
     graphs = [
         train_graph(lessons, ConstellationConfig(vector=8, layers=n), options, CPU) for n in (0, 2)
     ]
-    shares = [found_first(each, unseen) for each in graphs]
+    shares = [find_first(each, unseen) for each in graphs]
     assert shares[0] < 0.15
     assert shares[1] > 0.3
 

@@ -34,7 +34,7 @@ def dense(labels: Tensor) -> Tensor:
     return made
 
 
-def painted(objects: Occupancy, vectors: Tensor, labels: Tensor) -> None:
+def paint(objects: Occupancy, vectors: Tensor, labels: Tensor) -> None:
     expected = dense(labels).transpose(1, 2) @ vectors
     torch.testing.assert_close(objects.paint(vectors), expected)
 
@@ -43,7 +43,7 @@ def test_occupancy_is_one_hot_and_paints_back(labels: Tensor) -> None:
     objects = occupancy(labels, N)
     torch.testing.assert_close(objects.area, dense(labels).sum(2))
     assert not objects.present[:, N - 1].any()
-    painted(objects, torch.randn(2, N, C), labels)
+    paint(objects, torch.randn(2, N, C), labels)
 
 
 def test_affinity_is_the_mean_of_each_channel(labels: Tensor, rows: Tensor) -> None:

@@ -28,18 +28,18 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from tests.baselines.pixloc.test_training import pose_term
 from tests.objconnect.learning.training.made_pairs import pairs
-from tests.objconnect.learning.training.slopes import watched
+from tests.objconnect.learning.training.slopes import watch_functions
 
 TINY = TrainConfig(width=0.05, warm_up=0.5, network={"segment_side": 16, "pyramid": 16})
 
 
-def made(**values: Any) -> ObjConnectTraining:
+def make(**values: Any) -> ObjConnectTraining:
     return ObjConnectTraining(TINY.model_copy(update={"network": {**TINY.network, **values}}))
 
 
 def test_feature_distance_is_equation_6() -> None:
     batch = pairs()
-    training = made()
+    training = make()
     strides = training.network_config.strides
     with torch.no_grad():
         levels = levels_of(training.network.eval()(stack_images(batch)), strides, batch)
@@ -81,7 +81,7 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) ->
     """A tenth of the distance of features, three tenths of the pose's after the warm-up and of the
     confidence's, the objects' confidence as it is."""
     off = dict.fromkeys(("attention", "object_graph", "scene_graph"), segmentation != "none")
-    loss, figures = made(segmentation=segmentation, **off).loss(pairs(1), progress)
+    loss, figures = make(segmentation=segmentation, **off).loss(pairs(1), progress)
     contrast = sum(figures[f"contrastive/{stride}"] for stride in (16, 4, 2)) / 3
     expected = contrast + 0.3 * figures["confidence"] + 0.1 * figures["features"]
     assert figures["features"] > 0.1
@@ -102,8 +102,8 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) ->
 def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
     """By its share: nothing is only logged."""
     shares = {"contrast_of": 1, "feature_distance": 0.1, "pose_distance": 0.3, "trust_loss": 1}
-    parts = watched(monkeypatch, objconnect.network.training, shares)
-    loss, _ = made().loss(pairs(1), 1.0)
+    parts = watch_functions(monkeypatch, objconnect.network.training, shares)
+    loss, _ = make().loss(pairs(1), 1.0)
     loss.backward()  # type: ignore[no-untyped-call]
     slopes = {name: float(part.grad) for name, part in parts.items() if part.grad is not None}
     assert slopes == pytest.approx(shares)
@@ -136,7 +136,7 @@ def test_each_picture_is_cut_into_its_own_segments(monkeypatch: pytest.MonkeyPat
 
     The pictures have nothing in common, so that their segments differ.
     """
-    training = made()
+    training = make()
     config, batch = training.network_config, pairs(2, 96, 400)
     batch = batch._replace(image_b=batch.image_a.flip(0), xy_b=batch.xy_a)
     seen = []
@@ -199,7 +199,7 @@ def test_objects_that_are_kept_together() -> None:
 )
 def test_some_steps_lower_the_loss(segmentation: str) -> None:
     off = dict.fromkeys(("attention", "object_graph", "scene_graph"), segmentation != "none")
-    training = made(segmentation=segmentation, **off)
+    training = make(segmentation=segmentation, **off)
     batch = pairs()
     optimizer = torch.optim.AdamW(training.groups(3e-3))
     losses = []
@@ -228,9 +228,9 @@ def test_registry_and_settings(tmp_path: Path) -> None:
     assert TRAINABLE[-2:] == ("objconnect", "objects")
     with pytest.raises(InputError, match="those that can: .*objconnect"):
         trainable("sift")
-    assert made(attention=False).network_config.attention is False
+    assert make(attention=False).network_config.attention is False
     for method in TRAINABLE:
         with pytest.raises(InputError, match="unknown key 'depth'"):
             trainable(method)(TINY.model_copy(update={"network": {"depth": 3}}))
     with pytest.raises(InputError, match="without masks"):
-        made(segmentation="given")
+        make(segmentation="given")

@@ -64,7 +64,9 @@ def test_packages_come_after_the_built_in_entries(
     assert things.load("plain") is str  # what is built in wins
 
 
-def test_unknown_names(things: Registry[Callable[[str], object]], install: Install) -> None:
+def test_unknown_names_are_refused(
+    things: Registry[Callable[[str], object]], install: Install
+) -> None:
     install("fox = builtins:repr")
     with pytest.raises(InputError, match="^unknown thing 'x': choose one of plain, late, fox$"):
         things.load("x")

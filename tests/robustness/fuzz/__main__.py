@@ -66,9 +66,9 @@ def fuzz(names: list[str], inputs: int, seed: int, keep: Path, only: int | None)
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory) as scratch:
         folder = Path(scratch).resolve()
         for name in names:
-            READERS[name].make(_made(folder / f"{name}-whole"))
+            READERS[name].make(_make(folder / f"{name}-whole"))
             for _, read in READERS[name].files.values():
-                read(_copied(folder, name))  # what is whole is read
+                read(_copy(folder, name))  # what is whole is read
         parts = _PARTS if only is None else 1
         for part in range(parts):
             for name in names:
@@ -92,12 +92,12 @@ def fuzz(names: list[str], inputs: int, seed: int, keep: Path, only: int | None)
     return len(findings)
 
 
-def _made(folder: Path) -> Path:
+def _make(folder: Path) -> Path:
     folder.mkdir()
     return folder
 
 
-def _copied(folder: Path, name: str) -> Path:
+def _copy(folder: Path, name: str) -> Path:
     """The whole files of a reader anew, in the folder where they are spoiled."""
     shutil.rmtree(folder / name, ignore_errors=True)
     shutil.copytree(folder / f"{name}-whole", folder / name)
@@ -109,7 +109,7 @@ def _turns(name: str, numbers: range, seed: int, folder: Path) -> Iterator[dict[
     at = numbers.start
     current = mmap.mmap(-1, 8)
     while at < numbers.stop:
-        whole, spoiled = folder / f"{name}-whole", _copied(folder, name)
+        whole, spoiled = folder / f"{name}-whole", _copy(folder, name)
         last = min(at + _TURN, numbers.stop)
         current[:] = struct.pack("<q", at)
         read, write = os.pipe()
@@ -125,11 +125,11 @@ def _turns(name: str, numbers: range, seed: int, folder: Path) -> Iterator[dict[
         at = last
         if status:
             (number,) = struct.unpack("<q", current[:])
-            yield {"number": number, "what": f"{name}: {_ended(status)}", "trace": ""}
+            yield {"number": number, "what": f"{name}: {_end(status)}", "trace": ""}
             at = number + 1
 
 
-def _ended(status: int) -> str:
+def _end(status: int) -> str:
     if not os.WIFSIGNALED(status):
         return f"the process ended with {os.waitstatus_to_exitcode(status)}"
     number = os.WTERMSIG(status)

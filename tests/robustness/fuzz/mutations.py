@@ -1,4 +1,4 @@
-"""How whole files are spoiled: by their bytes, and by what their bytes mean."""
+"""Mutations of intact files: of their bytes, and of their content."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
 from tests.benchmark.made_data import CAMERA, pose_at, write_flight, write_model, write_scene
 from tests.benchmark.report.board.made_board import write_board
-from tests.objconnect.scene.bundle.test_frames import ALL, made_frames, made_layers
+from tests.objconnect.scene.bundle.test_frames import ALL, make_frames, make_layers
 from tests.objconnect.scene.imports.test_imports import metashape as write_metashape
 from tests.objconnect.scene.imports.test_imports import nerfstudio as write_nerfstudio
 from tests.objconnect.scene.imports.test_imports import opensfm as write_opensfm
@@ -140,7 +140,7 @@ def _model(folder: Path) -> None:
 
 
 def _frames(folder: Path) -> None:
-    write_frames(folder / "f.h5", made_frames(3), ALL, (made_layers(k) for k in range(3)))
+    write_frames(folder / "f.h5", make_frames(3), ALL, (make_layers(k) for k in range(3)))
 
 
 def _read_frames(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What can be given to a command, by kind, and what can be wrong with it."""
+"""Kinds of arguments of commands, and the faults of each kind."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ FLAG = Argument(None)
 
 def values(given: str | None, *wrong: str) -> Argument:
     """A word, and words that are none of its kind."""
-    faults = {_named(word): Fault((word,), says=_told(word)) for word in wrong}
+    faults = {_name(word): Fault((word,), says=_tell(word)) for word in wrong}
     return Argument(None if given is None else (given,), faults)
 
 
@@ -148,7 +148,7 @@ def part(path: str, form: str, optional: bool = False) -> dict[str, Fault]:
 
 def folder(path: str, *parts: dict[str, Fault]) -> Argument:
     """A folder to be read, with files in it."""
-    whole = {name: _spoiled(path, spoil) for name, spoil in NO_FOLDER.items()}
+    whole = {name: _spoil(path, spoil) for name, spoil in NO_FOLDER.items()}
     inner = {name: fault for each in parts for name, fault in each.items()}
     return Argument((path,), {**_words(path, "/dev/null"), **whole, **inner}, reads=(path,))
 
@@ -178,7 +178,7 @@ def cache(path: str = "cache") -> Argument:
 
 
 def _output(path: str, stands: Faults, *writes: str) -> Argument:
-    faults = {name: _spoiled(path, spoil) for name, spoil in stands.items()}
+    faults = {name: _spoil(path, spoil) for name, spoil in stands.items()}
     faults |= _words(path, "/dev/null")
     faults["nowhere"] = Fault((f"/proc/{path}",), says=(path, "/proc"))
     del faults["empty_word"]
@@ -194,11 +194,11 @@ def _words(path: str, device: str) -> dict[str, Fault]:
         "under_a_file": Fault((f"mine/notes.txt/{path}",), says=("notes.txt",)),
         "long_name": Fault((LONG,), says=("nnn",)),
         "nul_in_name": Fault((f"{path}\0.txt",), says=(path, "null byte")),
-        "not_utf8_name": Fault((called(path, UNDECODED),), says=(Path(path).stem,)),
+        "not_utf8_name": Fault((add_to_name(path, UNDECODED),), says=(Path(path).stem,)),
     }
 
 
-def called(path: str, more: str) -> str:
+def add_to_name(path: str, more: str) -> str:
     """A path whose last name has more before its ending."""
     plain = PurePosixPath(path)
     return str(plain.with_name(f"{plain.stem}{more}{plain.suffix}"))
@@ -206,18 +206,18 @@ def called(path: str, more: str) -> str:
 
 def _parts(path: str, form: str) -> dict[str, Fault]:
     spoils = {**NO_FILE, **FORMATS[form]}
-    faults = {name: _spoiled(path, spoil) for name, spoil in spoils.items()}
+    faults = {name: _spoil(path, spoil) for name, spoil in spoils.items()}
     if form in ("csv", "words"):
-        harmless = {n: replace(_spoiled(path, s), fine=True) for n, s in HARMLESS_TEXT.items()}
+        harmless = {n: replace(_spoil(path, s), fine=True) for n, s in HARMLESS_TEXT.items()}
         faults |= harmless
     return faults
 
 
-def _spoiled(path: str, spoil: Spoil) -> Fault:
+def _spoil(path: str, spoil: Spoil) -> Fault:
     return Fault(at=path, spoil=spoil, says=(*Path(path).parts[-2:], "nowhere"))
 
 
-def _told(word: str) -> tuple[str, ...]:
+def _tell(word: str) -> tuple[str, ...]:
     """What a message repeats of a word: all of it, or one side of its equals sign; else it names
     the option."""
     key, _, value = word.partition("=")
@@ -225,7 +225,7 @@ def _told(word: str) -> tuple[str, ...]:
     return (*(part for part in said if part and part.isprintable()), OPTION)
 
 
-def _named(word: str) -> str:
+def _name(word: str) -> str:
     """A word in the name of a test."""
     if len(word) > 24:
         word = f"{word[:20]}-{len(word)}"

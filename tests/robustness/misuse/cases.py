@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.robustness.misuse import world
-from tests.robustness.misuse.arguments import OPTION, UNDECODED, Fault, called
+from tests.robustness.misuse.arguments import OPTION, UNDECODED, Fault, add_to_name
 from tests.robustness.misuse.commands import COMMANDS, Row
 from tests.robustness.misuse.harness import COMMAND, Begun, Outcome
 
@@ -89,18 +89,20 @@ def stop_at_work(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(work, begin)
 
 
-def declared(case: Case | None, row: Row, happened: Mapping[str, str]) -> set[str]:
+def declare(case: Case | None, row: Row, happened: Mapping[str, str]) -> set[str]:
     """What a row says that it writes, where the words of the case say that it does."""
     patterns = [*row.writes]
     for name, argument in row.arguments.items():
         undecoded = case is not None and name == case.argument and case.name == "not_utf8_name"
         for pattern in argument.writes:
             head, slash, tail = pattern.partition("/")
-            patterns.append(f"{called(head, UNDECODED)}{slash}{tail}" if undecoded else pattern)
+            patterns.append(
+                f"{add_to_name(head, UNDECODED)}{slash}{tail}" if undecoded else pattern
+            )
     return _like(patterns, happened)
 
 
-def kept(row: Row, happened: Mapping[str, str]) -> set[str]:
+def list_kept(row: Row, happened: Mapping[str, str]) -> set[str]:
     """What is of use to the next run of a row."""
     return _like(
         [*row.keeps, *(p for a in row.arguments.values() if a.kept for p in a.writes)], happened

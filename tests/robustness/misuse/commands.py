@@ -1,4 +1,4 @@
-"""Every command: what each of its parameters is. A new command or option joins here."""
+"""The kind of every parameter of every command. A new command or option gets a row here."""
 
 from __future__ import annotations
 
@@ -116,14 +116,14 @@ RETOLD = ("sift.json:no_schema", "sift.json:name_is_path")
 
 @dataclass(frozen=True)
 class Row:
-    """A command and what it is given.
+    """A command with its arguments.
 
     Attributes:
-        arguments: by the name of the parameter.
-        work: functions at which its real work begins, which the matrix does not wait for.
-        writes: patterns of what it writes into what it is given.
-        keeps: patterns of what is of use to the next run, also after a run that failed.
-        reports: it says what is wrong with its input on standard output, and ends with 2.
+        arguments: arguments by the name of the parameter.
+        work: functions at which its real work begins; the matrix stops there.
+        writes: patterns of files that it writes into its inputs.
+        keeps: patterns of files that stay for the next run, also after a failed run.
+        reports: whether it reports faults of its input on standard output, and exits with 2.
     """
 
     arguments: Mapping[str, Argument]
@@ -133,7 +133,7 @@ class Row:
     reports: bool = False
 
     def instead(self, **arguments: Argument) -> Row:
-        """The same command given something else; what is the same is spoiled only once."""
+        """Return the same command with other arguments; the same ones are damaged only once."""
         same = {name: replace(found, faults={}) for name, found in self.arguments.items()}
         return replace(self, arguments={**same, **arguments})
 
@@ -217,7 +217,7 @@ FORECAST = Row(
 )
 LOCALIZE = Row(
     {
-        "place": folder(
+        "source": folder(
             "meadow",
             part("meadow/origin.json", "json"),
             part("meadow/images/c.jpg", "photograph"),
@@ -348,9 +348,9 @@ COMMANDS: dict[str, Row] = {
         }
     ),
     "localize": LOCALIZE,
-    "localize:scene": LOCALIZE.instead(place=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
+    "localize:scene": LOCALIZE.instead(source=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
     "localize:video": LOCALIZE.instead(
-        place=folder("hamlet").sound(),
+        source=folder("hamlet").sound(),
         images=FLAG,
         priors=FLAG,
         video=file("film/flight.mp4", "bytes"),
@@ -360,6 +360,7 @@ COMMANDS: dict[str, Row] = {
         out=out_file("out.txt", "out.csv", "out.json"),
         overrides=values(None, "sequence.colour=red", "sequence.gate=0", "sequence.motion=fast"),
     ),
+    "options": Row({"method": METHOD, "as_json": FLAG}),
     "train": Row(
         {
             "method": values("objconnect", "", "magic", "sift", "../x", LONG),

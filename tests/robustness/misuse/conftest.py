@@ -1,4 +1,4 @@
-"""The tree that is misused."""
+"""The folder tree that misused commands run in."""
 
 from __future__ import annotations
 

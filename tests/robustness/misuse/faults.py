@@ -1,4 +1,4 @@
-"""Ways to spoil a file or a folder, by its format. Each takes the path of what is there."""
+"""Faults of files and folders, by format. Each takes the path of an existing one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _clear(path: Path) -> None:
         path.unlink()
 
 
-def _replaced(make: Spoil) -> Spoil:
+def _replace(make: Spoil) -> Spoil:
     def spoil(path: Path) -> None:
         _clear(path)
         make(path)
@@ -42,7 +42,7 @@ def _replaced(make: Spoil) -> Spoil:
     return spoil
 
 
-def _edited(edit: Callable[[bytes], bytes]) -> Spoil:
+def _edit(edit: Callable[[bytes], bytes]) -> Spoil:
     def spoil(path: Path) -> None:
         before = path.read_bytes()
         after = edit(before)
@@ -53,7 +53,7 @@ def _edited(edit: Callable[[bytes], bytes]) -> Spoil:
 
 
 def _text(edit: Callable[[str], str]) -> Spoil:
-    return _edited(lambda data: edit(data.decode()).encode("utf-8", "surrogateescape"))
+    return _edit(lambda data: edit(data.decode()).encode("utf-8", "surrogateescape"))
 
 
 def _socket(path: Path) -> None:
@@ -78,41 +78,41 @@ def _garbage(data: bytes) -> bytes:
 # What may stand in the place of any file or folder.
 ABSENT: Faults = {
     "missing": _clear,
-    "dangling_link": _replaced(lambda path: path.symlink_to("nowhere")),
-    "cyclic_link": _replaced(_cycle),
-    "fifo": _replaced(os.mkfifo),
-    "socket": _replaced(_socket),
+    "dangling_link": _replace(lambda path: path.symlink_to("nowhere")),
+    "cyclic_link": _replace(_cycle),
+    "fifo": _replace(os.mkfifo),
+    "socket": _replace(_socket),
 }
 NO_FILE: Faults = {
     **ABSENT,
-    "folder": _replaced(lambda path: path.mkdir()),
-    "endless": _replaced(lambda path: path.symlink_to("/dev/zero")),
+    "folder": _replace(lambda path: path.mkdir()),
+    "endless": _replace(lambda path: path.symlink_to("/dev/zero")),
 }
 NO_FOLDER: Faults = {
     **ABSENT,
-    "file": _replaced(lambda path: path.write_text("no folder\n")),
-    "empty_folder": _replaced(lambda path: path.mkdir()),
+    "file": _replace(lambda path: path.write_text("no folder\n")),
+    "empty_folder": _replace(lambda path: path.mkdir()),
 }
-EMPTY: Faults = {"empty": _edited(lambda data: b"")}
+EMPTY: Faults = {"empty": _edit(lambda data: b"")}
 BYTES: Faults = {
     **EMPTY,
-    "truncated": _edited(lambda data: data[: len(data) // 2]),
-    "zeroed": _edited(lambda data: bytes(len(data))),
-    "garbage": _edited(_garbage),
-    "text": _edited(lambda data: b"this is a text\n"),
+    "truncated": _edit(lambda data: data[: len(data) // 2]),
+    "zeroed": _edit(lambda data: bytes(len(data))),
+    "garbage": _edit(_garbage),
+    "text": _edit(lambda data: b"this is a text\n"),
 }
 TEXT: Faults = {
     **EMPTY,
-    "not_utf8": _edited(lambda data: data + b"\xff\xfe\xe4\n"),
-    "utf16": _edited(lambda data: data.decode().encode("utf-16")),
-    "nul": _edited(lambda data: data.rstrip(b"\n") + b"\0\n"),
-    "garbage": _edited(_garbage),
+    "not_utf8": _edit(lambda data: data + b"\xff\xfe\xe4\n"),
+    "utf16": _edit(lambda data: data.decode().encode("utf-16")),
+    "nul": _edit(lambda data: data.rstrip(b"\n") + b"\0\n"),
+    "garbage": _edit(_garbage),
 }
 # What a spreadsheet or another system adds, and nobody sees.
 HARMLESS_TEXT: Faults = {
-    "bom": _edited(lambda data: b"\xef\xbb\xbf" + data),
-    "crlf": _edited(lambda data: data.replace(b"\n", b"\r\n")),
-    "blank_lines": _edited(lambda data: data + b"\n\n"),
+    "bom": _edit(lambda data: b"\xef\xbb\xbf" + data),
+    "crlf": _edit(lambda data: data.replace(b"\n", b"\r\n")),
+    "blank_lines": _edit(lambda data: data + b"\n\n"),
 }
 
 
@@ -167,12 +167,12 @@ CSV: Faults = {
 }
 JSON: Faults = {
     **TEXT,
-    "truncated": _edited(lambda data: data[: len(data) // 2]),
-    "list": _edited(lambda data: b"[1, 2]"),
-    "null": _edited(lambda data: b"null"),
-    "word": _edited(lambda data: b'"all is well"'),
-    "no_keys": _edited(lambda data: b"{}"),
-    "deep": _edited(lambda data: b"[" * 100_000),
+    "truncated": _edit(lambda data: data[: len(data) // 2]),
+    "list": _edit(lambda data: b"[1, 2]"),
+    "null": _edit(lambda data: b"null"),
+    "word": _edit(lambda data: b'"all is well"'),
+    "no_keys": _edit(lambda data: b"{}"),
+    "deep": _edit(lambda data: b"[" * 100_000),
 }
 # Of our own files, whose keys are known.
 OUR_JSON: Faults = {
@@ -269,15 +269,15 @@ FRAMES: Faults = {
 }
 YAML: Faults = {
     **{name: spoil for name, spoil in TEXT.items() if name != "empty"},
-    "broken": _edited(lambda data: data + b"\n x: [1, {\n"),
-    "list": _edited(lambda data: b"- 1\n- 2\n"),
-    "word": _edited(lambda data: b"all is well\n"),
-    "bomb": _edited(lambda data: BOMB.encode()),
-    "cycle": _edited(lambda data: b"a: &a [*a]\n"),
-    "python": _edited(lambda data: b"!!python/object/apply:os.getcwd []\n"),
-    "deep": _edited(lambda data: b"a: " + b"[" * 3000),
-    "date": _edited(lambda data: b"a: 2001-99-99\n"),
-    "unknown_key": _edited(lambda data: data + b"\ncolour: red\n"),
+    "broken": _edit(lambda data: data + b"\n x: [1, {\n"),
+    "list": _edit(lambda data: b"- 1\n- 2\n"),
+    "word": _edit(lambda data: b"all is well\n"),
+    "bomb": _edit(lambda data: BOMB.encode()),
+    "cycle": _edit(lambda data: b"a: &a [*a]\n"),
+    "python": _edit(lambda data: b"!!python/object/apply:os.getcwd []\n"),
+    "deep": _edit(lambda data: b"a: " + b"[" * 3000),
+    "date": _edit(lambda data: b"a: 2001-99-99\n"),
+    "unknown_key": _edit(lambda data: data + b"\ncolour: red\n"),
 }
 
 
@@ -298,9 +298,9 @@ def _bomb(data: bytes) -> bytes:
 
 PHOTOGRAPH: Faults = {
     **BYTES,
-    "bomb": _edited(_bomb),
+    "bomb": _edit(_bomb),
     # A whole picture, and yet not what the camera took.
-    "one_pixel": _edited(lambda data: _picture("L", (1, 1), "JPEG")),
+    "one_pixel": _edit(lambda data: _picture("L", (1, 1), "JPEG")),
 }
 FORMATS: Mapping[str, Faults] = {
     "bytes": BYTES,

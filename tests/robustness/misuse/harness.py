@@ -1,4 +1,4 @@
-"""Runs a command line in this process, and says what it did to the tree."""
+"""Running of a command line in this process, and its changes to the tree."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     }
 
 
-def refused(folder: Path, *command: object) -> str:
+def expect_error(folder: Path, *command: object) -> str:
     """The one line of a command that must fail and change nothing."""
     before = tree(folder)
     answer = invoke(*command)
@@ -128,7 +128,7 @@ def test_priors_are_not_replaced_by_the_table(
 ) -> None:
     priors = tmp_path / "a.csv"
     priors.write_text(PRIORS)
-    line = refused(
+    line = expect_error(
         tmp_path, *localizing(flight, photographs, tmp_path / "a.txt", "--priors", priors)
     )
     assert "a.csv is read by this command" in line
@@ -139,7 +139,7 @@ def test_the_table_does_not_replace_the_poses(
     flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer
 ) -> None:
     for name in ("poses.csv", "poses.CSV"):
-        line = refused(tmp_path, *localizing(flight, photographs, tmp_path / name))
+        line = expect_error(tmp_path, *localizing(flight, photographs, tmp_path / name))
         assert "let it end in .txt" in line
 
 
@@ -150,7 +150,7 @@ def test_a_file_of_the_user_stays_and_one_of_ours_is_replaced(
     theirs = tmp_path / name
     theirs.write_text("name,mine\n")
     command = localizing(flight, photographs, tmp_path / "poses.txt")
-    assert "another file stands there" in refused(tmp_path, *command)
+    assert "another file stands there" in expect_error(tmp_path, *command)
     assert not method.seen, "before any work"
     theirs.unlink()
     for _ in range(2):
@@ -164,11 +164,11 @@ def test_answers_lie_outside_of_the_photographs(
 ) -> None:
     said = "lies in the folder of photographs: choose a folder outside it"
     for out in (photographs / "poses.txt", photographs / "out" / "poses.txt"):
-        line = refused(tmp_path, *localizing(flight, photographs, out, *more))
+        line = expect_error(tmp_path, *localizing(flight, photographs, out, *more))
         assert line == f"objconnect: error: {out} {said}"
     also = photographs / "poses.geojson"
     command = localizing(flight, photographs, tmp_path / "poses.txt", "--also", also, *more)
-    assert refused(tmp_path, *command) == f"objconnect: error: {also} {said}"
+    assert expect_error(tmp_path, *command) == f"objconnect: error: {also} {said}"
     assert not method.seen
 
 
@@ -176,7 +176,7 @@ def test_an_output_that_cannot_be_written_is_told_before_work(
     flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer
 ) -> None:
     (tmp_path / "file").write_text("")
-    line = refused(tmp_path, *localizing(flight, photographs, tmp_path / "file" / "poses.txt"))
+    line = expect_error(tmp_path, *localizing(flight, photographs, tmp_path / "file" / "poses.txt"))
     assert "cannot write" in line
     assert not method.seen
 
@@ -204,7 +204,7 @@ def test_no_good_photograph_is_a_fault(
 ) -> None:
     for name in QUERY_NAMES:
         (photographs / name).write_bytes(b"no image")
-    line = refused(tmp_path, *localizing(flight, photographs, tmp_path / "poses.txt"))
+    line = expect_error(tmp_path, *localizing(flight, photographs, tmp_path / "poses.txt"))
     assert "none of the 3 photographs" in line
 
 
@@ -305,7 +305,7 @@ def test_photographs_whose_names_are_not_utf8_are_left_out(tmp_path: Path) -> No
 def test_a_data_set_whose_name_is_not_utf8(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / os.fsdecode(b"m\xff"))
     out = tmp_path / "out"
-    line = refused(tmp_path, "evaluate", flight, "--method", "prior", "--out", out)
+    line = expect_error(tmp_path, "evaluate", flight, "--method", "prior", "--out", out)
     assert "not UTF-8" in line
 
 
@@ -315,11 +315,11 @@ def test_capitals_are_told(
     table = flight / "gps.csv"
     table.write_text(table.read_text().replace(".jpg", ".JPG"))
     out = tmp_path / "out"
-    line = refused(tmp_path, "evaluate", flight, "--method", "prior", "--out", out)
+    line = expect_error(tmp_path, "evaluate", flight, "--method", "prior", "--out", out)
     assert "gps.csv lists 'a.JPG', but the photograph is called 'a.jpg'" in line
     priors = tmp_path / "a.csv"
     priors.write_text(PRIORS.replace("b.jpg", "B.JPG"))
-    line = refused(
+    line = expect_error(
         tmp_path, *localizing(flight, photographs, tmp_path / "p.txt", "--priors", priors)
     )
     assert "lists 'B.JPG', but the photograph is called 'b.jpg'" in line
@@ -377,7 +377,9 @@ def test_what_lies_beyond_the_earth_is_refused(
     flight: Path, tmp_path: Path, put: Callable[[Path], None]
 ) -> None:
     put(flight)
-    line = refused(tmp_path, "evaluate", flight, "--method", "prior", "--out", tmp_path / "out")
+    line = expect_error(
+        tmp_path, "evaluate", flight, "--method", "prior", "--out", tmp_path / "out"
+    )
     assert "more than 1e+08 m away" in line
 
 
@@ -408,7 +410,7 @@ def test_huge_numbers_in_results(scored: Path, field: str, value: object) -> Non
     for query in content["queries"]:
         query[field] = value
     scored.write_text(json.dumps(content))
-    line = refused(scored.parent, "leaderboard", scored)
+    line = expect_error(scored.parent, "leaderboard", scored)
     assert field in line
 
 
@@ -427,7 +429,7 @@ def test_settings_that_nothing_has(
     flight: Path, tmp_path: Path, setting: str, message: str
 ) -> None:
     command = ("evaluate", flight, "--method", "sift", "--out", tmp_path / "out", "--set", setting)
-    line = refused(tmp_path, *command)
+    line = expect_error(tmp_path, *command)
     assert message in line
     assert setting.partition("=")[0] in line
 
@@ -435,7 +437,7 @@ def test_settings_that_nothing_has(
 @pytest.mark.parametrize("start", ["error=3m,500deg", "error=999999999m,1deg", "pairs="])
 def test_starts_that_nothing_has(flight: Path, tmp_path: Path, start: str) -> None:
     command = ("evaluate", flight, "--method", "prior", "--out", tmp_path / "out", "--start", start)
-    refused(tmp_path, *command)
+    expect_error(tmp_path, *command)
 
 
 def test_a_start_of_kilometres_is_scored(flight: Path, tmp_path: Path) -> None:
@@ -476,7 +478,7 @@ def test_a_method_names_a_file_in_its_folder(
     flight: Path, poses: Path, tmp_path: Path, name: str
 ) -> None:
     words = ("--reference", flight, "--out", tmp_path / "deep/er/results", f"--method={name}")
-    assert "method" in refused(tmp_path, "score", poses, *words)
+    assert "method" in expect_error(tmp_path, "score", poses, *words)
 
 
 def test_score_and_evaluate_keep_each_others_results(
@@ -486,11 +488,11 @@ def test_score_and_evaluate_keep_each_others_results(
     score = ("score", poses, "--reference", flight, "--out", out, "--method", "prior")
     evaluate = ("evaluate", flight, "--method", "prior", "--out", out)
     assert invoke(*evaluate).exit_code == 0
-    assert "results that evaluate wrote: choose another --method" in refused(out, *score)
+    assert "results that evaluate wrote: choose another --method" in expect_error(out, *score)
     assert invoke(*evaluate).exit_code == 0, "results of the same command are replaced"
     (out / "meadow/prior.json").unlink()
     assert invoke(*score).exit_code == 0
-    assert "results that score wrote: remove it" in refused(out, *evaluate)
+    assert "results that score wrote: remove it" in expect_error(out, *evaluate)
     assert invoke(*score).exit_code == 0
 
 
@@ -500,7 +502,7 @@ def test_evaluate_keeps_files_of_the_user(flight: Path, tmp_path: Path, name: st
     mine.parent.mkdir(parents=True)
     mine.write_text('{"mine": true}')
     command = ("evaluate", flight, "--method", "prior", "--out", tmp_path / "results")
-    assert "another file stands there" in refused(tmp_path, *command)
+    assert "another file stands there" in expect_error(tmp_path, *command)
 
 
 # ---- what other commands may replace
@@ -512,28 +514,28 @@ def test_leaderboard_keeps_files_of_the_user(scored: Path, tmp_path: Path, name:
     for _ in range(2):
         assert invoke("leaderboard", scored, "--out", out).exit_code == 0
     (out / name).write_text("# my notes\n")
-    assert "another file stands there" in refused(out, "leaderboard", scored, "--out", out)
+    assert "another file stands there" in expect_error(out, "leaderboard", scored, "--out", out)
 
 
 def test_view_keeps_files_of_the_user(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "hamlet")
-    line = refused(tmp_path, "view", scene, "--out", scene / "scene.json")
+    line = expect_error(tmp_path, "view", scene, "--out", scene / "scene.json")
     assert "no name for a page" in line
     photo = tmp_path / "photo.png"
     Image.new("RGB", (8, 8)).save(photo)
-    line = refused(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
+    line = expect_error(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
     assert "photo.png: another file stands there" in line
     photo.unlink()
     (tmp_path / "photo.html").write_text("<title>mine</title>")
-    line = refused(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
+    line = expect_error(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
     assert "photo.html: another file stands there" in line
 
 
 def test_view_of_other_results_says_so(scored: Path, tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "hamlet")
     results = scored.parents[1]
-    line = refused(tmp_path, "view", scene, "--results", results, "--out", tmp_path / "v.html")
-    assert "the results are of meadow, none of the scene hamlet" in line
+    line = expect_error(tmp_path, "view", scene, "--results", results, "--out", tmp_path / "v.html")
+    assert "the results are of meadow, not of the scene hamlet" in line
 
 
 def test_basin_and_baseline_keep_files_of_the_user(
@@ -543,11 +545,11 @@ def test_basin_and_baseline_keep_files_of_the_user(
     baseline = tmp_path / "baseline/meadow"
     baseline.mkdir(parents=True)
     (baseline / "elsewhere.json").write_text('{"mine": true}')
-    line = refused(tmp_path, "regress", results, "--against", baseline.parent, "--update")
+    line = expect_error(tmp_path, "regress", results, "--against", baseline.parent, "--update")
     assert "another file stands there" in line
-    assert "is read" in refused(tmp_path, "regress", results, "--against", results, "--update")
+    assert "is read" in expect_error(tmp_path, "regress", results, "--against", results, "--update")
     (results / "meadow/prior.basin.json").write_text('{"mine": true}')
-    line = refused(tmp_path, "basin", flight, "--method", "prior", "--out", results)
+    line = expect_error(tmp_path, "basin", flight, "--method", "prior", "--out", results)
     assert "another file stands there" in line
 
 
@@ -559,7 +561,7 @@ def test_renderers_keep_files_of_the_user(tmp_path: Path, command: str, name: st
     mine = tmp_path / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    assert "another file stands there" in refused(tmp_path, command, "--out", tmp_path / "out")
+    assert "another file stands there" in expect_error(tmp_path, command, "--out", tmp_path / "out")
 
 
 @pytest.mark.parametrize("name", ["weights.safetensors", "log.jsonl", "curves.png"])
@@ -587,10 +589,10 @@ def test_no_condition_is_called_all(scored: Path, tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "hamlet")
     manifest = scene / "scene.json"
     manifest.write_text(manifest.read_text().replace("winter-dusk", "all"))
-    line = refused(tmp_path, "evaluate", scene, "--method", "prior", "--out", tmp_path / "out")
+    line = expect_error(tmp_path, "evaluate", scene, "--method", "prior", "--out", tmp_path / "out")
     assert "no condition can be called 'all'" in line
     scored.write_text(scored.read_text().replace("same-flight", "all"))
-    assert "no condition can be called 'all'" in refused(tmp_path, "leaderboard", scored)
+    assert "no condition can be called 'all'" in expect_error(tmp_path, "leaderboard", scored)
 
 
 HOSTILE = "\x1b[31m<b>|*x*|\n# forged\u202e $y$ `z`"

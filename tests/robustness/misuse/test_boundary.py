@@ -97,7 +97,7 @@ def test_a_closed_pipe_ends_quietly(reader: str, report: str) -> None:
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&-", ">&- 2>&- <&-"])
-def test_closed_streams(closed: str, report: str, tmp_path: Path) -> None:
+def test_closed_standard_streams_are_harmless(closed: str, report: str, tmp_path: Path) -> None:
     """A file that is opened then never has the number of the stream, nor what is printed to it."""
     done = shell(f"{report} {closed}")
     assert done.returncode == 0
@@ -107,7 +107,7 @@ def test_closed_streams(closed: str, report: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("told", [">&-", "2>&-", "2> /dev/full", "> /dev/full 2>&1"])
-def test_an_error_without_anybody_to_tell(told: str, report: str) -> None:
+def test_an_error_with_closed_streams_keeps_its_code(told: str, report: str) -> None:
     assert shell(f"{report}/nowhere {told}").returncode == 2
 
 
@@ -118,7 +118,7 @@ def test_an_error_without_anybody_to_tell(told: str, report: str) -> None:
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
     ],
 )
-def test_an_ascii_terminal(variables: dict[str, str], report: str) -> None:
+def test_an_ascii_terminal_shows_escapes(variables: dict[str, str], report: str) -> None:
     done = shell(report, **variables)
     assert done.returncode == 0
     assert "within 10\\xb0" in done.stdout
@@ -384,7 +384,7 @@ class UnforeseenError(Exception):
         (InputError("x" * 100_000), "xxx"),
     ],
 )
-def test_what_an_exception_becomes(
+def test_exceptions_become_one_line_and_a_code(
     error: Exception, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     raising(error, monkeypatch)
@@ -396,7 +396,9 @@ def test_what_an_exception_becomes(
 @pytest.mark.parametrize(
     "error", [UnforeseenError("a\nb"), ValueError(), KeyError("x"), AssertionError()]
 )
-def test_what_nobody_foresaw_is_shown(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_exception_shows_its_traceback(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With a traceback, to be sent to those who can mend it; never as a regression."""
     raising(error, monkeypatch)
     outcome = run(["regress", str(GATE), "--against", str(GATE)])
@@ -412,7 +414,7 @@ def raising(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmark.regression.regress", fail)
 
 
-def test_a_regression_alone_is_1(tmp_path: Path) -> None:
+def test_only_a_regression_exits_with_1(tmp_path: Path) -> None:
     before = json.loads((GATE / "gate" / "sift.json").read_text())
     shutil.copytree(GATE, tmp_path / "same")
     assert run(["regress", str(tmp_path / "same"), "--against", str(GATE)]).code == 0

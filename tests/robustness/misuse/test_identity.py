@@ -126,7 +126,9 @@ def test_the_manifest_is_not_believed(scene: Path) -> None:
     assert digest_of(scene) != before
 
 
-def asked(path: Path, out: Path, answers: dict[str, Estimate | KeyboardInterrupt]) -> list[str]:
+def run_queries(
+    path: Path, out: Path, answers: dict[str, Estimate | KeyboardInterrupt]
+) -> list[str]:
     """The queries that a run puts to its method; interrupted where an answer says so."""
     (dataset,) = open_datasets(path)
     localizer = FakeLocalizer(answers)
@@ -152,11 +154,11 @@ def test_answers_to_other_bytes_are_not_taken(
     names = [query.name for query in dataset.queries]
     (edited,) = (query.name for query in dataset.queries if query.image == path / photograph)
     last = {names[-1]: KeyboardInterrupt()}
-    assert asked(path, tmp_path / "out", {**last}) == names
-    assert asked(path, tmp_path / "out", {**last}) == names[-1:]
+    assert run_queries(path, tmp_path / "out", {**last}) == names
+    assert run_queries(path, tmp_path / "out", {**last}) == names[-1:]
     assert not caplog.records
     edit(path / photograph)
-    assert asked(path, tmp_path / "out", {}) == names
+    assert run_queries(path, tmp_path / "out", {}) == names
     said = warning(caplog)
     assert said.startswith(f"the data set {dataset.name} changed since ")
     assert said.endswith(f" was written: query photograph {edited}")
@@ -167,13 +169,13 @@ def test_what_changed_since_the_results_is_said(
 ) -> None:
     path, _, photograph = data
     out = tmp_path / "out"
-    asked(path, out, {})
+    run_queries(path, out, {})
     (file,) = out.glob("*/fake.json")
     before = load(file)
-    asked(path, out, {})
+    run_queries(path, out, {})
     assert not caplog.records
     edit(path / photograph)
-    asked(path, out, {})
+    run_queries(path, out, {})
     name = Path(photograph).name
     pattern = rf"changed since {file} was written: map photograph .*{name}"
     assert re.search(pattern, warning(caplog))
@@ -183,25 +185,25 @@ def test_what_changed_since_the_results_is_said(
 def test_results_of_an_older_version_are_one_line(
     made_flight: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    asked(made_flight, tmp_path / "out", {})
+    run_queries(made_flight, tmp_path / "out", {})
     file = tmp_path / "out/meadow/fake.json"
     text = file.read_text()
     file.write_text(text.replace(load(file).dataset.sha256, "0" * 64))
-    asked(made_flight, tmp_path / "out", {})
+    run_queries(made_flight, tmp_path / "out", {})
     assert warning(caplog).endswith("fake.json was written: which part was not recorded")
     file.write_text(text[: len(text) // 2])
-    asked(made_flight, tmp_path / "out", {})
+    run_queries(made_flight, tmp_path / "out", {})
     assert not caplog.records
 
 
 def test_many_changes_are_one_line(
     made_flight: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    asked(made_flight, tmp_path / "out", {})
+    run_queries(made_flight, tmp_path / "out", {})
     for name in "abdef":
         edit(made_flight / "images" / f"{name}.jpg")
     (made_flight / "gps.csv").unlink()
-    asked(made_flight, tmp_path / "out", {})
+    run_queries(made_flight, tmp_path / "out", {})
     assert warning(caplog).endswith(
         "map photograph a.jpg, map photograph e.jpg, query photograph b.jpg and 5 more"
     )
@@ -224,9 +226,9 @@ def test_a_data_set_that_changes_during_the_run_gives_no_results(
 
 
 def test_the_gate_refuses_other_bytes_in_one_line(made_flight: Path, tmp_path: Path) -> None:
-    asked(made_flight, tmp_path / "old", {})
+    run_queries(made_flight, tmp_path / "old", {})
     edit(made_flight / "images" / "a.jpg")
-    asked(made_flight, tmp_path / "new", {})
+    run_queries(made_flight, tmp_path / "new", {})
     result = invoke("regress", tmp_path / "new", "--against", tmp_path / "old")
     assert result.exit_code == 2
     old, new = (
@@ -297,7 +299,7 @@ def test_no_method_takes_from_the_cache_what_was_of_other_bytes(
     if part == "photograph":
         edit(images / "2.png")
     elif part == "camera":
-        sparse_map = replace(sparse_map, images=dict(map(narrowed, sparse_map.images.items())))
+        sparse_map = replace(sparse_map, images=dict(map(narrow, sparse_map.images.items())))
     else:
         few = np.where(np.arange(len(sparse_map.xyz)) % 3, 1, 5)
         sparse_map = replace(sparse_map, track_length=few)
@@ -307,7 +309,7 @@ def test_no_method_takes_from_the_cache_what_was_of_other_bytes(
     assert bool(before) == (method != "prior")
 
 
-def narrowed(item: tuple[str, MapImage]) -> tuple[str, MapImage]:
+def narrow(item: tuple[str, MapImage]) -> tuple[str, MapImage]:
     """A photograph with pixels that are no squares."""
     name, image = item
     fx, fy, cx, cy = image.camera.params
@@ -336,7 +338,7 @@ def test_a_submission_does_not_go_on_with_other_bytes(
 @pytest.fixture
 def results(scene: Path, tmp_path: Path) -> Path:
     """Of a method on six queries."""
-    asked(scene, tmp_path / "out", {})
+    run_queries(scene, tmp_path / "out", {})
     return tmp_path / "out" / "hamlet" / "fake.json"
 
 
@@ -371,7 +373,7 @@ def test_that_results_count_once_is_said(
 def test_two_results_of_one_run_are_refused(scene: Path, results: Path, tmp_path: Path) -> None:
     """The same method on the same data, asked again: other seconds, or other answers."""
     name = "winter-grid/images/000000.jpg"
-    asked(scene, tmp_path / "again", {name: Estimate(Status.OK, pose_at(2))})
+    run_queries(scene, tmp_path / "again", {name: Estimate(Status.OK, pose_at(2))})
     other = tmp_path / "again" / "hamlet" / "fake.json"
     result = invoke("leaderboard", results, other, "--out", tmp_path / "board")
     assert result.exit_code == 2
@@ -384,7 +386,7 @@ def test_results_before_and_after_an_edit_stand_apart(
     scene: Path, results: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     edit(scene / "sessions/summer-nadir/images/000000.jpg")
-    asked(scene, tmp_path / "after", {})
+    run_queries(scene, tmp_path / "after", {})
     result = invoke("leaderboard", results, tmp_path / "after")
     assert result.exit_code == 0
     assert len(re.findall(r"^## uav-sim: hamlet", result.stdout, re.MULTILINE)) == 2

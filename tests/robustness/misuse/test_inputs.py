@@ -65,7 +65,7 @@ from tests.objconnect.scene.storage.test_full_disk import GATE, disk  # noqa: F4
 ROOT = Path(__file__).parents[3]
 
 
-def refused(read: Callable[[], object]) -> str:
+def expect_error(read: Callable[[], object]) -> str:
     """The one line that reading ends with."""
     with pytest.raises(InputError) as caught:
         read()
@@ -128,18 +128,18 @@ def test_an_ingest_that_fails_removes_what_it_wrote_and_nothing_else(
     for k in range(3):
         noise_jpeg(photographs / f"{k}.jpg", k, Geodetic(47.0 + 1e-4 * k, 8.0, 100.0))
 
-    def interrupted(*_: object) -> None:
+    def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(objconnect.ingestion.command, "_build", interrupted)
+        patch.setattr(objconnect.ingestion.command, "_build", interrupt)
         with pytest.raises(KeyboardInterrupt):
             objconnect.ingestion.command.ingest(photographs, out)
     kept = ("NOTES.txt", "map/mine.txt", "sessions/flight/images/mine.jpg", ".notes.markdown")
     for name in kept:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text(name)
-    said = refused(lambda: objconnect.ingestion.command.ingest(photographs, out))
+    said = expect_error(lambda: objconnect.ingestion.command.ingest(photographs, out))
     assert "could be registered together" in said
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     assert left == set(kept)
@@ -277,7 +277,7 @@ HEADER = "name,lat,lon,alt\n"
 CARDS = Flight((shot("card1/DJI_0000.jpg"), shot("card2/DJI_0000.jpg"), shot("c/Einzig.JPG")), {})
 
 
-def placed(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float | None]:
+def read_latitudes(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float | None]:
     """Latitude of each photograph."""
     table = tmp_path / "gps.csv"
     table.write_text(text)
@@ -286,16 +286,18 @@ def placed(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float |
 
 
 def test_a_bare_name_on_two_cards_is_refused(tmp_path: Path) -> None:
-    said = refused(lambda: placed(tmp_path, HEADER + "DJI_0000.jpg,1,2,3\n"))
+    said = expect_error(lambda: read_latitudes(tmp_path, HEADER + "DJI_0000.jpg,1,2,3\n"))
     assert "'DJI_0000.jpg' may be 'card1/DJI_0000.jpg' or 'card2/DJI_0000.jpg'" in said
     assert "folder" in said
     root = Flight((shot("a.jpg"), shot("b/a.jpg")), {})
-    assert "may be" in refused(lambda: placed(tmp_path, HEADER + "a.jpg,1,2,3\n", root))
+    assert "may be" in expect_error(
+        lambda: read_latitudes(tmp_path, HEADER + "a.jpg,1,2,3\n", root)
+    )
 
 
 def test_names_with_their_folder_tell_cards_apart(tmp_path: Path) -> None:
     rows = "card1/DJI_0000.jpg,1,2,3\ncard2\\dji_0000.JPG,4,5,6\neinzig.jpg,7,8,9\n"
-    found = placed(tmp_path, HEADER + rows)
+    found = read_latitudes(tmp_path, HEADER + rows)
     assert list(found.values()) == [1, 4, 7]
 
 
@@ -307,7 +309,7 @@ def test_names_with_their_folder_tell_cards_apart(tmp_path: Path) -> None:
     ],
 )
 def test_tables_that_cannot_be_read(tmp_path: Path, text: str, said: str) -> None:
-    assert said in refused(lambda: placed(tmp_path, text))
+    assert said in expect_error(lambda: read_latitudes(tmp_path, text))
 
 
 # --- photographs --------------------------------------------------------------------------------
@@ -345,10 +347,10 @@ def test_colour_of_16_bits(tmp_path: Path) -> None:
 
 def test_grey_that_is_no_number(tmp_path: Path) -> None:
     Image.fromarray(np.array([[1.0, math.nan]], np.float32)).save(tmp_path / "a.tiff")
-    assert "not finite" in refused(lambda: read_rgb(tmp_path / "a.tiff"))
+    assert "not finite" in expect_error(lambda: read_rgb(tmp_path / "a.tiff"))
 
 
-def made(path: Path, kind: str) -> Path:
+def make(path: Path, kind: str) -> Path:
     match kind:
         case "pipe":
             os.mkfifo(path)
@@ -398,15 +400,15 @@ KINDS = ("pipe", "device", "folder", "empty", "huge", "large", "text", "truncate
 def test_a_photograph_that_is_none_is_one_line(
     tmp_path: Path, kind: str, recwarn: pytest.WarningsRecorder
 ) -> None:
-    path = made(tmp_path / "a.jpg", kind)
-    assert "a.jpg" in refused(lambda: read_rgb(path))
+    path = make(tmp_path / "a.jpg", kind)
+    assert "a.jpg" in expect_error(lambda: read_rgb(path))
     if kind not in ("truncated", "large"):
-        assert "a.jpg" in refused(lambda: read_exif(path))
+        assert "a.jpg" in expect_error(lambda: read_exif(path))
 
 
 def test_large_and_damaged_photographs_print_no_warning(tmp_path: Path) -> None:
     """A warning of Pillow's is two lines on standard error, where the command line tunes it."""
-    made(tmp_path / "a.jpg", "large")
+    make(tmp_path / "a.jpg", "large")
     code = "import os, pathlib, objconnect as oc\n"
     code += "from objconnect.scene.storage.images import read_exif\n"
     code += "with oc.ProcessTuning(): read_exif(pathlib.Path(os.environ['PHOTOGRAPH']))"
@@ -414,7 +416,7 @@ def test_large_and_damaged_photographs_print_no_warning(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def tagged(path: Path, change: Callable[[Image.Exif], None], **info: bytes) -> Path:
+def tag(path: Path, change: Callable[[Image.Exif], None], **info: bytes) -> Path:
     rgb = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     tags = Image.Exif()
     change(tags)
@@ -422,7 +424,7 @@ def tagged(path: Path, change: Callable[[Image.Exif], None], **info: bytes) -> P
     return path
 
 
-def stamped(text: str, digits: str = "") -> Callable[[Image.Exif], None]:
+def set_time(text: str, digits: str = "") -> Callable[[Image.Exif], None]:
     def change(tags: Image.Exif) -> None:
         detail = tags.get_ifd(ExifTags.IFD.Exif)
         detail[ExifTags.Base.DateTimeOriginal] = text
@@ -435,7 +437,7 @@ def stamped(text: str, digits: str = "") -> Callable[[Image.Exif], None]:
     "stamp", [("0000:00:00 00:00:00", ""), ("9999:12:31 23:59:59", "9" * 20), ("9999:12:31", "")]
 )
 def test_times_that_no_calendar_has(tmp_path: Path, stamp: tuple[str, str]) -> None:
-    assert read_exif(tagged(tmp_path / "a.jpg", stamped(*stamp))).time is None
+    assert read_exif(tag(tmp_path / "a.jpg", set_time(*stamp))).time is None
 
 
 def test_numbers_of_exif_that_say_nothing(tmp_path: Path) -> None:
@@ -452,7 +454,7 @@ def test_numbers_of_exif_that_say_nothing(tmp_path: Path) -> None:
         gps[ExifTags.GPS.GPSLongitude] = (9.0, 0.0, 0.0)
 
     xmp = b'<x drone-dji:GimbalYawDegree="." GimbalPitchDegree="-90" GimbalRollDegree="0"/>'
-    exif = read_exif(tagged(tmp_path / "a.jpg", change, xmp=xmp))
+    exif = read_exif(tag(tmp_path / "a.jpg", change, xmp=xmp))
     assert (exif.position, exif.focal_35mm, exif.gimbal) == (None, None, None)
 
 
@@ -489,8 +491,8 @@ READERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder", "loop"])
 @pytest.mark.parametrize("reader", list(READERS))
 def test_what_is_no_file_is_not_opened(tmp_path: Path, reader: str, kind: str) -> None:
-    path = made(tmp_path / "given", kind)
-    assert str(path) in refused(lambda: READERS[reader](path))
+    path = make(tmp_path / "given", kind)
+    assert str(path) in expect_error(lambda: READERS[reader](path))
 
 
 @pytest.mark.usefixtures("in_time")
@@ -498,7 +500,7 @@ def test_a_model_with_a_pipe_in_it(tmp_path: Path) -> None:
     write_model(tmp_path / "map", {name: pose_at(k) for k, name in enumerate(MAP_NAMES)})
     (tmp_path / "map" / "images.bin").unlink()
     os.mkfifo(tmp_path / "map" / "images.bin")
-    assert "images.bin" in refused(lambda: read_model(tmp_path / "map"))
+    assert "images.bin" in expect_error(lambda: read_model(tmp_path / "map"))
 
 
 def test_texts_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -506,7 +508,7 @@ def test_texts_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "a").write_text("0123456789")
     assert read_text(tmp_path / "a", "list") == "0123456789"
     (tmp_path / "a").write_text("0123456789+")
-    assert "larger than" in refused(lambda: read_text(tmp_path / "a", "list"))
+    assert "larger than" in expect_error(lambda: read_text(tmp_path / "a", "list"))
 
 
 @pytest.mark.parametrize(
@@ -539,17 +541,17 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
     features = map_features(kept, Sift(500))
     assert set(features) == {"c.jpg", "x\\y.jpg"}
     assert len(features["x\\y.jpg"].xy)
-    said = refused(lambda: MapCache.of(sparse_map, tmp_path, tmp_path / "cache"))
+    said = expect_error(lambda: MapCache.of(sparse_map, tmp_path, tmp_path / "cache"))
     assert "c.jpg does not exist" in said
     (flight / "images" / "x\\y.jpg").unlink()
-    said = refused(lambda: MapCache.of(sparse_map, flight / "images", tmp_path / "cache"))
+    said = expect_error(lambda: MapCache.of(sparse_map, flight / "images", tmp_path / "cache"))
     assert "does not exist: the model that names it was made on Windows" in said
 
 
 def test_a_text_model_says_how_to_convert_it(tmp_path: Path) -> None:
     for part in ("cameras", "images", "points3D"):
         (tmp_path / f"{part}.txt").write_text("# a list\n")
-    said = refused(lambda: read_model(tmp_path))
+    said = expect_error(lambda: read_model(tmp_path))
     assert "is a text model: convert it with 'colmap model_converter --input_path" in said
 
 
@@ -562,7 +564,7 @@ def test_no_message_recommends_to_run_what_a_checkpoint_holds(tmp_path: Path) ->
     data = path.read_bytes()
     for broken in (data[4:], b"\x80\x02cbuiltins\neval\n(Vprint(1)\ntR.", b"(lp0\n.", data[:30]):
         path.write_bytes(broken)
-        said = refused(lambda: read_weights(path))
+        said = expect_error(lambda: read_weights(path))
         assert "weights_only" not in said
         assert "arbitrary" not in said
 
@@ -590,7 +592,7 @@ def test_weights_that_are_no_weights(
     if not tensors["weight"].is_complex():
         save_file(tensors, tmp_path / "w.safetensors")
         tensors = read_weights(tmp_path / "w.safetensors").tensors
-    said = refused(lambda: load_into(network, tensors, tmp_path / "w.safetensors"))
+    said = expect_error(lambda: load_into(network, tensors, tmp_path / "w.safetensors"))
     assert "weight" in said
 
 
@@ -664,7 +666,7 @@ def test_a_folder_of_photographs_of_every_kind(tmp_path: Path) -> None:
     shutil.copy(tmp_path / "sub/a.jpg", os.fsencode(tmp_path) + b"/caf\xe9.jpg")
     for kind in KINDS:
         if kind not in ("truncated", "large"):
-            made(tmp_path / f"{kind}.jpg", kind)
+            make(tmp_path / f"{kind}.jpg", kind)
     roll = read_flight(tmp_path)
     assert [shot.file for shot in roll.images] == [
         "a.jpg",

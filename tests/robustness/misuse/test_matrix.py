@@ -20,9 +20,9 @@ from tests.robustness.misuse.cases import (
     CASES,
     Case,
     check_one_line,
-    declared,
-    kept,
+    declare,
     lay_out,
+    list_kept,
     names_of,
     parameters,
     stop_at_work,
@@ -32,8 +32,8 @@ from tests.robustness.misuse.commands import COMMANDS, READ
 from tests.robustness.misuse.harness import COMMAND, differences, run, snapshot
 
 
-def sorted_out() -> Iterator[Any]:
-    """In the default part each argument with each fault for the first command that has it."""
+def mark_thorough() -> Iterator[Any]:
+    """Mark a fault of an argument thorough if another command has it already."""
     seen: set[tuple[str, str]] = set()
     for case in CASES:
         marks = pytest.mark.thorough if (case.argument, case.name) in seen else ()
@@ -41,8 +41,10 @@ def sorted_out() -> Iterator[Any]:
         yield pytest.param(case, id=case.id, marks=marks)
 
 
-@pytest.mark.parametrize("case", sorted_out())
-def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("case", mark_thorough())
+def test_every_misuse_is_one_line_and_changes_nothing(
+    case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     row = COMMANDS[case.command]
     lay_out(whole, row, tree)
     if case.fault.spoil is not None:
@@ -54,7 +56,7 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
     assert Path.cwd() == tree
     if case.fault.fine:
         assert outcome.code == 0, outcome
-        assert happened.keys() - declared(case, row, happened) == set()
+        assert happened.keys() - declare(case, row, happened) == set()
         return
     assert not outcome.begun, "the work began"
     assert outcome.code == 2, outcome
@@ -63,7 +65,7 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
         assert outcome.stderr == ""
     else:
         check_one_line(outcome, names_of(case))
-    assert {name: happened[name] for name in happened.keys() - kept(row, happened)} == {}
+    assert {name: happened[name] for name in happened.keys() - list_kept(row, happened)} == {}
 
 
 # Words that contradict each other, and what the error names.
@@ -166,7 +168,7 @@ CONTRADICTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", CONTRADICTIONS)
-def test_contradiction(name: str, whole: Path, tree: Path) -> None:
+def test_contradicting_options_are_refused(name: str, whole: Path, tree: Path) -> None:
     words, says = CONTRADICTIONS[name]
     folders = {entry.name for entry in whole.iterdir()}
     world.copy(whole, folders, tree)
@@ -191,7 +193,7 @@ def usage() -> Iterator[tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("words", list(usage()), ids=" ".join)
-def test_usage(words: tuple[str, ...], tree: Path) -> None:
+def test_wrong_usage_is_one_line(words: tuple[str, ...], tree: Path) -> None:
     check_refused(words, (), tree)
 
 
@@ -212,7 +214,7 @@ QUICK = ("score", "leaderboard", "regress", "export", "train", "calibrate", "ing
 @settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
-def test_any_words(whole: Path, tree: Path, data: st.DataObject) -> None:
+def test_random_words_never_crash_a_command(whole: Path, tree: Path, data: st.DataObject) -> None:
     """One argument is whatever it is: the command works, or says in one line why not."""
     command = data.draw(st.sampled_from(QUICK))
     row = COMMANDS[command]
@@ -244,7 +246,9 @@ def test_any_words(whole: Path, tree: Path, data: st.DataObject) -> None:
 @settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
-def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
+def test_random_bytes_in_a_file_never_crash_a_command(
+    whole: Path, tree: Path, data: st.DataObject
+) -> None:
     """One file has whatever bytes in its middle."""
     command = data.draw(st.sampled_from(QUICK))
     row = COMMANDS[command]
@@ -259,7 +263,7 @@ def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
     content = (root / path).read_bytes()
     at = data.draw(st.integers(0, len(content)))
     cut = data.draw(st.integers(0, 16))
-    middle = data.draw(st.one_of(st.binary(max_size=16), st.text(max_size=8).map(encoded)))
+    middle = data.draw(st.one_of(st.binary(max_size=16), st.text(max_size=8).map(encode)))
     (root / path).write_bytes(content[:at] + middle + content[at + cut :])
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
@@ -276,18 +280,18 @@ def test_any_bytes(whole: Path, tree: Path, data: st.DataObject) -> None:
         assert "Traceback" not in outcome.stderr
 
 
-def encoded(text: str) -> bytes:
+def encode(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
-def test_every_command_has_joined() -> None:
+def test_every_command_and_option_has_a_row() -> None:
     """A new command, or a new option of one, gets a line in ``commands``."""
     assert {name.partition(":")[0] for name in COMMANDS} == set(COMMAND.commands)
     for name, row in COMMANDS.items():
         assert set(row.arguments) == set(parameters(name)), name
 
 
-def test_every_option_is_spoiled() -> None:
+def test_every_option_gets_a_wrong_value() -> None:
     """What takes a value takes a wrong one somewhere."""
     for command in COMMAND.commands:
         rows = [row for name, row in COMMANDS.items() if name.partition(":")[0] == command]
@@ -296,7 +300,7 @@ def test_every_option_is_spoiled() -> None:
                 assert any(row.arguments[name].faults for row in rows), f"{command} {name}"
 
 
-def test_every_reader_has_joined() -> None:
+def test_every_reader_has_a_damaged_file() -> None:
     """A new reader of files gets a file of the tree that is spoiled."""
     assert set(READ) == set(READERS)
     spoiled = {f.at for row in COMMANDS.values() for a in row.arguments.values()
@@ -304,13 +308,15 @@ def test_every_reader_has_joined() -> None:
     assert {path for path in READ.values() if path} <= spoiled
 
 
-def test_there_are_many() -> None:
+def test_there_are_at_least_500_cases() -> None:
     assert len(CASES) >= 500
     assert len({case.id for case in CASES}) == len(CASES)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_right(command: str, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_works_without_a_fault(
+    command: str, whole: Path, tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a fault the same words work, or come to the work, and write what they say."""
     row = COMMANDS[command]
     lay_out(whole, row, tree)
@@ -320,4 +326,4 @@ def test_right(command: str, whole: Path, tree: Path, monkeypatch: pytest.Monkey
     happened = differences(before, snapshot(tree.parent))
     assert outcome.code == 0, outcome
     assert outcome.begun == bool(row.work)
-    assert happened.keys() - declared(None, row, happened) == set()
+    assert happened.keys() - declare(None, row, happened) == set()

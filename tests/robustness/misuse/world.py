@@ -1,4 +1,4 @@
-"""The small tree that commands are misused in: whole files of every kind, made once."""
+"""The small folder tree of the misuse tests: intact files of every kind, built once."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def _reconstruction() -> dict[str, object]:
 
 
 def _configs(folder: Path) -> None:
-    READERS["configs"].make(_made(folder))
+    READERS["configs"].make(_make(folder))
     (folder / "simulate.yaml").write_text("area: 120\nsize: 64\nspp: 1\nframes: 2\n")
     (folder / "train.yaml").write_text("steps: 1\nbatch: 1\nworkers: 0\nwidth: 0.02\n")
     (folder / "plan.yaml").write_text(
@@ -253,7 +253,7 @@ def _weights(folder: Path) -> None:
     detector = {"stride": 4, "size": 4, "vector": 2}
     config = ObjConnectNetConfig.model_validate({**settings, "detector": detector})
     network = objconnect.ObjConnectNet(config)
-    write_weights(_made(folder) / "net.safetensors", network, config.model_dump(mode="json"))
+    write_weights(_make(folder) / "net.safetensors", network, config.model_dump(mode="json"))
 
 
 def _results(root: Path) -> None:
@@ -292,9 +292,9 @@ def _run(root: Path) -> None:
     config = load_config(TrainConfig, root / "configs" / "train.yaml", {})
     scenes = [_identity(Scene.open(root / "grove"))]
     run = {"config": config.model_dump(mode="json"), "method": "objconnect", "scenes": scenes}
-    (_made(root / "run") / "run.json").write_text(json.dumps(run))
+    (_make(root / "run") / "run.json").write_text(json.dumps(run))
 
 
-def _made(folder: Path) -> Path:
+def _make(folder: Path) -> Path:
     folder.mkdir()
     return folder

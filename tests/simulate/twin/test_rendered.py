@@ -18,7 +18,7 @@ from simulate.place.survey_files import load_site
 from simulate.place.world import World
 from simulate.twin.report import PLACE, REPORT, SiteReport
 from tests.blender import require_blender
-from tests.shared import made_once
+from tests.shared import make_once
 from tests.simulate.blender_says import check_rays
 from tests.simulate.twin.made_site import rasters
 
@@ -52,7 +52,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Scene:
             config(folder / "rasters", position_jitter_m=0, attitude_jitter_deg=0), folder / "twin"
         )
 
-    return Scene.open(made_once(tmp_path_factory, "twin", make) / "twin")
+    return Scene.open(make_once(tmp_path_factory, "twin", make) / "twin")
 
 
 def surface_height(world: World, x: np.ndarray, y: np.ndarray) -> np.ndarray:

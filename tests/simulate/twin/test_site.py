@@ -45,7 +45,7 @@ from tests.simulate.twin.made_site import (
 AREA = 120.0
 
 
-def built(folder: Path, **more: object) -> tuple[World, SiteReport]:
+def build(folder: Path, **more: object) -> tuple[World, SiteReport]:
     given = more.pop("rasters", None) or rasters(folder)
     site = SiteConfig.model_validate({"ortho": given[0], "dsm": given[1], **more})
     return build_site(site, AREA, ORIGIN, 3, folder / "beside")
@@ -53,7 +53,7 @@ def built(folder: Path, **more: object) -> tuple[World, SiteReport]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[World, SiteReport]:
-    return built(tmp_path_factory.mktemp("site"))
+    return build(tmp_path_factory.mktemp("site"))
 
 
 def texels(world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -137,7 +137,7 @@ def test_a_hill_is_no_building() -> None:
 
 def test_holes_are_closed_and_said(tmp_path: Path) -> None:
     files = rasters(tmp_path, hole=(-5.0, 5.0, -5.0, 5.0))
-    world, report = built(tmp_path, rasters=files)
+    world, report = build(tmp_path, rasters=files)
     assert report.closed == pytest.approx(100 / AREA**2, rel=0.15)
     assert report.holes == 0
     assert any(note.startswith("closed: 0.8 %") for note in report.notes)
@@ -148,7 +148,7 @@ def test_holes_are_closed_and_said(tmp_path: Path) -> None:
 def test_too_large_holes_are_refused(tmp_path: Path) -> None:
     files = rasters(tmp_path, hole=(-60.0, 60.0, -60.0, 10.0))
     with pytest.raises(InputError, match="5. % of the place have no data in the surface model"):
-        built(tmp_path, rasters=files)
+        build(tmp_path, rasters=files)
 
 
 def test_a_hole_takes_its_nearest_neighbours() -> None:
@@ -206,7 +206,7 @@ def test_rasters_that_do_not_overlap(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="do not overlap"):
         measure_extent(SiteConfig(ortho=ortho, dsm=dsm))
     with pytest.raises(InputError, match="do not both show the origin"):
-        built(tmp_path, rasters=(ortho, dsm))
+        build(tmp_path, rasters=(ortho, dsm))
 
 
 def test_the_extent_is_the_square_that_both_show(tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_known_shadows_are_softened_and_others_remain(tmp_path: Path) -> None:
     reach = ROOF_M / np.tan(np.radians(sun.elevation))
     east, north = np.sin(np.radians(sun.azimuth)), np.cos(np.radians(sun.azimuth))
 
-    def shaded(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def shade_place(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         steps = np.arange(0.25, reach, 0.25)
         rise = np.tan(np.radians(sun.elevation))
         own = height(x, y)
@@ -247,16 +247,18 @@ def test_known_shadows_are_softened_and_others_remain(tmp_path: Path) -> None:
             [height(x + s * east, y + s * north) > own + s * rise for s in steps]
         )
 
-    files = rasters(tmp_path, shaded=shaded)
-    before, said = built(tmp_path, rasters=files)
-    after, softened = built(tmp_path, rasters=files, taken=taken)
+    files = rasters(tmp_path, shaded=shade_place)
+    before, said = build(tmp_path, rasters=files)
+    after, softened = build(tmp_path, rasters=files, taken=taken)
     assert said.sun is None and any("shadows of the orthophoto remain" in n for n in said.notes)
     assert softened.sun == pytest.approx(tuple(sun), abs=0.01)
     assert not any("shadows" in note for note in softened.notes)
     x, y = texels(before)
     grass = clear(x, y, 1.5) & (classes(x, y) == 1)
     lawn = np.hypot(x - np.mean(HOUSE[:2]), y - np.mean(HOUSE[2:])) < 25
-    deep = np.logical_and.reduce([shaded(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)])
+    deep = np.logical_and.reduce(
+        [shade_place(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    )
     assert (grass & lawn & deep).sum() > 100
     ratio = {}
     for name, world in (("before", before), ("after", after)):
@@ -326,7 +328,7 @@ def test_given_classes_win(tmp_path: Path) -> None:
         ) as out:
             out.write(mask, 1)
             box = file.bounds
-    world, _ = built(tmp_path, rasters=files, classes=tmp_path / "mask.tif")
+    world, _ = build(tmp_path, rasters=files, classes=tmp_path / "mask.tif")
     x, y = texels(world)
     assert (world.ground.labels[x < -2] == 4).all()
     tree = np.hypot(x - TREES[0][0], y - TREES[0][1]) < 2
@@ -338,7 +340,7 @@ def test_given_classes_win(tmp_path: Path) -> None:
     ) as out:
         out.write(mask, 1)
     with pytest.raises(InputError, match="has the value 99"):
-        built(tmp_path, rasters=files, classes=tmp_path / "mask.tif")
+        build(tmp_path, rasters=files, classes=tmp_path / "mask.tif")
 
 
 def test_a_surveyed_place_is_kept(site: tuple[World, SiteReport], tmp_path: Path) -> None:

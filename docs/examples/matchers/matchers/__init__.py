@@ -1,1 +1,1 @@
-"""Matchers of others as localizers: their matches, lifted to the map's points, give a pose."""
+"""Localizers from the matchers of other packages: matches are lifted to map points for PnP."""

@@ -1,4 +1,4 @@
-"""A localizer by matches of hloc: `--method hloc --set features=F.h5 --set matches=M.h5`."""
+"""A localizer from matches of hloc: `--method hloc --set features=F.h5 --set matches=M.h5`."""
 
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,15 @@ class HlocConfig(PnpConfig):
     """The files of hloc's `extract_features` and `match_features`."""
 
     features: Path = Field(description="Keypoints of the queries and of the map's photographs.")
-    map_features: Path | None = Field(None, description="Those of the map, if they lie apart.")
+    map_features: Path | None = Field(
+        None, description="Keypoints of the map's photographs, if they are in another file."
+    )
     matches: Path = Field(description="Matches of each query with photographs of the map.")
 
 
 class Hloc:
     name = "hloc"
-    weights_sha256 = None  # those of whoever wrote the files
+    weights_sha256 = None  # the files do not name the weights of their matcher
 
     def __init__(self, config: HlocConfig) -> None:
         self.config = config
@@ -39,9 +41,9 @@ class Hloc:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         config = self.config
         self._map = sparse_map
-        self._features = opened(config.features)
-        self._map_features = opened(config.map_features or config.features)
-        self._matches = opened(config.matches)
+        self._features = open_hdf5(config.features)
+        self._map_features = open_hdf5(config.map_features or config.features)
+        self._matches = open_hdf5(config.matches)
 
     def localize(self, query: Query) -> Estimate:
         if reason := query_error(query):
@@ -51,7 +53,7 @@ class Hloc:
             names = self._map.names if query.references is None else query.references
             paired = [name for name in names if name in self._map.images]
             pairs = {name: self._pair(query.name, name) for name in paired}
-            lifted = [self._lifted(query.name, name, pair) for name, pair in pairs.items() if pair]
+            lifted = [self._lift(query.name, name, pair) for name, pair in pairs.items() if pair]
         if not lifted:
             reason = f"{self.config.matches} pairs it with no photograph of the map"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
@@ -67,7 +69,7 @@ class Hloc:
                     return group_name, bool(second)
         return None
 
-    def _lifted(
+    def _lift(
         self, query: str, name: str, pair: tuple[str, bool]
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the query's pixels (K, 2) of a pair's matches, and their points (K, 3)."""
@@ -76,13 +78,13 @@ class Hloc:
             rows = np.stack([np.arange(len(matches)), matches], -1)[matches >= 0]
             own_rows, rows = rows.T[::-1] if pair[1] else rows.T
             xy = keypoints(self._features, query)[own_rows]
-            there = keypoints(self._map_features, name)[rows]
+            xy_map = keypoints(self._map_features, name)[rows]
         except HDF5_DAMAGE as error:
             raise InputError(
                 f"{self.config.matches}, {pair[0]}: no matches of the keypoints in "
                 f"{self.config.features}: {error}"
             ) from None
-        xyz = interpolate_points(there, self._map.images[name], self._map.xyz)
+        xyz = interpolate_points(xy_map, self._map.images[name], self._map.xyz)
         seen = np.isfinite(xyz).all(1)
         return xy[seen], xyz[seen]
 
@@ -91,17 +93,17 @@ def keypoints(file: h5py.File, name: str) -> NDArray[np.float64]:
     """Read the keypoints of a photograph, (N, 2) COLMAP pixels."""
     stored = array(group(file, name), "keypoints").astype(np.float64)
     if stored.ndim != 2 or stored.shape[1] != 2 or not np.isfinite(stored).all():
-        raise ValueError(f"keypoints of {name} are no finite pixels (N, 2)")
+        raise ValueError(f"keypoints of {name} are not finite pixels (N, 2)")
     return stored + CORNER
 
 
-def opened(path: Path) -> h5py.File:
+def open_hdf5(path: Path) -> h5py.File:
     """Open a file of hloc."""
     require_readable(path, "file of hloc")
     try:
         return h5py.File(path, "r")
     except OSError as error:
-        raise InputError(f"{path} is no HDF5 file, or damaged: {error}") from None
+        raise InputError(f"{path} is not an HDF5 file, or is damaged: {error}") from None
 
 
 def make(overrides: dict[str, Any]) -> Hloc:

@@ -1,4 +1,4 @@
-"""A localizer by any matcher of the package vismatch: `--method vismatch --set matcher=roma`."""
+"""A localizer from any matcher of the package vismatch: `--method vismatch --set matcher=roma`."""
 
 import importlib
 import logging
@@ -27,7 +27,7 @@ from objconnect.scene.storage.images import read_rgb
 
 log = logging.getLogger(__name__)
 
-# SIFT features of a photograph, which only choose photographs where there is no prior.
+# Number of SIFT features of a photograph, for retrieval without a prior.
 RETRIEVAL_FEATURES = 2048
 # vismatch counts pixels from the centre of the first one, the project from its corner.
 CORNER = 0.5
@@ -36,11 +36,13 @@ CORNER = 0.5
 class VismatchConfig(PnpConfig):
     """`--set matcher=roma --set references=3` changes it."""
 
-    matcher: str = Field("superpoint-lightglue", description="A name that vismatch knows.")
+    matcher: str = Field("superpoint-lightglue", description="Name of a matcher of vismatch.")
     device: str = Field("cpu", description="Device of torch.")
-    references: int = Field(5, ge=1, description="Photographs of the map that are matched.")
-    max_features: int = Field(2048, ge=1, description="Most keypoints, of matchers that have any.")
-    longest_px: int = Field(1024, ge=64, description="Larger photographs are resized to this.")
+    references: int = Field(5, ge=1, description="Number of map photographs to match.")
+    max_features: int = Field(2048, ge=1, description="Largest number of keypoints of an image.")
+    longest_px: int = Field(
+        1024, ge=64, description="Longer side to which larger photographs are resized, pixels."
+    )
 
 
 class Vismatch:
@@ -57,11 +59,11 @@ class Vismatch:
         with open_cache(sparse_map, images, cache) as kept:
             features = map_features(kept, self._sift)
 
-        def described(row: int) -> NDArray[np.float32]:
+        def describe(row: int) -> NDArray[np.float32]:
             return self._sift.unit(features[sparse_map.names[row]].descriptors).numpy()
 
         count = len(sparse_map.names)
-        self._references = References.build(sparse_map, OnDemand(described, count))
+        self._references = References.build(sparse_map, OnDemand(describe, count))
 
     def localize(self, query: Query) -> Estimate:
         if reason := query_error(query):
@@ -81,40 +83,40 @@ class Vismatch:
             with clock.stage("matching"):
                 own = self._view(query.image, query.camera, start)
                 names = [self._map.names[int(row)] for row in chosen]
-                xy, xyz = zip(*(self._lifted(own, name) for name in names), strict=True)
+                xy, xyz = zip(*(self._lift(own, name) for name in names), strict=True)
             matches = np.concatenate(xy), np.concatenate(xyz)
             estimates.append(solve_pose(query, *matches, config, clock))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
     def _view(self, rgb: NDArray[np.uint8], camera: Camera, pose: Pose) -> WarpedImage:
-        """Turn a photograph north up, because few networks recognise a turned one."""
+        """Rotate a photograph north up, because few networks are rotation-invariant."""
         scale = min(1.0, self.config.longest_px / max(camera.width, camera.height))
         return warp_image(rgb, camera, north_angle(pose.rotation.numpy()), scale)
 
-    def _lifted(self, own: WarpedImage, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Match the query to a photograph of the map: (K, 2) its pixels, (K, 3) their points."""
+    def _lift(self, own: WarpedImage, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Match the query to a map photograph; return its pixels (K, 2) and their points (K, 3)."""
         image = self._map.images[name]
         rgb = read_rgb(self._images / name, image.camera)
         views = own, self._view(rgb, image.camera, image.pose)
         try:
-            found = self._matcher(*(as_tensor(view.picture) for view in views))
-        except Exception as error:  # of a matcher: some fail where a picture shows nothing
+            matches = self._matcher(*(as_tensor(view.picture) for view in views))
+        except Exception as error:  # some matchers raise on a picture without texture
             log.warning("%s failed on %s: %r", self.config.matcher, name, error)
             return np.empty((0, 2)), np.empty((0, 3))
-        # Not inlier_kpts: these agree with a homography, and what stands on the ground does not.
+        # Not inlier_kpts: they fit a homography, which excludes objects above the ground.
         pixels = [
-            np.asarray(found[key], np.float64).reshape(-1, 2) + CORNER
+            np.asarray(matches[key], np.float64).reshape(-1, 2) + CORNER
             for key in ("matched_kpts0", "matched_kpts1")
         ]
         kept = np.all([view.shows(xy) for view, xy in zip(views, pixels, strict=True)], axis=0)
-        xy, there = (view.in_photograph(xy[kept]) for view, xy in zip(views, pixels, strict=True))
-        xyz = interpolate_points(there, image, self._map.xyz)
+        xy, xy_map = (view.in_photograph(xy[kept]) for view, xy in zip(views, pixels, strict=True))
+        xyz = interpolate_points(xy_map, image, self._map.xyz)
         seen = np.isfinite(xyz).all(1)
         return xy[seen], xyz[seen]
 
 
 def as_tensor(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return a picture as vismatch takes it: (3, H, W), from 0 to 1."""
+    """Return a picture in the format of vismatch: (3, H, W), from 0 to 1."""
     return np.ascontiguousarray(rgb.transpose(2, 0, 1), np.float32) / 255
 
 
@@ -124,7 +126,7 @@ def load_matcher(config: VismatchConfig) -> Any:
         library = importlib.import_module("vismatch")
     except ImportError as error:
         raise InputError(
-            f"the method vismatch cannot load it ({error}): pip install vismatch"
+            f"the package vismatch cannot be imported ({error}): pip install vismatch"
         ) from None
     try:
         return library.get_matcher(

@@ -13,7 +13,7 @@ from benchmark.results.results import DatasetId, Results
 from benchmark.tracks.description import Track, TrackPlace, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
 from objconnect.localization.provenance import Method
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 CONDITIONS = ("summer-noon", "summer-dusk", "snow-dusk")
 METHODS = ("sift", "pixloc", "objconnect")
@@ -84,8 +84,8 @@ def _answer(rng: np.random.Generator, row: QueryRow, skill: int, lost: bool) -> 
     metres = 0.02 * float(np.exp(rng.normal(1.2 * hardness - skill, 1)))
     name, condition = row.name, row.condition
     if metres > 30:
-        return scored_query(name, None, condition, group=condition)
-    return scored_query(
+        return make_scored_query(name, None, condition, group=condition)
+    return make_scored_query(
         name,
         metres,
         condition,

@@ -162,7 +162,7 @@ def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
     assert is_clean(page)
 
 
-def test_sorting(page: Browser) -> None:
+def test_the_table_can_be_sorted(page: Browser) -> None:
     assert methods(page) == ["sift", "pixloc", "objconnect"]
     page.click("#results thead th:nth-child(1) button")
     assert methods(page) == ["objconnect", "pixloc", "sift"]
@@ -179,7 +179,7 @@ def test_sorting(page: Browser) -> None:
     assert is_clean(page)
 
 
-def test_paired_comparison(page: Browser, report: BoardReport) -> None:
+def test_the_paired_comparison_is_shown(page: Browser, report: BoardReport) -> None:
     page.click("[data-of=threshold][data-value='0']")
     runs = {run.method: run for run in report.boards[0].runs if run.start == "error=3m,5deg"}
     changed = [k for k, query in enumerate(report.boards[0].queries) if not query.same]
@@ -247,7 +247,7 @@ def test_difficulty_counts_every_query(page: Browser) -> None:
     assert [sum(counts[:5]), sum(counts[5:11]), sum(counts[11:17]), sum(counts[17:])] == [48] * 4
 
 
-def test_a_track_without_results_and_with_a_hostile_title(page: Browser) -> None:
+def test_a_hostile_title_without_results_is_harmless(page: Browser) -> None:
     page.click("#tracks button:nth-child(2)")
     assert page.texts("#board .lede") == [HOSTILE]
     assert page.texts("#board .note") == ["Nothing is measured on this track yet."]
@@ -274,7 +274,7 @@ def test_it_fits_a_phone(made: Path, page: Browser, dark: bool) -> None:
     assert is_clean(page)
 
 
-def test_the_command(made: Path, tmp_path: Path) -> None:
+def test_the_command_writes_page_and_markdown(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     answer = CliRunner().invoke(app, ["leaderboard", "--board", str(made), "--out", str(out)])
     assert answer.exit_code == 0
@@ -320,16 +320,14 @@ def test_worst_queries_have_pictures_where_an_album_is_kept(
     browser.wait("[...document.querySelectorAll('#worst-rows img')].every(i => i.naturalWidth)")
     assert browser.run("document.querySelector('#worst-rows img').naturalWidth") == 96
     assert is_clean(browser)
-    with pytest.raises(InputError, match="is of the data of"):
+    with pytest.raises(InputError, match="belongs to the data of"):
         keep_pictures([tmp_path], folder)
     assert main(["--track", str(folder), str(tmp_path / "results")]) == 0
     assert main(["--track", str(folder), str(tmp_path)]) == 2
 
 
 @pytest.mark.thorough
-def test_eight_methods_four_starts_and_three_thousand_queries(
-    tmp_path: Path, browser: Browser
-) -> None:
+def test_a_large_board_stays_small_and_quick(tmp_path: Path, browser: Browser) -> None:
     presets = ("town", "suburb", "park", "farmland", "industrial")
     methods = tuple(f"method-{k}" for k in range(8))
     starts = ("error=3m,5deg", "error=10m,10deg", "gps=50m", "none")

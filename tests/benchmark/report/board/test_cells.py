@@ -12,7 +12,7 @@ from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import THRESHOLDS
 from benchmark.tracks.difficulty import Difficulty, QueryRow
 from objconnect.scene.localizer import Status
-from tests.benchmark.made_data import scored_query
+from tests.benchmark.made_data import make_scored_query
 
 AT = THRESHOLDS[1]
 OVERLAP, SCALE, ANGLE, DAYS = AXES
@@ -52,16 +52,18 @@ def test_half_width_at_90_percent(queries: int) -> None:
     assert cell.half_width == pytest.approx(100 * wide, abs=1e-4)
 
 
-def test_what_the_issue_of_size_asks_for() -> None:
+def test_a_headline_cell_is_narrow_enough() -> None:
     assert Cell("changed", "all", np.arange(400)).half_width < 3
     assert Cell("changed", "all", np.arange(200)).half_width < 6
 
 
 def answer(sigma: float | None, metres: float | None, status: Status | None = None) -> QueryResult:
-    return scored_query(f"{sigma}-{metres}-{id(object())}", metres, status=status, sigma_t_m=sigma)
+    return make_scored_query(
+        f"{sigma}-{metres}-{id(object())}", metres, status=status, sigma_t_m=sigma
+    )
 
 
-def test_the_surest_are_believed_until_one_in_a_hundred_is_wrong() -> None:
+def test_answers_are_accepted_until_one_in_a_hundred_is_wrong() -> None:
     right = [answer(0.001 * k, 0.1) for k in range(150)]
     wrong = answer(0.0995, 3.0)  # behind 100 right ones
     found = recall_at_risk([*right[:100], wrong], AT)
@@ -81,13 +83,13 @@ def test_the_surest_are_believed_until_one_in_a_hundred_is_wrong() -> None:
     assert found.value == pytest.approx(100 * 49 / 81)
 
 
-def test_equal_sigmas_are_believed_together() -> None:
+def test_equal_sigmas_are_accepted_together() -> None:
     found = recall_at_risk([answer(0.1, 0.1), answer(0.2, 0.1), answer(0.2, 9.0)], AT)
     assert found is not None
     assert found.value == pytest.approx(100 / 3)
 
 
-def test_no_answer_without_sigma_is_believed() -> None:
+def test_an_answer_without_sigma_is_never_accepted() -> None:
     assert recall_at_risk([answer(None, 0.1), answer(None, None)], AT) is None
     lost = [answer(0.1, 0.1, Status.FALLBACK), answer(None, 0.1), answer(0.5, 0.1)]
     found = recall_at_risk(lost, AT)
@@ -104,7 +106,7 @@ def test_bins_hold_their_lower_edge() -> None:
         assert len(axis.labels) == len(axis.edges) - 1
 
 
-def test_recall_of_bins() -> None:
+def test_bins_have_the_recall_of_their_queries() -> None:
     bins = np.array([0, 0, 2, -1, 2, 2, 2])
     right = np.array([True, False, True, True, True, True, False])
     first, second, third = bin_recall(bins, right, 3)

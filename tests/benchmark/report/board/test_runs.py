@@ -167,7 +167,7 @@ def test_a_query_without_a_row_is_named(made: Path) -> None:
     path = made / NAME / "queries" / "town-1.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if "snow-dusk/images/000003" not in line))
-    with pytest.raises(InputError, match=r"has no row of snow-dusk/images/000003.jpg"):
+    with pytest.raises(InputError, match=r"has no row for snow-dusk/images/000003.jpg"):
         read_boards(made)
 
 
@@ -184,14 +184,14 @@ def test_a_missing_list_of_queries_is_named(made: Path) -> None:
         read_boards(made)
 
 
-def test_no_track_and_no_folder(tmp_path: Path) -> None:
+def test_a_missing_track_or_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no track"):
         read_boards(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
         read_boards(tmp_path / "nowhere")
 
 
-def test_cells_of_the_made_board(made: Path) -> None:
+def test_the_test_board_has_all_cells(made: Path) -> None:
     found = read_board(NAME, made)
     sizes = {(cell.season, cell.part): len(cell.rows) for cell in cells(found.queries)}
     assert sizes[("changed", "all")] == 48

@@ -10,7 +10,7 @@ import pytest
 from torch import Tensor
 
 
-def watched(
+def watch_functions(
     monkeypatch: pytest.MonkeyPatch, module: ModuleType, names: Iterable[str]
 ) -> dict[str, Tensor]:
     """What functions of a module return from now on, the first of it where it is several things.
@@ -22,13 +22,13 @@ def watched(
     def watch(name: str) -> None:
         function = getattr(module, name)
 
-        def called(*args: Any) -> Any:
+        def call(*args: Any) -> Any:
             answer = function(*args)
             seen[name] = answer if isinstance(answer, Tensor) else answer[0]
             seen[name].retain_grad()
             return answer
 
-        monkeypatch.setattr(module, name, called)
+        monkeypatch.setattr(module, name, call)
 
     for name in names:
         watch(name)

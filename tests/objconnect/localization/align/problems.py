@@ -49,20 +49,20 @@ def small(seed: int = 0, wavelengths: tuple[float, ...] = (25, 8, 4), longest: f
 def batch(problems: Sequence[Small]) -> Small:
     """Several as one."""
 
-    def joined(levels: tuple[Level, ...]) -> Level:
+    def join(levels: tuple[Level, ...]) -> Level:
         return replace(
             levels[0],
             features=torch.cat([level.features for level in levels]),
             reference=torch.cat([level.reference for level in levels]),
         )
 
-    levels = [joined(each) for each in zip(*(p.levels for p in problems), strict=True)]
+    levels = [join(each) for each in zip(*(p.levels for p in problems), strict=True)]
     return Small(
-        stacked([p.truth for p in problems]), torch.cat([p.points for p in problems]), levels
+        stack_problems([p.truth for p in problems]), torch.cat([p.points for p in problems]), levels
     )
 
 
-def stacked(poses: Sequence[Pose]) -> Pose:
+def stack_problems(poses: Sequence[Pose]) -> Pose:
     """Single poses as one batch."""
     return Pose(
         torch.stack([p.rotation for p in poses]), torch.stack([p.translation for p in poses])

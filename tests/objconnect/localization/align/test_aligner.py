@@ -18,7 +18,7 @@ from tests.objconnect.localization.align.problems import (
     Small,
     batch,
     small,
-    stacked,
+    stack_problems,
 )
 from tests.objconnect.localization.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 
@@ -26,13 +26,15 @@ SEEDS = range(4)
 
 
 def one(pose: Pose) -> Pose:
-    return stacked([pose])
+    return stack_problems([pose])
 
 
 def test_finds_the_pose_from_3_m_and_5_degrees() -> None:
     problems = [small(seed) for seed in SEEDS]
     all_at_once = batch(problems)
-    starts = stacked([wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)])
+    starts = stack_problems(
+        [wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)]
+    )
     for options in (Options(), replace(PLAIN, iterations=15)):
         found = all_at_once.align(starts, options)
         assert not found.has_failed.any()
@@ -64,7 +66,7 @@ def test_elements_of_a_batch_do_not_know_of_each_other(options: Options) -> None
     starts = [wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)]
     lost = wrong(problems[1].truth, 1000, 5, 0)
     starts[1] = lost
-    together = batch(problems).align(stacked(starts), options)
+    together = batch(problems).align(stack_problems(starts), options)
     assert together.has_failed.tolist() == [False, True, False, False]
     for k in (0, 2, 3):
         alone = problems[k].align(one(starts[k]), options)
@@ -77,8 +79,8 @@ def test_starts_of_one_query_share_its_features() -> None:
     starts = [[wrong(p.truth, 3, 5, k) for k in range(3)] for p in problems]
     both = batch(problems).align(
         Pose(
-            torch.stack([stacked(each).rotation for each in starts]),
-            torch.stack([stacked(each).translation for each in starts]),
+            torch.stack([stack_problems(each).rotation for each in starts]),
+            torch.stack([stack_problems(each).translation for each in starts]),
         )
     )
     assert both.pose.translation.shape == (2, 3, 3)
@@ -97,7 +99,7 @@ def test_cameras_of_their_own() -> None:
     stack = Intrinsics.stack(intrinsics)
     start = wrong(problems[0].truth, 1, 1, 0)
     found = align(
-        Problem(both.levels, both.points, stack, stacked([start] * 2), DAMPING, Options())
+        Problem(both.levels, both.points, stack, stack_problems([start] * 2), DAMPING, Options())
     )
     assert found.pose.error_to(both.truth)[0][0] < 0.15
     assert found.has_failed[1] or found.pose.error_to(both.truth)[0][1] > 5

@@ -22,7 +22,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.runtime.threads import torch_threads
 from tests.objconnect.localization.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
-from tests.programs import printed
+from tests.programs import run_and_print
 
 POINTS, CHANNELS = 300, 24
 
@@ -63,7 +63,7 @@ def level_cost(
     return cost, pose
 
 
-def linearised(cost: LevelCost, pose: Pose, *, by_torch: bool) -> Linearisation:
+def linearise_plainly(cost: LevelCost, pose: Pose, *, by_torch: bool) -> Linearisation:
     if by_torch:
         with torch.no_grad():
             return linearise(cost, pose)
@@ -96,7 +96,7 @@ def test_threads_change_no_bit(poses: int) -> None:
 @pytest.mark.parametrize("poses", [1, 5])
 def test_it_is_what_torch_computes(camera: Camera, trusted: bool, poses: int) -> None:
     cost, pose = level_cost(camera, poses, trusted=trusted)
-    ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
+    ours, theirs = (linearise_plainly(cost, pose, by_torch=each) for each in (False, True))
     assert 0.2 < float(theirs.seen.float().mean()) < 0.95
     seen = theirs.seen
     for each in fields(Linearisation):
@@ -107,7 +107,7 @@ def test_it_is_what_torch_computes(camera: Camera, trusted: bool, poses: int) ->
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
-def descended(cost: LevelCost, pose: Pose, alive: torch.Tensor, *, by_torch: bool) -> State:
+def descend_plainly(cost: LevelCost, pose: Pose, alive: torch.Tensor, *, by_torch: bool) -> State:
     arguments = (cost, pose, alive, torch.full((6,), 0.01), Options(min_points=40))
     if by_torch:
         with torch.no_grad():
@@ -123,7 +123,7 @@ def test_a_descent_is_that_of_torch(camera: Camera, trusted: bool) -> None:
     alive = torch.tensor([True, True, False, True, True, True])
     away = pose.translation + torch.tensor([0, 0, 0, 0, 0, 1e4])[:, None]
     pose = Pose(pose.rotation, away)  # the last one sees nothing
-    ours, theirs = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    ours, theirs = (descend_plainly(cost, pose, alive, by_torch=each) for each in (False, True))
     assert theirs.iterations[[0, 1, 3, 4]].min() > 2 and theirs.damping.min() < 0.1
     # Rounding may decide whether a last step, shorter than what counts, is still taken.
     same = ours.iterations == theirs.iterations
@@ -132,7 +132,7 @@ def test_a_descent_is_that_of_torch(camera: Camera, trusted: bool) -> None:
     torch.testing.assert_close(ours.pose.matrix(), theirs.pose.matrix(), rtol=1e-3, atol=1e-3)
     assert torch.equal(ours.pose.matrix()[[2, 5]], pose.matrix()[[2, 5]])
     assert not ours.around.seen[5].any()
-    before = linearised(cost, pose, by_torch=True).mean_cost()
+    before = linearise_plainly(cost, pose, by_torch=True).mean_cost()
     moved = ours.iterations > 0
     assert (ours.around.mean_cost() < 0.9 * before)[moved].all()
     costs = (each.around.mean_cost() for each in (ours, theirs))
@@ -144,7 +144,7 @@ def test_a_descent_from_features_that_are_not_finite_stays() -> None:
     broken = torch.full_like(cost.table.cells, torch.nan)
     cost = replace(cost, table=replace(cost.table, cells=broken))
     alive = torch.ones(1, dtype=torch.bool)
-    ours, theirs = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    ours, theirs = (descend_plainly(cost, pose, alive, by_torch=each) for each in (False, True))
     assert int(ours.iterations) == int(theirs.iterations) == 0
     assert torch.equal(ours.pose.matrix(), pose.matrix())
 
@@ -174,12 +174,12 @@ def test_a_step_where_the_hessian_is_not_positive() -> None:
 )
 def test_other_lenses(camera: Camera) -> None:
     cost, pose = level_cost(camera, 3, smooth=True)
-    ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
+    ours, theirs = (linearise_plainly(cost, pose, by_torch=each) for each in (False, True))
     assert ours.seen.any() and torch.equal(ours.seen, theirs.seen)
     most = float(theirs.hessian.abs().max())
     torch.testing.assert_close(ours.hessian, theirs.hessian, rtol=1e-4, atol=1e-4 * most)
     alive = torch.ones(3, dtype=torch.bool)
-    here, there = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    here, there = (descend_plainly(cost, pose, alive, by_torch=each) for each in (False, True))
     torch.testing.assert_close(here.pose.matrix(), there.pose.matrix(), rtol=1e-3, atol=1e-4)
 
 
@@ -193,7 +193,7 @@ def test_maps_of_few_cells(size: tuple[int, int]) -> None:
     usable = torch.ones(1, 400, dtype=torch.bool)
     cost = LevelCost.of(level, points, usable, camera.intrinsics(torch.float32), 1.0, 0.3)
     pose = Pose(torch.eye(3)[None], torch.zeros(1, 3))
-    ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
+    ours, theirs = (linearise_plainly(cost, pose, by_torch=each) for each in (False, True))
     assert torch.equal(ours.seen, theirs.seen)
     if min(size) > 3:
         assert ours.seen.any()
@@ -206,7 +206,7 @@ def test_what_is_not_finite_stays_so() -> None:
     broken = cost.table.cells.clone()
     broken[:, 3] = torch.nan
     cost = replace(cost, table=replace(cost.table, cells=broken))
-    around = linearised(cost, pose, by_torch=False)
+    around = linearise_plainly(cost, pose, by_torch=False)
     assert not around.hessian.isfinite().all() and not around.gradient.isfinite().all()
 
 
@@ -224,7 +224,7 @@ def test_without_numba_torch_computes_it(monkeypatch: pytest.MonkeyPatch) -> Non
     with torch.inference_mode():
         assert not can_be_compiled(cost)
         around = linearise(cost, pose)
-    torch.testing.assert_close(around.pull, linearised(cost, pose, by_torch=True).pull)
+    torch.testing.assert_close(around.pull, linearise_plainly(cost, pose, by_torch=True).pull)
 
 
 FIRST = """
@@ -249,6 +249,6 @@ print(hashlib.sha256(b"".join(part.numpy().tobytes() for part in parts)).hexdige
 
 @pytest.mark.thorough
 def test_the_process_that_compiles_gives_the_bits_of_those_after_it(tmp_path: Path) -> None:
-    first = printed(FIRST, NUMBA_CACHE_DIR=str(tmp_path))
+    first = run_and_print(FIRST, NUMBA_CACHE_DIR=str(tmp_path))
     assert list(tmp_path.rglob("kernels.descend*.nbc"))
-    assert printed(FIRST, NUMBA_CACHE_DIR=str(tmp_path)) == first
+    assert run_and_print(FIRST, NUMBA_CACHE_DIR=str(tmp_path)) == first

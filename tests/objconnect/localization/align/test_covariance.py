@@ -81,8 +81,8 @@ def cluttered() -> tuple[Problem, Pose, Alignment, NDArray[np.float64]]:
     level = world.levels(PINHOLE, truth, points)[1]
     others = [World(100 + k, CLUTTER, 2.0, world.strides) for k in range(CLUTTERED)]
     clutter = np.stack([other.picture(PINHOLE, truth, 1) for other in others])
-    of_place = squared_slopes(level.features[0].numpy())
-    shares = np.array([of_place / (of_place + squared_slopes(each)) for each in clutter])
+    of_place = square_slopes(level.features[0].numpy())
+    shares = np.array([of_place / (of_place + square_slopes(each)) for each in clutter])
     level = replace(
         level,
         features=level.features + torch.as_tensor(clutter),
@@ -100,7 +100,7 @@ def cluttered() -> tuple[Problem, Pose, Alignment, NDArray[np.float64]]:
     return problem, poses, align(problem), shares
 
 
-def squared_slopes(picture: NDArray[np.float32]) -> float:
+def square_slopes(picture: NDArray[np.float32]) -> float:
     return sum(float(np.square(each).mean()) for each in np.gradient(picture, axis=(1, 2)))
 
 
@@ -148,7 +148,7 @@ def test_equals_that_of_gauss_and_newton_where_nothing_is_new() -> None:
     assert (ratio > 0.95).all() and (ratio < 1.5).all()
 
 
-def linearised(problem: Problem, options: Options) -> Linearisation:
+def linearise_plainly(problem: Problem, options: Options) -> Linearisation:
     local = Local.of(problem)
     return linearise(local.cost(problem.levels[-1], options), local.start)
 
@@ -157,7 +157,7 @@ def test_shrunk_covariances_lie_between_the_sandwich_and_independent_residuals(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
     problem, _, found, _ = cluttered
-    around = linearised(problem.starting_at(found.pose), problem.options)
+    around = linearise_plainly(problem.starting_at(found.pose), problem.options)
     by = {share: covariance(around, shrinkage=share) for share in (0.0, 0.25, 1.0)}
     torch.testing.assert_close(by[0.25], 0.75 * by[0.0] + 0.25 * by[1.0])
     # Independent residuals give a multiple of the inverse of the second derivatives.
@@ -174,7 +174,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
 ) -> None:
     problem, _, found, _ = cluttered
     here = measure_spread(problem, found.pose)
-    around = linearised(problem.starting_at(found.pose), problem.options)
+    around = linearise_plainly(problem.starting_at(found.pose), problem.options)
     sandwich = covariance(around) @ around.hessian.double()
     torch.testing.assert_close(
         here.level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
@@ -196,7 +196,7 @@ def test_where_the_grid_of_patches_begins_does_not_matter(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
     problem, _, found, _ = cluttered
-    around = linearised(problem.starting_at(found.pose), Options())
+    around = linearise_plainly(problem.starting_at(found.pose), Options())
     here = covariance(around, 10.0)
     moved = covariance(replace(around, cells=around.cells + torch.tensor([5.0, 15.0])), 10.0)
     torch.testing.assert_close(moved, here)

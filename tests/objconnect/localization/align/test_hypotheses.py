@@ -16,7 +16,13 @@ from objconnect.localization.align.hypotheses import (
 from objconnect.localization.align.options import Options, SearchRadius, Width
 from objconnect.localization.align.problem import Problem
 from objconnect.scene.geometry.pose import Pose
-from tests.objconnect.localization.align.problems import DAMPING, Small, batch, small, stacked
+from tests.objconnect.localization.align.problems import (
+    DAMPING,
+    Small,
+    batch,
+    small,
+    stack_problems,
+)
 from tests.objconnect.localization.align.world import PINHOLE, looking_down, wrong
 
 SEEDS = range(6)
@@ -31,7 +37,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
         truth = looking_down(seed)
         rays = PINHOLE.unproject(pixels)[0] @ truth.rotation
         ground = truth.centre() - rays * (truth.centre()[2] / rays[:, 2:])
-        start = stacked([wrong(truth, 10, 10, seed)])
+        start = stack_problems([wrong(truth, 10, 10, seed)])
         poses = around(start, torch.tensor([80.0]), reach, 5.9)
         seen = PINHOLE.project(poses.transform(ground)[0])
         best.append(float((seen.xy - pixels).norm(dim=-1).mean(-1).min()))
@@ -41,7 +47,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
 
 
 def test_narrow_reach_asks_less() -> None:
-    start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
+    start, distance = stack_problems([looking_down(0)]), torch.tensor([80.0])
     sizes = [
         around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
@@ -53,7 +59,9 @@ def test_many_starts_reach_what_one_does_not() -> None:
     """From 10 m and 10 degrees off, with features that guide no further than a cell or two."""
     problems = [small(seed, (10, 5, 4), 2) for seed in SEEDS]
     everything = batch(problems)
-    starts = stacked([wrong(p.truth, 10, 10, s) for s, p in zip(SEEDS, problems, strict=True)])
+    starts = stack_problems(
+        [wrong(p.truth, 10, 10, s) for s, p in zip(SEEDS, problems, strict=True)]
+    )
     single = everything.align(starts)
     many = align_from_many(
         Problem(
@@ -71,7 +79,7 @@ def test_many_starts_reach_what_one_does_not() -> None:
 def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> None:
     problem = small(0)
     twice = [wrong(problem.truth, 0.1, 0.1, seed) for seed in range(3)]
-    found = problem.align(Pose(*(t[None] for t in vars(stacked(twice)).values())))
+    found = problem.align(Pose(*(t[None] for t in vars(stack_problems(twice)).values())))
     level, scale = problem.levels[-1], Options().robust_scale
     ranked = replace(
         found,
@@ -85,7 +93,7 @@ def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> 
 def test_hypotheses_that_have_met_go_on_as_one() -> None:
     """The first starts, some steps each; from there on it takes what one start does."""
     problem = small(0)
-    start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
+    start = stack_problems([wrong(problem.truth, 0.5, 0.5, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
     found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
@@ -95,7 +103,7 @@ def test_hypotheses_that_have_met_go_on_as_one() -> None:
 
 def many_from(problem: Small, off: float, **width: int) -> Alignment:
     """Align a problem from a prior that is off by so many metres and degrees."""
-    start = stacked([wrong(problem.truth, off, off, 0)])
+    start = stack_problems([wrong(problem.truth, off, off, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
     return align_from_many(
         Problem(problem.levels, *place, DAMPING, Options()),
@@ -132,10 +140,10 @@ def test_the_coarsest_level_looks_at_the_first_points_alone() -> None:
 @pytest.mark.parametrize("value", [torch.nan, 1.0])
 def test_hopeless_input_fails_with_a_reason(value: float) -> None:
     problem = small(0)
-    start = stacked([wrong(problem.truth, 2000, 0, 0)])
+    start = stack_problems([wrong(problem.truth, 2000, 0, 0)])
     points = torch.full_like(problem.points, value)
 
-    def found(case: Small) -> str:
+    def align_case(case: Small) -> str:
         result = align_from_many(
             Problem(case.levels, case.points, PINHOLE.intrinsics(), start, DAMPING, Options()),
             SearchRadius(),
@@ -143,5 +151,5 @@ def test_hopeless_input_fails_with_a_reason(value: float) -> None:
         assert result.has_failed.all() and result.pose.matrix().isfinite().all()
         return result.reason(0)
 
-    assert "too few points" in found(problem)
-    assert "too few points" in found(replace(problem, points=points))
+    assert "too few points" in align_case(problem)
+    assert "too few points" in align_case(replace(problem, points=points))

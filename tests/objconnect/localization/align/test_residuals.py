@@ -61,13 +61,13 @@ def test_confidence_scales_and_masks_remove() -> None:
     local = torch.as_tensor(points, dtype=torch.float32)[None]
     first = torch.arange(50)[None] < 25
 
-    def linearised(level: Level, usable: torch.Tensor) -> torch.Tensor:
+    def linearise(level: Level, usable: torch.Tensor) -> torch.Tensor:
         problem = LevelCost.of(level, local, usable, PINHOLE.intrinsics(torch.float32), 1, 0.1)
         return problem.linearise(pose).hessian
 
     everything = torch.ones_like(first)
     trusted = replace(level, reference_confidence=first.float() * 2)
-    torch.testing.assert_close(linearised(trusted, everything), 2 * linearised(level, first))
+    torch.testing.assert_close(linearise(trusted, everything), 2 * linearise(level, first))
     half = torch.full_like(level.features[:, :1], 0.5)
     trusted = replace(level, confidence=half)
-    torch.testing.assert_close(linearised(trusted, first), 0.5 * linearised(level, first))
+    torch.testing.assert_close(linearise(trusted, first), 0.5 * linearise(level, first))

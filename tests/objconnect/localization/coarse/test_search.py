@@ -38,13 +38,13 @@ def mosaic() -> Mosaic:
     return Mosaic(grid, features, known, torch.zeros(CHANNELS), torch.eye(CHANNELS))
 
 
-def tilted(degrees: float) -> torch.Tensor:
+def tilt_camera(degrees: float) -> torch.Tensor:
     """A camera that looks so far up from straight down, to the north."""
     about_x = torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64)
     return so3_exp(about_x) @ DOWN
 
 
-def seen(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
+def render_view(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
     """What a perfect network sees from a pose: the ground's own features in each cell."""
     picture = warp_image(np.zeros((320, 320, 3), np.uint8), CAMERA)
     grid, stride = mosaic.grid, 16
@@ -65,7 +65,7 @@ def seen(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
     )
 
 
-def posed(rotation: torch.Tensor, centre: tuple[float, float, float]) -> Pose:
+def make_pose(rotation: torch.Tensor, centre: tuple[float, float, float]) -> Pose:
     return Pose(rotation, -rotation @ torch.tensor(centre, dtype=torch.float64))
 
 
@@ -76,36 +76,36 @@ def off(found: Pose, true: Pose) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("tilt", "height"), [(0.0, 60.0), (45.0, 40.0)])
 def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, height: float) -> None:
-    base = tilted(tilt)
-    true = posed(base @ so3_exp(math.radians(130) * UP), (12.0, -20.0, 5.0 + height))
+    base = tilt_camera(tilt)
+    true = make_pose(base @ so3_exp(math.radians(130) * UP), (12.0, -20.0, 5.0 + height))
     passes = [base @ so3_exp(math.radians(k * 10) * UP) for k in range(36)]
     # The network sees the same whatever it is asked from: turning the picture is its caller's.
     hypotheses = Hypotheses(passes, [0.0], [0.7 * height, height, 1.3 * height])
-    best, *others = MosaicSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 3)
+    best, *others = MosaicSearch(mosaic)(lambda _: render_view(mosaic, true), hypotheses, 3)
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
     assert best.score > 0.6 and all(each.score < best.score for each in others)
 
 
 def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
-    true = posed(DOWN @ so3_exp(math.radians(18) * UP), (0.0, 10.0, 65.0))
+    true = make_pose(DOWN @ so3_exp(math.radians(18) * UP), (0.0, 10.0, 65.0))
     turns = [math.radians(each) for each in (-18, 0, 18)]
     hypotheses = Hypotheses([DOWN], turns, [60.0])
-    best = MosaicSearch(mosaic)(lambda _: seen(mosaic, true), hypotheses, 1)[0]
+    best = MosaicSearch(mosaic)(lambda _: render_view(mosaic, true), hypotheses, 1)[0]
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 1
 
 
 def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
-    true = posed(DOWN, (12.0, -20.0, 65.0))
+    true = make_pose(DOWN, (12.0, -20.0, 65.0))
     search = MosaicSearch(mosaic)
     elsewhere = Hypotheses([DOWN], [0.0], [60.0], within=(-40.0, 40.0, 15.0))
-    for candidate in search(lambda _: seen(mosaic, true), elsewhere, 5):
+    for candidate in search(lambda _: render_view(mosaic, true), elsewhere, 5):
         x, y, _ = candidate.pose.centre().tolist()
         assert math.hypot(x + 40, y - 40) <= 15
         assert candidate.score < 0.4
     there = Hypotheses([DOWN], [0.0], [60.0], within=(10.0, -15.0, 15.0))
-    assert search(lambda _: seen(mosaic, true), there, 1)[0].score > 0.6
+    assert search(lambda _: render_view(mosaic, true), there, 1)[0].score > 0.6
 
 
 @pytest.mark.parametrize(("sigmas", "radius"), [(3.0, 19.0), (1.0, 9.0)])
@@ -121,10 +121,12 @@ def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radi
 
 
 def test_candidates_are_apart(mosaic: Mosaic) -> None:
-    true = posed(DOWN, (12.0, -20.0, 65.0))
+    true = make_pose(DOWN, (12.0, -20.0, 65.0))
     passes = [DOWN @ so3_exp(math.radians(each) * UP) for each in (-5, 0, 5)]
     hypotheses = Hypotheses(passes, [0.0], [55.0, 60.0, 65.0])
-    found = MosaicSearch(mosaic, separation=12.0)(lambda _: seen(mosaic, true), hypotheses, 6)
+    found = MosaicSearch(mosaic, separation=12.0)(
+        lambda _: render_view(mosaic, true), hypotheses, 6
+    )
     centres = np.array([each.pose.centre().numpy() for each in found])
     between = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
     assert len(found) == 6
@@ -133,7 +135,7 @@ def test_candidates_are_apart(mosaic: Mosaic) -> None:
 
 def test_a_query_that_shows_no_ground_has_no_place(mosaic: Mosaic) -> None:
     upwards = torch.eye(3, dtype=torch.float64)
-    level = seen(mosaic, posed(DOWN, (0.0, 0.0, 65.0)))
+    level = render_view(mosaic, make_pose(DOWN, (0.0, 0.0, 65.0)))
     assert MosaicSearch(mosaic)(lambda _: level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
 
 

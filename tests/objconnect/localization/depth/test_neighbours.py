@@ -25,7 +25,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path]:
     return write_map(images), images
 
 
-def thinned(sparse_map: SparseMap, kept: dict[str, int]) -> SparseMap:
+def thin(sparse_map: SparseMap, kept: dict[str, int]) -> SparseMap:
     """Leave photographs so many of their points each, those first in the map."""
     images = {
         name: replace(image, xy=image.xy[: kept[name]], point_rows=image.point_rows[: kept[name]])
@@ -35,10 +35,10 @@ def thinned(sparse_map: SparseMap, kept: dict[str, int]) -> SparseMap:
 
 
 def few(sparse_map: SparseMap, each: int) -> SparseMap:
-    return thinned(sparse_map, dict.fromkeys(sparse_map.images, each))
+    return thin(sparse_map, dict.fromkeys(sparse_map.images, each))
 
 
-def turned_away(image: MapImage) -> MapImage:
+def turn_away(image: MapImage) -> MapImage:
     """A photograph from the same place that looks up."""
     flip = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
     pose = Pose(flip @ image.pose.rotation, flip @ image.pose.translation)
@@ -76,7 +76,7 @@ def test_a_photograph_of_the_same_place_that_looks_elsewhere_is_no_neighbour(
     images = dict(sparse_map.images)
     assert "3.png" in Neighbours(sparse_map, OPTIONS)("2.png")
     images["3.png"] = replace(
-        turned_away(images["3.png"]), point_rows=np.full_like(images["3.png"].point_rows, -1)
+        turn_away(images["3.png"]), point_rows=np.full_like(images["3.png"].point_rows, -1)
     )
     assert "3.png" not in Neighbours(replace(sparse_map, images=images), OPTIONS)("2.png")
 
@@ -87,7 +87,7 @@ def test_those_that_share_points_come_first_and_poses_change_nothing_where_they_
     options = NeighbourOptions(neighbours=2)
     full = Neighbours(made[0], options)("2.png")
     assert full == Neighbours(made[0], options.model_copy(update={"min_shared_view": 1.5}))("2.png")
-    sparse_map = thinned(made[0], {f"{k}.png": 10_000 if k in (2, 4) else 8 for k in range(5)})
+    sparse_map = thin(made[0], {f"{k}.png": 10_000 if k in (2, 4) else 8 for k in range(5)})
     chosen = Neighbours(sparse_map, options)("2.png")
     assert chosen[0] == "4.png" and chosen[1] in ("1.png", "3.png")
 
@@ -98,7 +98,7 @@ def test_depths_are_those_of_the_photographs_around_where_a_photograph_has_few_p
     near, far = Neighbours(made[0], OPTIONS).depths("2.png")
     assert 0.85 * (HEIGHT - 1.5) < near < HEIGHT < far < 1.15 * (HEIGHT + 1.5)
     kept = {f"{k}.png": 3 if k == 2 else 10_000 for k in range(5)}
-    around = Neighbours(thinned(made[0], kept), OPTIONS)
+    around = Neighbours(thin(made[0], kept), OPTIONS)
     low, high = around.depths("2.png")
     assert low == pytest.approx(0.3 * HEIGHT, rel=0.05) and high == pytest.approx(far, rel=0.05)
     # Those of the others are what they were.

@@ -29,7 +29,7 @@ def at(east: float) -> Pose:
     return Pose(eye, torch.tensor([-east, 0, 0], dtype=torch.float64))
 
 
-def aligned(east: float, probability: float, variance: float = 1e-4) -> Attempt:
+def align(east: float, probability: float, variance: float = 1e-4) -> Attempt:
     tried = attempt(variance, 0.7)
     pose = Pose(at(east).rotation[None], at(east).translation[None])
     there = replace(
@@ -38,7 +38,7 @@ def aligned(east: float, probability: float, variance: float = 1e-4) -> Attempt:
     return replace(tried, alignment=there, log_odds=log_odds_of(probability))
 
 
-def matched(probability: float) -> Estimate:
+def match(probability: float) -> Estimate:
     return Estimate(
         Status.OK, at(0), np.eye(6) / 1e4, inliers=20, by=By.MATCHES, probability=probability
     )
@@ -76,19 +76,19 @@ def answer(told: Estimate, *attempts: Attempt) -> Estimate:
 def test_matches_and_alignment_share_one_probability(
     matches: float, east: float, alignment: float, by: By
 ) -> None:
-    found = answer(matched(matches), aligned(east, alignment))
+    found = answer(match(matches), align(east, alignment))
     assert (found.status, found.by) == (Status.OK, by)
     assert found.probability is not None and found.probability > 0.95
 
 
 def test_matches_that_say_another_place_are_not_forgotten() -> None:
     """Both are as likely; what is tried later at a third place changes nothing."""
-    found = answer(matched(0.99), aligned(40, 0.99), aligned(80, 0.01))
+    found = answer(match(0.99), align(40, 0.99), align(80, 0.01))
     assert found.status is Status.FALLBACK
     assert found.probability is not None and found.probability < 0.5
 
 
 def test_an_inexact_alignment_does_not_lend_its_probability_to_matches_elsewhere() -> None:
-    far = aligned(40, 0.9999, variance=9.0)
-    found = answer(matched(0.6), far, aligned(80, 0.01), far)
+    far = align(40, 0.9999, variance=9.0)
+    found = answer(match(0.6), far, align(80, 0.01), far)
     assert found.status is Status.FALLBACK and "known to" in found.reason

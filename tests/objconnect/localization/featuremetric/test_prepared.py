@@ -50,18 +50,18 @@ def left(hamlet: Dataset, tmp_path: Path) -> FeaturemetricLocalizer:
     return method
 
 
-def told_nothing(hamlet: Dataset) -> Query:
+def load_without_prior(hamlet: Dataset) -> Query:
     return next(query for query in hamlet.queries if "summer" in query.name).load()
 
 
-def told_all(hamlet: Dataset) -> Query:
+def load_with_prior(hamlet: Dataset) -> Query:
     query = next(query for query in hamlet.queries if "summer" in query.name)
     pose = query.reference
     prior = Prior(pose.centre().numpy() + 0.3, np.full(3, 1.0), pose.rotation.numpy(), 1.0)
     return query.load(prior)
 
 
-def kept(folder: Path) -> set[str]:
+def list_kinds(folder: Path) -> set[str]:
     """The kinds of the files in a cache."""
     return {path.name.rpartition("-")[0] for path in folder.iterdir()}
 
@@ -80,16 +80,16 @@ def same(one: Estimate, other: Estimate) -> bool:
 def test_matches_need_no_features_of_the_network(
     hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
 ) -> None:
-    found = left.localize(told_nothing(hamlet))
+    found = left.localize(load_without_prior(hamlet))
     assert (found.status, found.by) == (Status.OK, By.MATCHES)
     assert set(found.seconds) == {"matches"}
-    assert kept(tmp_path / "cache") == {"sift-points"}
+    assert list_kinds(tmp_path / "cache") == {"sift-points"}
 
 
 def test_the_first_query_that_needs_them_says_how_long_they_took(
     hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
 ) -> None:
-    first, second = (left.localize(told_all(hamlet)) for _ in range(2))
+    first, second = (left.localize(load_with_prior(hamlet)) for _ in range(2))
     assert first.seconds["preparation"] > 10 * first.seconds["retrieval"]
     assert "preparation" not in second.seconds
     assert (first.status, first.by) == (Status.OK, By.ALIGNMENT) and same(first, second)
@@ -99,14 +99,14 @@ def test_the_first_query_that_needs_them_says_how_long_they_took(
 def test_answers_and_files_are_those_of_a_map_prepared_at_once(
     hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
 ) -> None:
-    left.localize(told_all(hamlet))
+    left.localize(load_with_prior(hamlet))
     whole = create("objconnect", OPTIONS)
     whole.prepare(hamlet.load_map(), hamlet.images, tmp_path / "whole")
     assert {path.name for path in (tmp_path / "whole").iterdir()} == {
         path.name for path in (tmp_path / "cache").iterdir()
     }
-    assert {"objconnect", "mosaic", "objects", "sift-points"} <= kept(tmp_path / "cache")
-    for query in (told_all(hamlet), told_nothing(hamlet)):
+    assert {"objconnect", "mosaic", "objects", "sift-points"} <= list_kinds(tmp_path / "cache")
+    for query in (load_with_prior(hamlet), load_without_prior(hamlet)):
         answer = whole.localize(query)
         assert same(answer, left.localize(query)) and "preparation" not in answer.seconds
 
@@ -119,8 +119,8 @@ def test_what_goes_wrong_then_is_no_failure_of_a_query(
 
     monkeypatch.setattr("objconnect.localization.featuremetric.localizer.load_references", broken)
     with pytest.raises(PreparationError, match="could not be prepared: RuntimeError: no memory"):
-        localize_safely(left, told_all(hamlet))
-    assert localize_safely(left, told_nothing(hamlet)).status is Status.OK
+        localize_safely(left, load_with_prior(hamlet))
+    assert localize_safely(left, load_without_prior(hamlet)).status is Status.OK
 
 
 def test_a_photograph_that_is_gone_by_then_is_named(rendered_copy: Path, tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_photograph_that_is_gone_by_then_is_named(rendered_copy: Path, tmp_pat
     prepare_first(method, sparse_map, dataset.images, tmp_path / "cache")
     (dataset.images / sparse_map.names[0]).unlink()
     with pytest.raises(InputError, match=Path(sparse_map.names[0]).name):
-        localize_safely(method, told_all(dataset))
+        localize_safely(method, load_with_prior(dataset))
 
 
 def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
     for method, options in (("pixloc", {}), ("objconnect", {"matches": None})):
         localizer = create(method, options)
         prepare_first(localizer, sparse_map, images, tmp_path / method)
-        assert method in kept(tmp_path / method)
+        assert method in list_kinds(tmp_path / method)
         assert isinstance(localizer, FeaturemetricLocalizer)
         assert localizer._preparation._done is not None
 
@@ -146,19 +146,19 @@ def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
 def test_a_method_that_leaves_nothing_is_prepared(hamlet: Dataset, tmp_path: Path) -> None:
     method = create("sift", {})
     prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path)
-    assert method.localize(told_nothing(hamlet)).by is By.MATCHES
+    assert method.localize(load_without_prior(hamlet)).by is By.MATCHES
 
 
 def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Path) -> None:
     folder = tmp_path / "new"
     folder.mkdir()
     # Without EXIF, whose position would be a prior.
-    Image.fromarray(told_nothing(hamlet).image).save(folder / "a.jpg", quality=95)
+    Image.fromarray(load_without_prior(hamlet).image).save(folder / "a.jpg", quality=95)
     cache, out = tmp_path / "cache", tmp_path / "poses.txt"
     method = create("objconnect", OPTIONS)
     options = LocalizeOptions(cache=cache)
     (located,) = localize(open_map(rendered.path), folder, method, out, options)
     assert located.is_localized and located.estimate.by is By.MATCHES
-    assert kept(cache) == {"sift-points"}
+    assert list_kinds(cache) == {"sift-points"}
     (row,) = csv.DictReader(out.with_suffix(".csv").open())
     assert row["by"] == "matches" and float(row["probability"]) > 0.99

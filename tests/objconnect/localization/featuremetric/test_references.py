@@ -148,12 +148,12 @@ def test_what_an_added_photograph_does_not_change_is_copied(
     alone = load_references(replace(source, kept=replace(kept, folder=tmp_path / "alone")), 2**30)
     asked = []
 
-    def counted(of: MapExtractor, *args: Any) -> Any:
+    def count(of: MapExtractor, *args: Any) -> Any:
         asked.append(1)
         return extracted(of, *args)
 
     extracted = MapExtractor.__call__
-    monkeypatch.setattr(MapExtractor, "__call__", counted)
+    monkeypatch.setattr(MapExtractor, "__call__", count)
     grown = load_references(source, 2**30)
     for row in range(len(whole.names)):
         for ours, theirs in zip(grown[row].features, alone[row].features, strict=True):

@@ -45,7 +45,7 @@ def made(tmp_path: Path) -> tuple[SparseMap, Path]:
     return replace(sparse_map, features=path), images
 
 
-def found(made: tuple[SparseMap, Path], cache: Path, extractor: Counting) -> set[float]:
+def list_keypoints(made: tuple[SparseMap, Path], cache: Path, extractor: Counting) -> set[float]:
     """Return the places of all keypoints."""
     every = map_features(MapCache.of(*made, cache), extractor)
     return {float(every[name].xy[0, 0]) for name in made[0].names}
@@ -55,7 +55,7 @@ def test_features_of_the_map_are_taken_as_they_are(
     made: tuple[SparseMap, Path], tmp_path: Path
 ) -> None:
     extractor = Counting()
-    assert found(made, tmp_path, extractor) == {-1.0} and extractor.count == 0
+    assert list_keypoints(made, tmp_path, extractor) == {-1.0} and extractor.count == 0
 
 
 def test_a_photograph_that_changed_or_another_option_needs_new_ones(
@@ -63,13 +63,15 @@ def test_a_photograph_that_changed_or_another_option_needs_new_ones(
 ) -> None:
     other = Counting()
     other.options = "of two"
-    assert -1.0 not in found(made, tmp_path, other) and other.count == len(made[0].names)
+    assert -1.0 not in list_keypoints(made, tmp_path, other) and other.count == len(made[0].names)
     first, second = (made[1] / name for name in made[0].names[:2])
     first.write_bytes(second.read_bytes())
     changed = Counting()
-    assert -1.0 not in found(made, tmp_path, changed) and changed.count == len(made[0].names)
+    assert -1.0 not in list_keypoints(made, tmp_path, changed) and changed.count == len(
+        made[0].names
+    )
     again = Counting()
-    assert found(made, tmp_path, again) and again.count == 0
+    assert list_keypoints(made, tmp_path, again) and again.count == 0
 
 
 @pytest.mark.parametrize("damage", ["unknown", "damaged", "missing", "none"])
@@ -88,7 +90,7 @@ def test_without_the_features_of_the_map_they_are_extracted(
     else:
         sparse_map = replace(sparse_map, features=None)
     extractor = Counting()
-    assert -1.0 not in found((sparse_map, images), tmp_path, extractor)
+    assert -1.0 not in list_keypoints((sparse_map, images), tmp_path, extractor)
     assert extractor.count == len(sparse_map.names)
 
 
@@ -99,7 +101,7 @@ def test_of_photographs_that_were_added_alone_features_are_extracted(
     whole, images = replace(made[0], features=None), made[1]
     first = replace(whole, images={name: whole.images[name] for name in whole.names[:3]})
     extractor = Counting()
-    extractor.turned = turned
+    extractor.rotation_invariant = turned
     map_features(MapCache.of(first, images, tmp_path / "cache"), extractor)
     grown = map_features(MapCache.of(whole, images, tmp_path / "cache"), extractor)
     assert extractor.count == len(whole.names) == len(grown)

@@ -146,13 +146,13 @@ def small_map(flight: Flight) -> SparseMap:
     return replace(flight.sparse_map, images=two)
 
 
-def copied(flight: Flight, folder: Path) -> Path:
+def copy_over(flight: Flight, folder: Path) -> Path:
     for name in small_map(flight).names:
         shutil.copy(flight.images / name, folder)
     return folder
 
 
-def refused(flight: Flight, images: Path) -> str:
+def expect_error(flight: Flight, images: Path) -> str:
     with pytest.raises(InputError) as caught:
         SiftLocalizer(CONFIG).prepare(small_map(flight), images)
     assert "\n" not in str(caught.value)
@@ -161,16 +161,16 @@ def refused(flight: Flight, images: Path) -> str:
 
 def test_a_missing_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
     name = flight.sparse_map.names[1]
-    (copied(flight, tmp_path) / name).unlink()
-    message = refused(flight, tmp_path)
+    (copy_over(flight, tmp_path) / name).unlink()
+    message = expect_error(flight, tmp_path)
     assert name in message
     assert "does not exist" in message
 
 
 def test_a_broken_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
     name = flight.sparse_map.names[1]
-    (copied(flight, tmp_path) / name).write_bytes(b"not a photograph")
-    assert name in refused(flight, tmp_path)
+    (copy_over(flight, tmp_path) / name).write_bytes(b"not a photograph")
+    assert name in expect_error(flight, tmp_path)
 
 
 def test_photographs_of_another_place_are_noticed(flight: Flight, tmp_path: Path) -> None:
@@ -178,20 +178,20 @@ def test_photographs_of_another_place_are_noticed(flight: Flight, tmp_path: Path
     for name in small_map(flight).names:
         blank: NDArray[np.uint8] = np.full((576, 1024, 3), 128, np.uint8)
         Image.fromarray(blank).save(tmp_path / name)
-    assert "no keypoint" in refused(flight, tmp_path)
+    assert "no keypoint" in expect_error(flight, tmp_path)
 
 
 def test_a_truncated_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
     """COLMAP itself would take the half it can decode."""
-    path = copied(flight, tmp_path) / flight.sparse_map.names[1]
+    path = copy_over(flight, tmp_path) / flight.sparse_map.names[1]
     path.chmod(0o644)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert f"{path} is damaged" in refused(flight, tmp_path)
+    assert f"{path} is damaged" in expect_error(flight, tmp_path)
 
 
 def test_a_resized_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
-    path = copied(flight, tmp_path) / flight.sparse_map.names[1]
+    path = copy_over(flight, tmp_path) / flight.sparse_map.names[1]
     path.chmod(0o644)
     with Image.open(path) as image:
         image.resize((512, 288)).save(path)
-    assert "is 512 x 288 pixels but its camera is 1024 x 576" in refused(flight, tmp_path)
+    assert "is 512 x 288 pixels but its camera is 1024 x 576" in expect_error(flight, tmp_path)

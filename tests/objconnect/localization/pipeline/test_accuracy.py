@@ -86,7 +86,7 @@ def test_variances_add_up(numbers: list[float], across: float, up: float | None)
         assert np.linalg.eigvalsh(accuracy.covariance).min() >= -1e-6
 
 
-def flown(
+def fly(
     offset: tuple[float, float, float], sigma: tuple[float, float, float], count: int = 7
 ) -> list[Located]:
     """Answers, with positions that are wrong by an offset and by decimetres of their own."""
@@ -102,7 +102,7 @@ def flown(
     ]
 
 
-def said(
+def read_warning(
     caplog: pytest.LogCaptureFixture, located: list[Located], georeference: Georeference | None
 ) -> str:
     caplog.clear()
@@ -112,31 +112,33 @@ def said(
 
 
 def test_one_line_where_gps_and_answers_contradict(caplog: pytest.LogCaptureFixture) -> None:
-    located = flown((90, -66, 1), (10, 10, 10))
-    line = said(caplog, located, None)
+    located = fly((90, -66, 1), (10, 10, 10))
+    line = read_warning(caplog, located, None)
     assert "\n" not in line
     assert "111.6 m beside the GPS positions" in line and "median of 7" in line
-    assert said(caplog, located, EXACT) == line
+    assert read_warning(caplog, located, EXACT) == line
     # A map that is known to 60 m on earth explains it.
     coarse = Georeference(horizontal_m=60.0, vertical_m=60.0, source="gps")
-    assert said(caplog, located, coarse) == ""
+    assert read_warning(caplog, located, coarse) == ""
 
 
 def test_heights_of_another_reference_are_told(caplog: pytest.LogCaptureFixture) -> None:
-    line = said(caplog, flown((1, 1, 47), (3, 3, 5)), EXACT)
+    line = read_warning(caplog, fly((1, 1, 47), (3, 3, 5)), EXACT)
     assert "47.0 m above the GPS positions" in line and "sea or ellipsoid" in line
     assert "beside" not in line
-    assert "47.0 m below" in said(caplog, flown((1, 1, -47), (3, 3, 5)), EXACT)
-    assert said(caplog, flown((1, 1, 47), (3, 3, np.inf)), EXACT) == "", "no height was measured"
+    assert "47.0 m below" in read_warning(caplog, fly((1, 1, -47), (3, 3, 5)), EXACT)
+    assert read_warning(caplog, fly((1, 1, 47), (3, 3, np.inf)), EXACT) == "", (
+        "no height was measured"
+    )
 
 
 def test_heights_that_scatter_are_not_said_to_agree(caplog: pytest.LogCaptureFixture) -> None:
     """Half of them are 40 m too high and half too low: the median is near 0."""
-    located = [*flown((0, 0, 40), (3, 3, 5)), *flown((0, 0, -40), (3, 3, 5), 6)]
+    located = [*fly((0, 0, 40), (3, 3, 5)), *fly((0, 0, -40), (3, 3, 5), 6)]
     found = measure_disagreement(located, Geography(georeference=EXACT))
     assert found is not None and found.far_up and found.height_error_m == pytest.approx(40, abs=0.2)
-    mixed = [*located[:6], *located[7:], *flown((0, 0, 0.1), (3, 3, 5), 1)]
-    assert "40.0 m above or below the GPS positions" in said(caplog, mixed, EXACT)
+    mixed = [*located[:6], *located[7:], *fly((0, 0, 0.1), (3, 3, 5), 1)]
+    assert "40.0 m above or below the GPS positions" in read_warning(caplog, mixed, EXACT)
 
 
 def test_what_the_sigmas_explain_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -145,27 +147,27 @@ def test_what_the_sigmas_explain_is_not_told(caplog: pytest.LogCaptureFixture) -
         ((90, -66, 1), (np.inf, np.inf, np.inf), 7),
         ((90, -66, 1), (10, 10, 10), 4),
     ]:
-        assert said(caplog, flown(offset, sigma, count), EXACT) == ""
+        assert read_warning(caplog, fly(offset, sigma, count), EXACT) == ""
     # Up to half of the fixes may be wrong.
-    mostly = [*flown((1, 0, 0), (3, 3, 3), 7), *flown((900, 0, 0), (3, 3, 3), 6)]
-    assert said(caplog, mostly, EXACT) == ""
-    assert "m beside" in said(caplog, [*mostly, *flown((900, 0, 0), (3, 3, 3), 3)], EXACT)
+    mostly = [*fly((1, 0, 0), (3, 3, 3), 7), *fly((900, 0, 0), (3, 3, 3), 6)]
+    assert read_warning(caplog, mostly, EXACT) == ""
+    assert "m beside" in read_warning(caplog, [*mostly, *fly((900, 0, 0), (3, 3, 3), 3)], EXACT)
 
 
 def test_a_map_without_a_known_place_on_earth_says_how_far_gps_is(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Caliterra: 12 m from the GPS at sigmas of centimetres, which are those within the map."""
-    line = said(caplog, flown((12, 0, 0), (10, 10, 10)), None)
+    line = read_warning(caplog, fly((12, 0, 0), (10, 10, 10)), None)
     assert "\n" not in line
     assert "12.0 m beside the GPS positions" in line and "sigma_m is within the map" in line
-    assert said(caplog, flown((0, 0, 0), (10, 10, 10)), None) == ""
-    assert said(caplog, flown((12, 0, 0), (np.inf, np.inf, np.inf)), None) == ""
-    assert said(caplog, flown((12, 0, 0), (10, 10, 10), 4), None) == ""
+    assert read_warning(caplog, fly((0, 0, 0), (10, 10, 10)), None) == ""
+    assert read_warning(caplog, fly((12, 0, 0), (np.inf, np.inf, np.inf)), None) == ""
+    assert read_warning(caplog, fly((12, 0, 0), (10, 10, 10), 4), None) == ""
 
 
 def test_photographs_without_answer_or_position_do_not_count() -> None:
-    located = flown((90, -66, 1), (10, 10, 10))
+    located = fly((90, -66, 1), (10, 10, 10))
     lost = Located("l.jpg", Estimate(Status.FAILED), None, gps=located[0].gps)
     without = Located("w.jpg", looking(30, -60, 4), PLACE)
     found = measure_disagreement([*located, lost, without], Geography())

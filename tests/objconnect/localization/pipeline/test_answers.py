@@ -42,7 +42,7 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
     return Estimate(Status.OK, pose, known, inliers=40, by=By.ALIGNMENT)
 
 
-def written(located: list[Located], out: Path, undulation: float | None = None) -> None:
+def write(located: list[Located], out: Path, undulation: float | None = None) -> None:
     files = output_files(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
     for path, content in encode_files(located, files, Geography(undulation, None, EXACT)):
         path.write_bytes(content)
@@ -86,7 +86,7 @@ def test_every_format_says_the_same(tmp_path: Path) -> None:
         Located("<c>.jpg", looking(0, -90, 0), PLACE._replace(longitude=8.3)),
         Located("d.jpg", Estimate(Status.FAILED, reason="too dark"), None),
     ]
-    written(located, tmp_path, 48.5)
+    write(located, tmp_path, 48.5)
     rows = list(csv.DictReader((tmp_path / "poses.csv").open(newline="")))
     assert [row["name"] for row in rows] == ["a b.jpg", "<c>.jpg", "d.jpg"]
     assert rows[0]["time"] == "2026-01-02T03:04:05.678"
@@ -122,7 +122,7 @@ def test_every_format_says_the_same(tmp_path: Path) -> None:
 
 
 def test_without_the_geoid_marks_lie_on_the_ground(tmp_path: Path) -> None:
-    written([Located("a.jpg", looking(0, -90, 0, covariance=False), PLACE)], tmp_path)
+    write([Located("a.jpg", looking(0, -90, 0, covariance=False), PLACE)], tmp_path)
     assert "<altitudeMode>clampToGround<" in (tmp_path / "poses.kml").read_text()
     (row,) = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
     assert row["sea_level_m"] == row["covariance"] == row["eph_m"] == row["time"] == ""

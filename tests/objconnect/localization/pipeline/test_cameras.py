@@ -190,7 +190,9 @@ def method(monkeypatch: pytest.MonkeyPatch) -> Remembering:
     return localizer
 
 
-def taken(path: Path, size: tuple[int, int], focal: int | None = None, xmp: bytes = b"") -> None:
+def write_photograph(
+    path: Path, size: tuple[int, int], focal: int | None = None, xmp: bytes = b""
+) -> None:
     tags = Image.Exif()
     if focal is not None:
         tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
@@ -222,10 +224,10 @@ def test_the_table_says_which_camera(
     new, out = tmp_path / "new", tmp_path / "poses.txt"
     shutil.copytree(made_flight / "images", new, ignore=shutil.ignore_patterns("[c-z].jpg"))
     fields = {"CalibratedFocalLength": "50", "CalibratedOpticalCenterX": "40"}
-    taken(new / "calibrated.jpg", (80, 80), 22, packet(fields))
-    taken(new / "scaled.jpg", (192, 128), 30)
-    taken(new / "exif.jpg", (64, 64), 30)
-    taken(new / "estimated.jpg", (192, 128))
+    write_photograph(new / "calibrated.jpg", (80, 80), 22, packet(fields))
+    write_photograph(new / "scaled.jpg", (192, 128), 30)
+    write_photograph(new / "exif.jpg", (64, 64), 30)
+    write_photograph(new / "estimated.jpg", (192, 128))
     answer = run(made_flight, new, out)
     assert answer.exit_code == 0, answer.stderr
     assert "EXIF does not have the focal length of 1 photographs of 192 x 128" in caplog.text
@@ -245,8 +247,8 @@ def test_the_table_says_which_camera(
 
 def test_fixed_rtk_is_its_own_sigma(made_flight: Path, tmp_path: Path, method: Remembering) -> None:
     high = FIELDS | {"AbsoluteAltitude": "+490.00"}
-    taken(tmp_path / "new" / "fixed.jpg", (96, 64), 30, packet(high))
-    taken(tmp_path / "new" / "float.jpg", (96, 64), 30, packet(high | {"RtkFlag": "34"}))
+    write_photograph(tmp_path / "new" / "fixed.jpg", (96, 64), 30, packet(high))
+    write_photograph(tmp_path / "new" / "float.jpg", (96, 64), 30, packet(high | {"RtkFlag": "34"}))
     answer = run(made_flight, tmp_path / "new", tmp_path / "poses.txt", "--gps-sigma", "3")
     assert answer.exit_code == 0, answer.stderr
     sigmas = {query.name: query.prior and query.prior.position_sigma for query in method.seen}
@@ -258,7 +260,7 @@ def test_a_prior_without_an_altitude_tells_no_height(
     made_flight: Path, tmp_path: Path, method: Remembering, caplog: pytest.LogCaptureFixture
 ) -> None:
     new = tmp_path / "new"
-    taken(new / "high.jpg", (96, 64), 30)
+    write_photograph(new / "high.jpg", (96, 64), 30)
     with Image.open(new / "high.jpg") as picture:
         tags = picture.getexif()
         del tags.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSAltitude]
@@ -291,7 +293,7 @@ def test_a_fast_rolling_shutter_is_one_line(
 ) -> None:
     fields = {"ShutterType": shutter, "FlightXSpeed": speed, "FlightYSpeed": "0"}
     for name in ("a.jpg", "b.jpg"):
-        taken(tmp_path / "new" / name, (96, 64), 30, packet(fields))
+        write_photograph(tmp_path / "new" / name, (96, 64), 30, packet(fields))
     assert run(made_flight, tmp_path / "new", tmp_path / "poses.txt").exit_code == 0
     lines = [line for line in caplog.messages if "(electronic) shutter" in line]
     assert len(lines) == warned

@@ -36,7 +36,7 @@ def footage(*flight: Telemetry, size: tuple[int, int] = (480, 270)) -> Footage:
     return Footage(Path("FLIGHT.MP4"), video, SRT, flight, 1.0)
 
 
-def said(second: int, focal_mm: float | None, zoom: float | None = 1.0) -> Telemetry:
+def make_telemetry(second: int, focal_mm: float | None, zoom: float | None = 1.0) -> Telemetry:
     return Telemetry(second, second + 1, rel_alt=1.0, focal_mm=focal_mm, zoom=zoom)
 
 
@@ -62,7 +62,7 @@ def test_zoom_changes_the_camera_of_a_frame(
     zooms: list[tuple[float | None, float | None]],
     expected: list[float | None],
 ) -> None:
-    film = footage(*(said(k, *zoom) for k, zoom in enumerate(zooms)))
+    film = footage(*(make_telemetry(k, *zoom) for k, zoom in enumerate(zooms)))
     cameras = cameras_of_frames(film, None, place)
     assert focals(cameras, film) == pytest.approx(expected)
     # A frame without subtitles has the camera of all, where they have one.
@@ -74,7 +74,9 @@ def test_zoom_changes_the_camera_of_a_frame(
 def test_the_map_s_camera_is_zoomed_about_the_middle(place: LocalizationMap) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
     lens = 36 * own.focal[0] / max(own.width, own.height)
-    film = footage(said(0, lens), said(1, lens, 2.0), size=(own.width, own.height))
+    film = footage(
+        make_telemetry(0, lens), make_telemetry(1, lens, 2.0), size=(own.width, own.height)
+    )
     cameras = cameras_of_frames(film, None, place)
     first, second = (cameras.of(item) for item in film.flight)
     assert first is not None and second is not None
@@ -90,11 +92,13 @@ def test_the_map_s_camera_is_zoomed_about_the_middle(place: LocalizationMap) -> 
 
 
 def test_an_unknown_zoom_is_said(place: LocalizationMap, caplog: pytest.LogCaptureFixture) -> None:
-    film = footage(said(0, 24.0, None), said(1, 24.0, None))
+    film = footage(make_telemetry(0, 24.0, None), make_telemetry(1, 24.0, None))
     with pytest.raises(InputError, match="dzoom_ratio.*--camera"):
         cameras_of_frames(film, None, place)
     (own,) = {str(camera): camera for camera in place.cameras}.values()
-    film = footage(said(0, None, None), said(1, None, None), size=(own.width, own.height))
+    film = footage(
+        make_telemetry(0, None, None), make_telemetry(1, None, None), size=(own.width, own.height)
+    )
     cameras = cameras_of_frames(film, None, place)
     assert focals(cameras, film) == [own.focal[0]] * 2
     assert any("zoom is unknown" in line for line in caplog.messages)
@@ -104,7 +108,7 @@ def test_a_given_camera_is_that_of_all_frames(
     place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     given = Camera("SIMPLE_PINHOLE", 480, 270, (300.0, 240.0, 135.0))
-    film = footage(said(0, 24.0), said(1, 48.0))
+    film = footage(make_telemetry(0, 24.0), make_telemetry(1, 48.0))
     with caplog.at_level(logging.WARNING):
         assert focals(cameras_of_frames(film, given, place), film) == [300.0, 300.0]
     assert any("24.0 to 48.0 mm" in line for line in caplog.messages)
@@ -114,13 +118,13 @@ def test_another_lens_than_the_map_s_is_said(
     place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
-    film = footage(said(0, 300.0), size=(own.width, own.height))
+    film = footage(make_telemetry(0, 300.0), size=(own.width, own.height))
     found = cameras_of_frames(film, None, place).of(film.flight[0])
     assert found is not None and found.source is CameraSource.EXIF
     assert any("focal length of 300.0 mm, which is used" in line for line in caplog.messages)
 
 
-def numbered(count: int, step_s: float) -> list[Telemetry]:
+def enumerate_lines(count: int, step_s: float) -> list[Telemetry]:
     return [
         Telemetry(k * step_s, (k + 1) * step_s, rel_alt=float(k), frame=k + 1) for k in range(count)
     ]
@@ -143,7 +147,7 @@ def numbered(count: int, step_s: float) -> list[Telemetry]:
 def test_frames_and_subtitles_belong_together(
     step_s: float, duration_s: float, rate_hz: float, height: float | None
 ) -> None:
-    flight = numbered(120, step_s)
+    flight = enumerate_lines(120, step_s)
     video = Video(480, 270, rate_hz, duration_s, None)
     frame = VideoFrame(30, 30 / rate_hz + 1e-4, np.zeros((1, 1, 3), np.uint8))
     found = Timing.of(flight, video).said(flight, frame)
@@ -151,13 +155,13 @@ def test_frames_and_subtitles_belong_together(
 
 
 def test_subtitles_without_numbers_hold_by_their_times() -> None:
-    flight = [replace(item, frame=None) for item in numbered(120, 1 / 120)]
+    flight = [replace(item, frame=None) for item in enumerate_lines(120, 1 / 120)]
     timing = Timing.of(flight, Video(480, 270, 30.0, 4.0, None))
     assert timing == Timing()
 
 
 def test_pixels_that_are_not_square_need_a_camera(place: LocalizationMap) -> None:
-    film = footage(said(0, 24.0))
+    film = footage(make_telemetry(0, 24.0))
     film = replace(film, video=replace(film.video, pixel_aspect=4 / 3))
     with pytest.raises(InputError, match=r"1\.333 times as wide as high: give its calibration"):
         cameras_of_frames(film, None, place)

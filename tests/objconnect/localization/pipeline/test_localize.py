@@ -179,8 +179,8 @@ def test_the_risk_is_that_of_the_search(
     monkeypatch.setattr(objconnect.methods, "create", create)
     out = tmp_path / "poses.txt"
     for words, message in (
-        (["--method", "sift"], "sift does not say how probable a pose is: leave out --risk"),
-        (["--method", "place"], "place does not say how probable a pose is: leave out --risk"),
+        (["--method", "sift"], "sift predicts no probability of its poses: leave out --risk"),
+        (["--method", "place"], "place predicts no probability of its poses: leave out --risk"),
         (["--set", "search.risk=0.1"], "--risk and --set search.risk are the same"),
         (["--set", "search={risk: 0.1}"], "--risk and --set search.risk are the same"),
     ):

@@ -14,24 +14,24 @@ OPTIONS = MotionOptions()
 EXACT = 1e-4 * np.eye(6)
 
 
-def flown(seconds: float, yaw_rate: float = 10.0, velocity: tuple[float, ...] = (6, -3, 1)) -> Pose:
+def fly(seconds: float, yaw_rate: float = 10.0, velocity: tuple[float, ...] = (6, -3, 1)) -> Pose:
     """A camera that moves evenly and turns about the vertical, clockwise from above, deg/s."""
     rotation = gimbal_pose(yaw_rate * seconds, -60.0, 0.0).rotation
     centre = torch.tensor(velocity, dtype=torch.float64) * seconds
     return Pose(rotation, -rotation @ centre)
 
 
-def tracked(until: int, **how: object) -> Motion:
-    motion = Motion.begin(0.0, flown(0.0, **how), EXACT, OPTIONS)
+def track(until: int, **how: object) -> Motion:
+    motion = Motion.begin(0.0, fly(0.0, **how), EXACT, OPTIONS)
     for k in range(1, until):
-        motion = motion.after(0.5 * k, OPTIONS).correct(flown(0.5 * k, **how), EXACT, OPTIONS)
+        motion = motion.after(0.5 * k, OPTIONS).correct(fly(0.5 * k, **how), EXACT, OPTIONS)
     return motion
 
 
 def test_an_even_motion_is_predicted() -> None:
-    motion = tracked(20)
+    motion = track(20)
     predicted = motion.after(10.0, OPTIONS)
-    metres, degrees = predicted.pose.error_to(flown(10.0))
+    metres, degrees = predicted.pose.error_to(fly(10.0))
 
     assert float(metres) < 0.05 and float(degrees) < 0.1
     np.testing.assert_allclose(motion.velocity, [6, -3, 1], atol=0.05)
@@ -49,7 +49,7 @@ def test_covariance_of_a_prediction_is_that_of_the_equations() -> None:
         least_sigma_m=0.3,
         least_sigma_deg=0.4,
     )
-    motion = Motion.begin(1.0, flown(0.0), 0.16 * np.eye(6), options).after(3.0, options)
+    motion = Motion.begin(1.0, fly(0.0), 0.16 * np.eye(6), options).after(3.0, options)
 
     assert motion.sigma_m == pytest.approx(np.sqrt(0.16 + 0.09 + (5 * 2) ** 2 + 4 * 16 / 4))
     degrees = np.degrees(np.sqrt(0.16)) ** 2 + 0.4**2 + (10 * 2) ** 2 + 20**2 * 16 / 4
@@ -60,9 +60,9 @@ def test_covariance_of_a_prediction_is_that_of_the_equations() -> None:
 def test_a_correction_weighs_prediction_and_measurement() -> None:
     """Scalar filter by hand: P = 1, R = 3 (with its floor) moves by a quarter of the innovation."""
     options = MotionOptions(least_sigma_m=1.0, least_sigma_deg=1.0)
-    motion = Motion.begin(0.0, flown(0.0), np.zeros((6, 6)), options)
+    motion = Motion.begin(0.0, fly(0.0), np.zeros((6, 6)), options)
     assert motion.sigma_m == pytest.approx(1.0)
-    there = Pose(flown(0.0).rotation, -flown(0.0).rotation @ torch.tensor([4.0, 0, 0]).double())
+    there = Pose(fly(0.0).rotation, -fly(0.0).rotation @ torch.tensor([4.0, 0, 0]).double())
 
     corrected = motion.correct(there, 2.0 * np.eye(6), options)
     np.testing.assert_allclose(corrected.pose.centre().numpy(), [1.0, 0, 0], atol=1e-12)
@@ -72,7 +72,7 @@ def test_a_correction_weighs_prediction_and_measurement() -> None:
 
 
 def test_innovation_of_an_attitude_is_about_the_worlds_axes() -> None:
-    motion = Motion.begin(0.0, flown(0.0), EXACT, OPTIONS)
+    motion = Motion.begin(0.0, fly(0.0), EXACT, OPTIONS)
     turned = gimbal_pose(-3.0, -60.0, 0.0)  # counter-clockwise from above: positive about up
     np.testing.assert_allclose(
         np.degrees(motion.innovation(turned)), [0, 0, 0, 0, 0, 3.0], atol=1e-9

@@ -24,7 +24,7 @@ MOST = 9
 PACKAGES = ("objconnect", "simulate", "baselines", "benchmark")
 
 
-def written() -> list[str]:
+def write() -> list[str]:
     """The path as CONTRIBUTING.md lists it."""
     _, _, text = (ROOT / "CONTRIBUTING.md").read_text().partition("## From a photograph to a pose")
     section = text.partition("\n## ")[0]
@@ -32,8 +32,8 @@ def written() -> list[str]:
 
 
 def test_the_path_is_short_and_its_modules_exist() -> None:
-    assert 0 < len(written()) <= MOST
-    assert all((ROOT / module).is_file() for module in written())
+    assert 0 < len(write()) <= MOST
+    assert all((ROOT / module).is_file() for module in write())
 
 
 @pytest.mark.thorough
@@ -43,7 +43,7 @@ def test_a_photograph_takes_the_path_that_is_written(
 ) -> None:
     stacks: set[tuple[str, ...]] = set()
 
-    def watched(*given: Any) -> Any:
+    def record_call(*given: Any) -> Any:
         files = [Path(frame.filename) for frame in traceback.extract_stack()[:-1]]
         # An environment that lies in the same folder is not part of what a reader follows.
         below = [file.relative_to(ROOT) for file in files if file.is_relative_to(ROOT)]
@@ -52,7 +52,7 @@ def test_a_photograph_takes_the_path_that_is_written(
         stacks.add(tuple(modules[modules.index(COMMAND) :]))
         return descend(*given)
 
-    monkeypatch.setattr(aligner, "descend", watched)
+    monkeypatch.setattr(aligner, "descend", record_call)
     (tmp_path / "new").mkdir()
     shutil.copy(GATE / "images" / NAME, tmp_path / "new" / "a.jpg")
     header, *priors = (GATE / "priors.csv").read_text().splitlines()
@@ -68,5 +68,5 @@ def test_a_photograph_takes_the_path_that_is_written(
     to_a_pose = {stack for stack in stacks if not any("evidence" in module for module in stack)}
     longest = max(to_a_pose, key=len)
     searched = "objconnect/localization/featuremetric/global_search.py"
-    expected = [module for module in written() if not is_told or module != searched]
+    expected = [module for module in write() if not is_told or module != searched]
     assert [*longest, "objconnect/localization/align/descent.py"] == expected

@@ -38,7 +38,7 @@ TIMES = [datetime(2026, 1, 2, 3, 4, 5, 678_000, UTC), datetime(2026, 1, 2, 3, 4,
 SECONDS = 1767323045.678  # of the first, by `date -u -d 2026-01-02T03:04:05.678 +%s.%3N`
 
 
-def located() -> list[Located]:
+def locate() -> list[Located]:
     return [
         Located("b.jpg", looking(YAW, PITCH, ROLL), PLACE, TIMES[0]),
         Located("a.jpg", looking(0, -90, 0, covariance=False), PLACE, TIMES[1]),
@@ -48,9 +48,9 @@ def located() -> list[Located]:
     ]
 
 
-def written(folder: Path, geography: Geography, *endings: str) -> list[Path]:
+def write(folder: Path, geography: Geography, *endings: str) -> list[Path]:
     files = output_files(folder / "poses.txt", [folder / f"poses.{ending}" for ending in endings])
-    for path, content in encode_files(located(), files, geography):
+    for path, content in encode_files(locate(), files, geography):
         path.write_bytes(content)
     check_outputs(files)  # all of them are recognized as files of ours
     return [file.path for file in files[2:]]
@@ -87,7 +87,7 @@ def messages(path: Path) -> list[Any]:
 
 
 def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (path,) = written(tmp_path, Geography(UNDULATION, None, EXACT), "tlog")
+    (path,) = write(tmp_path, Geography(UNDULATION, None, EXACT), "tlog")
     assert "1 of 3 photographs have no time" in caplog.text
     text, before, _, position, odometry = messages(path)
     assert text.text == "poses by objconnect localize"
@@ -99,7 +99,7 @@ def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert (position.lat, position.lon) == (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7))
     assert position.alt_ellipsoid == pytest.approx(PLACE.altitude, abs=1e-3)
     assert position.alt_ellipsoid - position.alt == pytest.approx(UNDULATION, abs=1e-3)
-    covariance = located()[0].covariance
+    covariance = locate()[0].covariance
     assert covariance is not None
     assert position.eph == pytest.approx(math.sqrt(covariance[0, 0] + covariance[1, 1]))
     assert position.epv == pytest.approx(math.sqrt(covariance[2, 2]))
@@ -122,11 +122,11 @@ def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
 
 def test_both_accuracies_in_mavlink(tmp_path: Path) -> None:
     """The position on earth is as exact as the map's place there, the local one as before."""
-    covariance = located()[0].covariance
+    covariance = locate()[0].covariance
     assert covariance is not None
     for number, placed in enumerate([Georeference(horizontal_m=5, source="stated"), None]):
         (tmp_path / str(number)).mkdir()
-        (path,) = written(tmp_path / str(number), Geography(georeference=placed), "tlog")
+        (path,) = write(tmp_path / str(number), Geography(georeference=placed), "tlog")
         position, odometry = messages(path)[3:5]
         if placed is None:
             assert math.isnan(position.eph)
@@ -138,14 +138,14 @@ def test_both_accuracies_in_mavlink(tmp_path: Path) -> None:
 
 
 def test_both_accuracies_in_ros(tmp_path: Path) -> None:
-    covariance = located()[0].covariance
+    covariance = locate()[0].covariance
     assert covariance is not None
     placed = Georeference(horizontal_m=5, vertical_m=2, source="gps")
     (tmp_path / "a").mkdir()
     poses = {}
     for name, georeference in (("a", placed), ("b", None)):
         (tmp_path / name).mkdir(exist_ok=True)
-        (path,) = written(tmp_path / name, Geography(georeference=georeference), "mcap")
+        (path,) = write(tmp_path / name, Geography(georeference=georeference), "mcap")
         with highlevel.AnyReader([path]) as reader:
             for connection, _, data in reader.messages():
                 message = reader.deserialize(data, connection.msgtype)
@@ -163,14 +163,14 @@ def test_both_accuracies_in_ros(tmp_path: Path) -> None:
 
 
 def test_without_the_geoid_mavlink_has_the_ellipsoid_alone(tmp_path: Path) -> None:
-    (path,) = written(tmp_path, Geography(), "tlog")
+    (path,) = write(tmp_path, Geography(), "tlog")
     position = messages(path)[3]
     assert position.alt_ellipsoid == pytest.approx(PLACE.altitude, abs=1e-3)
     assert math.isnan(position.alt)
 
 
 def test_ros(tmp_path: Path) -> None:
-    (path,) = written(tmp_path, Geography(UNDULATION, None, EXACT), "mcap")
+    (path,) = write(tmp_path, Geography(UNDULATION, None, EXACT), "mcap")
     read: dict[str, list[tuple[int, Any]]] = {}
     with highlevel.AnyReader([path]) as reader:
         for connection, time, data in reader.messages():
@@ -184,7 +184,7 @@ def test_ros(tmp_path: Path) -> None:
         == round(SECONDS * 1e3) * 10**6
     )
     assert (stamped.latitude, stamped.longitude, stamped.altitude) == PLACE, "above the ellipsoid"
-    covariance = located()[0].covariance
+    covariance = locate()[0].covariance
     assert covariance is not None
     assert stamped.position_covariance_type == stamped.COVARIANCE_TYPE_KNOWN
     np.testing.assert_allclose(stamped.position_covariance.reshape(3, 3), covariance[:3, :3])
@@ -200,7 +200,7 @@ def test_ros(tmp_path: Path) -> None:
 
 def test_nothing_found_is_an_empty_log(tmp_path: Path) -> None:
     files = output_files(tmp_path / "p.txt", [tmp_path / "p.tlog", tmp_path / "p.mcap"])
-    for path, content in encode_files(located()[3:], files, Geography()):
+    for path, content in encode_files(locate()[3:], files, Geography()):
         path.write_bytes(content)
     assert len(messages(tmp_path / "p.tlog")) == 1
     with highlevel.AnyReader([tmp_path / "p.mcap"]) as reader:
@@ -211,7 +211,7 @@ def test_nothing_found_is_an_empty_log(tmp_path: Path) -> None:
 
 def test_heights_differ_by_the_undulation_in_every_format(tmp_path: Path) -> None:
     geography = Geography(UNDULATION, Projection("EPSG:32632"))
-    geojson, kml, tlog, mcap = written(tmp_path, geography, "geojson", "kml", "tlog", "mcap")
+    geojson, kml, tlog, mcap = write(tmp_path, geography, "geojson", "kml", "tlog", "mcap")
     row = next(csv.DictReader((tmp_path / "poses.csv").open(newline="")))
     feature = json.loads(geojson.read_text())["features"][0]
     point = next(ElementTree.parse(kml).getroot().iter("{http://www.opengis.net/kml/2.2}Point"))
@@ -241,7 +241,7 @@ def test_heights_differ_by_the_undulation_in_every_format(tmp_path: Path) -> Non
     "code", ["EPSG:32632", "EPSG:25832", "EPSG:2056", "EPSG:4326", "EPSG:3857"]
 )
 def test_columns_in_another_system(tmp_path: Path, code: str) -> None:
-    written(tmp_path, Geography(None, Projection(code)))
+    write(tmp_path, Geography(None, Projection(code)))
     row, *others = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
     direct = pyproj.Transformer.from_crs("EPSG:4979", code, always_xy=True)
     expected = direct.transform(PLACE.longitude, PLACE.latitude, PLACE.altitude)

@@ -30,7 +30,7 @@ def pose_at(frame: float, aside: float = 0.0) -> Pose:
     return Pose(rotation, -rotation @ centre)
 
 
-def found(pose: Pose) -> Estimate:
+def make_estimate(pose: Pose) -> Estimate:
     return Estimate(Status.OK, pose, SURE, inliers=50)
 
 
@@ -82,7 +82,7 @@ def run(
 
 
 def test_one_search_then_the_motion_is_the_prior() -> None:
-    estimates, localizer, tracker = run(lambda query: found(pose_at(frame_of(query))))
+    estimates, localizer, tracker = run(lambda query: make_estimate(pose_at(frame_of(query))))
 
     assert [e.status for e in estimates] == [Status.OK] * 12
     assert tracker.searched == 1 and len(localizer.seen) == 12
@@ -103,7 +103,7 @@ def test_a_false_answer_beside_the_prediction_is_checked_and_mended() -> None:
 
     def answer(query: Query) -> Estimate:
         aside = 6.0 if frame_of(query) == 8 and near(query) else 0.0
-        return found(pose_at(frame_of(query), aside))
+        return make_estimate(pose_at(frame_of(query), aside))
 
     estimates, _, tracker = run(answer)
     assert tracker.searched == 2
@@ -118,7 +118,7 @@ def test_a_track_that_contradicts_the_motion_is_localized_as_any_image_near_its_
     def answer(query: Query) -> Estimate:
         aside = 6.0 if frame_of(query) == 8 and query.tracked else 0.0
         by = By.TRACKING if query.tracked else By.ALIGNMENT
-        return replace(found(pose_at(frame_of(query), aside)), by=by)
+        return replace(make_estimate(pose_at(frame_of(query), aside)), by=by)
 
     estimates, localizer, tracker = run(answer)
     assert tracker.searched == 1
@@ -134,8 +134,8 @@ def test_a_search_that_contradicts_a_sure_motion_is_not_believed() -> None:
 
     def answer(query: Query) -> Estimate:
         if frame_of(query) == 8:
-            return NOTHING if near(query) else found(pose_at(8, aside=80.0))
-        return found(pose_at(frame_of(query)))
+            return NOTHING if near(query) else make_estimate(pose_at(8, aside=80.0))
+        return make_estimate(pose_at(frame_of(query)))
 
     estimates, _, _ = run(answer)
     assert [e.status is Status.OK for e in estimates] == [k != 8 for k in range(12)]
@@ -146,7 +146,7 @@ def test_a_real_jump_is_believed_when_both_find_it() -> None:
     """A gust of wind: the prior and the search lead to one pose beyond the gate."""
 
     def answer(query: Query) -> Estimate:
-        return found(pose_at(frame_of(query), aside=7.0 if frame_of(query) >= 8 else 0.0))
+        return make_estimate(pose_at(frame_of(query), aside=7.0 if frame_of(query) >= 8 else 0.0))
 
     estimates, _, tracker = run(answer)
     assert all(e.status is Status.OK for e in estimates)
@@ -158,9 +158,9 @@ def test_a_false_first_answer_does_not_keep_the_right_ones_out() -> None:
 
     def answer(query: Query) -> Estimate:
         if frame_of(query) == 0:
-            return found(pose_at(0, aside=120.0))
+            return make_estimate(pose_at(0, aside=120.0))
         far = query.prior is not None and not near(query)
-        return NOTHING if far else found(pose_at(frame_of(query)))
+        return NOTHING if far else make_estimate(pose_at(frame_of(query)))
 
     estimates, _, _ = run(answer, frames=6)
     for frame in range(1, 6):
@@ -172,7 +172,7 @@ def test_lost_after_some_failures_and_found_by_a_search() -> None:
     """Frames 5 to 10 show water. Frame 11 is searched, from nothing, and tracking goes on."""
 
     def answer(query: Query) -> Estimate:
-        return NOTHING if 5 <= frame_of(query) <= 10 else found(pose_at(frame_of(query)))
+        return NOTHING if 5 <= frame_of(query) <= 10 else make_estimate(pose_at(frame_of(query)))
 
     estimates, localizer, _ = run(answer, frames=16, config=SequenceConfig(lost_after=3))
     assert [k for k, e in enumerate(estimates) if e.status is not Status.OK] == [5, 6, 7, 8, 9, 10]
@@ -194,7 +194,7 @@ def test_what_the_aircraft_knows_is_where_a_search_begins() -> None:
         prior = query.prior
         assert prior is not None
         told = prior.cam_from_world_rotation is not None and prior.attitude_sigma_deg == 5.0
-        return NOTHING if told else found(pose_at(frame_of(query)))
+        return NOTHING if told else make_estimate(pose_at(frame_of(query)))
 
     estimates, localizer, tracker = run(answer, frames=4, telemetry=telemetry)
     assert all(e.status is Status.OK for e in estimates) and tracker.searched == 1
@@ -216,7 +216,7 @@ def test_an_answer_far_from_gps_is_checked() -> None:
     def answer(query: Query) -> Estimate:
         prior = query.prior
         locked = prior is None or prior.position[1] > 50
-        return found(pose_at(frame_of(query), aside=100.0 if locked else 0.0))
+        return make_estimate(pose_at(frame_of(query), aside=100.0 if locked else 0.0))
 
     config = SequenceConfig(lost_after=2)
     estimates, _, _ = run(answer, frames=10, telemetry=telemetry, config=config)
@@ -232,7 +232,7 @@ def test_an_answer_far_from_gps_is_checked() -> None:
 
 def test_a_pause_ends_what_the_motion_knows() -> None:
     """After a gap of a minute the motion predicts nothing, and the image is searched."""
-    localizer = Scripted(lambda query: found(pose_at(frame_of(query))))
+    localizer = Scripted(lambda query: make_estimate(pose_at(frame_of(query))))
     tracker = Tracker(localizer, SequenceConfig())
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     for frame, seconds in ((0, 0.0), (1, 0.5), (2, 1.0), (120, 61.0)):
@@ -243,7 +243,7 @@ def test_a_pause_ends_what_the_motion_knows() -> None:
 
 def test_answers_of_an_interrupted_run_are_taken_up() -> None:
     def answer(query: Query) -> Estimate:
-        return found(pose_at(frame_of(query)))
+        return make_estimate(pose_at(frame_of(query)))
 
     whole, straight, _ = run(answer)
     localizer = Scripted(answer)

@@ -176,7 +176,7 @@ def test_a_photograph_that_changed_is_looked_at_again(
 
 
 def test_sources_cover_the_picture(rendered: Scene) -> None:
-    sparse_map = straightened(rendered)
+    sparse_map = straighten(rendered)
     name = sparse_map.names[5]
     seeds = seeds_in(sparse_map, name)
     w, h = sparse_map.images[name].camera.width, sparse_map.images[name].camera.height
@@ -198,7 +198,7 @@ def test_sources_cover_the_picture(rendered: Scene) -> None:
 
 def test_added_points_are_seeds_too(rendered: Scene) -> None:
     """A point that no photograph observes seeds every picture it falls into."""
-    sparse_map = straightened(rendered)
+    sparse_map = straighten(rendered)
     name = sparse_map.names[5]
     image = sparse_map.images[name]
     ahead = np.linalg.inv(image.cam_from_world) @ [0, 0, 70, 1]
@@ -214,7 +214,7 @@ def test_added_points_are_seeds_too(rendered: Scene) -> None:
     assert np.allclose(after[-1], [*image.camera.principal, 1 / 70])
 
 
-def straightened(scene: Scene) -> SparseMap:
+def straighten(scene: Scene) -> SparseMap:
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, 4000) for i in sparse_map.images.values()}
     return undistort_map(sparse_map, cameras)

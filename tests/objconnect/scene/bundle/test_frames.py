@@ -21,7 +21,7 @@ from tests.objconnect.scene.made_cameras import CAMERAS
 ALL: tuple[Layer, ...] = ("depth", "instance", "semantic", "normal")
 
 
-def made_frames(n: int, seed: int = 0) -> Frames:
+def make_frames(n: int, seed: int = 0) -> Frames:
     rng = np.random.default_rng(seed)
     poses = Pose.exp(torch.from_numpy(rng.normal(0, 3, (n, 6))))
     cameras = list(CAMERAS.values())
@@ -37,7 +37,7 @@ def made_frames(n: int, seed: int = 0) -> Frames:
     )
 
 
-def made_layers(k: int) -> dict[Layer, NDArray[Any]]:
+def make_layers(k: int) -> dict[Layer, NDArray[Any]]:
     rng = np.random.default_rng(k)
     return {
         "depth": rng.uniform(0, 80, (6, 8)).astype(np.float32),
@@ -51,7 +51,7 @@ def made_layers(k: int) -> dict[Layer, NDArray[Any]]:
 def path(tmp_path: Path) -> Path:
     """Write a session of three frames with every layer."""
     path = tmp_path / "frames.h5"
-    write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
+    write_frames(path, make_frames(3), ALL, (make_layers(k) for k in range(3)))
     return path
 
 
@@ -70,8 +70,8 @@ def assert_equal(a: Frames, b: Frames) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 5])
-def test_round_trip(tmp_path: Path, n: int) -> None:
-    frames = made_frames(n)
+def test_frames_survive_writing_and_reading(tmp_path: Path, n: int) -> None:
+    frames = make_frames(n)
     write_frames(tmp_path / "frames.h5", frames, (), iter([{}] * n))
     again = read_frames(tmp_path / "frames.h5")
     assert_equal(again, frames)
@@ -95,7 +95,7 @@ def test_any_pose_comes_back_to_the_last_bit(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "poses.h5"
     delta = torch.tensor([[*omega, *v] for omega, v in tangents], dtype=torch.float64)
-    frames = replace(made_frames(len(delta)), cam_from_world=Pose.exp(delta).matrix().numpy())
+    frames = replace(make_frames(len(delta)), cam_from_world=Pose.exp(delta).matrix().numpy())
     write_frames(path, frames, (), iter([{}] * len(delta)))
     assert_equal(read_frames(path), frames)
 
@@ -103,7 +103,7 @@ def test_any_pose_comes_back_to_the_last_bit(
 def test_layers_come_back(path: Path) -> None:
     with dense_layers(path) as dense:
         for k in range(3):
-            for layer, image in made_layers(k).items():
+            for layer, image in make_layers(k).items():
                 again = dense.read(layer, k)
                 np.testing.assert_array_equal(again, image)
                 assert again.dtype == image.dtype
@@ -111,7 +111,7 @@ def test_layers_come_back(path: Path) -> None:
 
 def test_a_layer_that_was_not_rendered(tmp_path: Path) -> None:
     path = tmp_path / "frames.h5"
-    write_frames(path, made_frames(1), ("depth",), iter([made_layers(0)]))
+    write_frames(path, make_frames(1), ("depth",), iter([make_layers(0)]))
     with dense_layers(path) as dense:
         assert dense.has("depth")
         assert not dense.has("normal")
@@ -126,15 +126,15 @@ def test_a_frame_that_is_not_there(path: Path) -> None:
 
 def test_a_session_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
     def layers() -> Any:
-        yield made_layers(0)
+        yield make_layers(0)
         raise RuntimeError("the renderer died")
 
     with pytest.raises(RuntimeError, match="the renderer died"):
-        write_frames(tmp_path / "frames.h5", made_frames(2), ALL, layers())
+        write_frames(tmp_path / "frames.h5", make_frames(2), ALL, layers())
     assert not list(tmp_path.iterdir())
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"frames\.h5 does not exist"):
         read_frames(tmp_path / "frames.h5")
     with (
@@ -144,16 +144,18 @@ def test_missing_file(tmp_path: Path) -> None:
         pytest.fail("the block must not start")
 
 
-def test_not_hdf5(tmp_path: Path) -> None:
+def test_a_file_that_is_not_hdf5_is_refused(tmp_path: Path) -> None:
     (tmp_path / "frames.h5").write_text("poses")
     with pytest.raises(InputError, match="damaged or not an HDF5 file"):
         read_frames(tmp_path / "frames.h5")
 
 
 @given(st.floats(0, 1, exclude_max=True))
-def test_truncated_file(tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+def test_a_truncated_file_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
     path = tmp_path_factory.getbasetemp() / "truncated.h5"
-    write_frames(path, made_frames(2), ALL, (made_layers(k) for k in range(2)))
+    write_frames(path, make_frames(2), ALL, (make_layers(k) for k in range(2)))
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(InputError, match=r"truncated\.h5"):
@@ -166,7 +168,7 @@ def test_flipped_bytes_are_refused_or_harmless(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "flipped.h5"
-    write_frames(path, made_frames(2), ("depth",), (made_layers(k) for k in range(2)))
+    write_frames(path, make_frames(2), ("depth",), (make_layers(k) for k in range(2)))
     whole = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 8))):
         whole[data.draw(st.integers(0, len(whole) - 1))] ^= data.draw(st.integers(1, 255))
@@ -195,7 +197,7 @@ def test_a_number_that_is_not_finite_names_its_frame(path: Path, key: str, value
 
 
 def test_what_was_not_measured_is_nan(path: Path) -> None:
-    frames = made_frames(3)
+    frames = make_frames(3)
     for key in ("time", "gps_prior", "gps_sigma", "attitude_prior", "attitude_sigma_deg"):
         getattr(frames, key)[1] = np.nan
     write_frames(path, frames, (), iter([{}] * 3))
@@ -233,7 +235,7 @@ def test_wrong_shapes_and_kinds(path: Path, key: str, value: object) -> None:
 
 
 @pytest.mark.parametrize("key", ["names", "cameras", "cam_from_world", "camera_index", "gps_sigma"])
-def test_missing_parts(path: Path, key: str) -> None:
+def test_a_file_with_missing_parts_is_refused(path: Path, key: str) -> None:
     with h5py.File(path, "r+") as file:
         del file[key]
     with pytest.raises(InputError, match="damaged or incomplete"):
@@ -241,7 +243,7 @@ def test_missing_parts(path: Path, key: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"", b"\xff\xfe", b"PINHOLE 1", b"PINHOLE 8 6 x 7 4 3"])
-def test_bad_cameras(path: Path, text: bytes) -> None:
+def test_bad_cameras_are_refused(path: Path, text: bytes) -> None:
     with h5py.File(path, "r+") as file:
         count = len(file["cameras"])
         del file["cameras"]
@@ -252,7 +254,7 @@ def test_bad_cameras(path: Path, text: bytes) -> None:
 
 def test_one_camera_is_stored_once(tmp_path: Path) -> None:
     camera = Camera("PINHOLE", 8, 6, (0.1 + 0.2, 7.0, 4.0, 3.0))
-    frames = replace(made_frames(4), cameras=(camera,) * 4)
+    frames = replace(make_frames(4), cameras=(camera,) * 4)
     write_frames(tmp_path / "frames.h5", frames, (), iter([{}] * 4))
     with h5py.File(tmp_path / "frames.h5") as file:
         assert len(file["cameras"]) == 1
@@ -262,6 +264,6 @@ def test_one_camera_is_stored_once(tmp_path: Path) -> None:
 def test_too_few_images_leave_no_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="3 frames but images of 2"):
         write_frames(
-            tmp_path / "frames.h5", made_frames(3), ALL, (made_layers(k) for k in range(2))
+            tmp_path / "frames.h5", make_frames(3), ALL, (make_layers(k) for k in range(2))
         )
     assert not list(tmp_path.iterdir())

@@ -39,7 +39,7 @@ CAR = SceneObject(
 )
 
 
-def test_round_trips(tmp_path: Path) -> None:
+def test_manifests_survive_writing_and_reading(tmp_path: Path) -> None:
     values = [
         MANIFEST,
         MANIFEST.model_copy(update={"preset": None, "seed": None}),
@@ -51,7 +51,7 @@ def test_round_trips(tmp_path: Path) -> None:
         assert read_json(tmp_path / "file.json", type(value), "file") == value
 
 
-def changed(tmp_path: Path, **update: Any) -> Path:
+def change(tmp_path: Path, **update: Any) -> Path:
     """A manifest file with some values replaced; None removes the key."""
     values = json.loads(MANIFEST.model_dump_json()) | update
     path = tmp_path / "scene.json"
@@ -75,16 +75,16 @@ def changed(tmp_path: Path, **update: Any) -> Path:
         ),
     ],
 )
-def test_bad_manifests(tmp_path: Path, update: dict[str, Any], message: str) -> None:
+def test_bad_manifests_are_refused(tmp_path: Path, update: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        read_json(changed(tmp_path, **update), Manifest, "scene manifest")
+        read_json(change(tmp_path, **update), Manifest, "scene manifest")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
 
 
 def test_a_missing_key_does_not_print_the_manifest(tmp_path: Path) -> None:
     sha256 = {f"sessions/a/images/{k:06d}.jpg": "0" * 64 for k in range(500)}
-    path = changed(tmp_path, seed=..., sha256=sha256)
+    path = change(tmp_path, seed=..., sha256=sha256)
     with pytest.raises(InputError) as caught:
         read_json(path, Manifest, "scene manifest")
     assert str(caught.value) == f"missing key 'seed' in {path}"
@@ -102,7 +102,7 @@ def test_boxes_are_finite(tmp_path: Path, key: str) -> None:
 @pytest.mark.parametrize(
     "text", ["", "{", "nonsense", "[" * 100_000, '{"seed": ' + "9" * 5000 + "}"]
 )
-def test_not_json(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_json_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.json").write_text(text)
     with pytest.raises(InputError, match=r"scene manifest .*scene\.json is not valid JSON"):
         read_json(tmp_path / "scene.json", Manifest, "scene manifest")
@@ -115,7 +115,7 @@ def test_json_of_the_wrong_kind(tmp_path: Path, text: str) -> None:
         read_json(tmp_path / "scene.json", Manifest, "scene manifest")
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot read split list .*splits\.json: No such file"):
         read_json(tmp_path / "splits.json", Splits, "split list")
 
@@ -194,4 +194,4 @@ def test_invented_worlds_are_where_their_origin_says() -> None:
 )
 def test_a_bad_georeference_is_refused(tmp_path: Path, georeference: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="georeference"):
-        read_json(changed(tmp_path, georeference=georeference), Manifest, "scene manifest")
+        read_json(change(tmp_path, georeference=georeference), Manifest, "scene manifest")

@@ -25,13 +25,13 @@ def test_a_point_lies_on_what_most_photographs_see_there() -> None:
 
 
 def test_objects_without_a_point_count_too() -> None:
-    def made(number: int, name: str) -> SceneObject:
+    def make(number: int, name: str) -> SceneObject:
         return SceneObject(
             id=number, class_name=name, centre=(0, 0, 0), size=(1, 1, 1), yaw_deg=0,
             size_class="small",
         )  # fmt: skip
 
-    objects = [made(3, "bench"), made(4, "bench"), made(5, "bin")]
+    objects = [make(3, "bench"), make(4, "bench"), make(5, "bin")]
     found = coverage(np.array([0, 3, 3, 9]), objects, lambda item: item.class_name)
     assert [(name, c.seen, c.with_points, c.points) for name, c in found.items()] == [
         ("bench", 2, 1, 2),

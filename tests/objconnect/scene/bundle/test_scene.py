@@ -11,7 +11,7 @@ from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.digests import sha256_of
-from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
+from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, make_frames, make_layers
 
 SESSION = "summer-noon-nadir"
 
@@ -24,14 +24,14 @@ def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
     images.mkdir(parents=True)
     for k in range(2):
         (images / f"{k:06d}.jpg").write_bytes(bytes([k]))
-    layers = (made_layers(k) for k in range(2))
-    write_frames(images.parent / "frames.h5", made_frames(2), ALL, layers)
+    layers = (make_layers(k) for k in range(2))
+    write_frames(images.parent / "frames.h5", make_frames(2), ALL, layers)
     (path / "map").mkdir()
     options = pycolmap.SyntheticDatasetOptions()
     options.num_points3D = 10
     pycolmap.synthesize_dataset(options).write(path / "map")
     write_json(path / "objects.json", Objects(classes={}, objects=()))
-    names = made_frames(2).names
+    names = make_frames(2).names
     write_json(path / "splits.json", Splits(map=names[:1], queries={SESSION: names[1:]}))
     manifest = Manifest(
         versions={},
@@ -55,10 +55,10 @@ def test_everything_is_read_back(scene: Path) -> None:
     opened = Scene.open(scene)
     assert opened.name == "my scene"
     assert list(opened.sessions) == [SESSION]
-    assert_equal(opened.frames(SESSION), made_frames(2))
+    assert_equal(opened.frames(SESSION), make_frames(2))
     with opened.dense(SESSION) as dense:
-        assert (dense.read("depth", 1) == made_layers(1)["depth"]).all()
-    assert opened.splits.map == made_frames(1).names
+        assert (dense.read("depth", 1) == make_layers(1)["depth"]).all()
+    assert opened.splits.map == make_frames(1).names
     assert opened.objects.objects == ()
     assert len(opened.sparse_map().xyz) == 10
     assert all((opened.images_root / name).is_file() for name in opened.splits.map)
@@ -93,17 +93,17 @@ def test_pictures_for_people_and_hidden_files_are_no_data(scene: Path) -> None:
     assert Scene.open(scene).find_changed_files() == []
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="scene folder .*nowhere does not exist"):
         Scene.open(tmp_path / "nowhere")
 
 
-def test_unfinished_scene(unfinished: tuple[Path, Manifest]) -> None:
+def test_an_unfinished_scene_is_refused(unfinished: tuple[Path, Manifest]) -> None:
     with pytest.raises(InputError, match=r"not a finished scene: it has no scene\.json"):
         Scene.open(unfinished[0])
 
 
-def test_damaged_manifest(scene: Path) -> None:
+def test_a_damaged_manifest_is_refused(scene: Path) -> None:
     text = (scene / "scene.json").read_text()
     (scene / "scene.json").write_text(text[: len(text) // 2])
     with pytest.raises(InputError, match=r"scene manifest .*scene\.json is not valid JSON"):

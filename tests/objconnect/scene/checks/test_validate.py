@@ -53,12 +53,12 @@ def with_poses(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Callable[[Fram
     return lambda frames: replace(frames, cam_from_world=change(frames.cam_from_world.copy()))
 
 
-def transposed(poses: NDArray[Any]) -> NDArray[Any]:
+def transpose(poses: NDArray[Any]) -> NDArray[Any]:
     poses[:, :3, :3] = poses[:, :3, :3].transpose(0, 2, 1).copy()
     return poses
 
 
-def centred(poses: NDArray[Any]) -> NDArray[Any]:
+def centre(poses: NDArray[Any]) -> NDArray[Any]:
     poses[:, :3, 3] = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
     return poses
 
@@ -87,8 +87,8 @@ def test_rendered_truth_is_exact(rendered: Scene) -> None:
     ("change", "fault"),
     [
         (with_poses(np.linalg.inv), "poses are inverted"),
-        (with_poses(transposed), "rotations are transposed"),
-        (with_poses(centred), "translations are camera centres"),
+        (with_poses(transpose), "rotations are transposed"),
+        (with_poses(centre), "translations are camera centres"),
         (with_poses(opengl), "camera axes are OpenGL's"),
     ],
 )
@@ -139,19 +139,19 @@ def test_position_prior_of_another_origin_is_noticed(rendered_copy: Path) -> Non
 
 
 def test_mirrored_rotation_is_noticed(rendered_copy: Path) -> None:
-    def mirrored(poses: NDArray[Any]) -> NDArray[Any]:
+    def mirror(poses: NDArray[Any]) -> NDArray[Any]:
         poses[:, 0] *= -1
         return poses
 
-    rewrite(rendered_copy, with_poses(mirrored))
+    rewrite(rendered_copy, with_poses(mirror))
     assert "mirrored" in faults(rendered_copy)
 
 
 def test_world_upside_down_is_noticed(rendered_copy: Path) -> None:
-    def flipped(poses: NDArray[Any]) -> NDArray[Any]:
+    def flip(poses: NDArray[Any]) -> NDArray[Any]:
         return poses @ np.diag([1.0, -1.0, -1.0, 1.0])
 
-    rewrite(rendered_copy, with_poses(flipped))
+    rewrite(rendered_copy, with_poses(flip))
     assert "look at the sky" in faults(rendered_copy)
 
 

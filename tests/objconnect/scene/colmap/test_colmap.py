@@ -196,7 +196,7 @@ def test_a_prior_said_to_be_perfect_is_taken_at_its_word() -> None:
 # Rendered photographs of a plane: the truth is exact and no file is needed.
 
 
-def textured(seed: int, size: int) -> NDArray[np.uint8]:
+def draw_texture(seed: int, size: int) -> NDArray[np.uint8]:
     """Make noise at several scales, which gives SIFT many keypoints, (size, size, 3)."""
     rng = np.random.default_rng(seed)
     layers = [
@@ -213,7 +213,7 @@ PHOTO = Camera("PINHOLE", 320, 240, (260.0, 260.0, 160.0, 120.0))
 def plane_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[PosedImage]]:
     """Render four photographs of a textured plane, 60 m wide, from 20 m, with exact poses."""
     root = tmp_path_factory.mktemp("plane")
-    texture = textured(0, 1200)
+    texture = draw_texture(0, 1200)
     world_from_texel = np.array([[0.05, 0, -30], [0, -0.05, 30], [0, 0, 1]])
     images = []
     for k, (east, north, tilt) in enumerate(
@@ -283,7 +283,7 @@ def test_photographs_without_overlap_have_no_map(
     _, images = plane_flight
     (tmp_path / "out").mkdir()
     for k in range(2):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), textured(10 + k, 320)[:240])
+        cv2.imwrite(str(tmp_path / f"{k}.png"), draw_texture(10 + k, 320)[:240])
     with pytest.raises(InputError, match="no point could be triangulated from the 2 images"):
         triangulate(
             MappingJob(tmp_path, PAIRS[:1], SiftOptions(400), images=images[:2]), tmp_path / "out"

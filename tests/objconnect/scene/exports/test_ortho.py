@@ -108,7 +108,7 @@ def read(folder: Path) -> tuple[NDArray[np.float64], ...]:
     return np.array(world), rgba[:3, rows[few], columns[few]].T.astype(float)
 
 
-def made_points(posed: list[PosedImage]) -> SparseMap:
+def make_points(posed: list[PosedImage]) -> SparseMap:
     """A map of one point, without which none is read."""
     images = {
         i.name: MapImage(i.name, i.camera, i.cam_from_world, np.ones((1, 2)), np.zeros(1, int))
@@ -175,7 +175,7 @@ def test_results_of_dense(site: Path, tmp_path: Path) -> None:
         write_array(copy / f"dense/stereo/depth_maps/{name}.geometric.bin", depth[None])
         posed.append(PosedImage(name, CAMERA, frames.cam_from_world[k]))
     (copy / "dense/sparse").mkdir()
-    write_with_poses(posed, made_points(posed), copy / "dense/sparse")
+    write_with_poses(posed, make_points(posed), copy / "dense/sparse")
     for session in ("map", "night"):
         path = copy / "sessions" / session / "frames.h5"
         write_frames(path, read_frames(path), (), iter([{}] * len(PLACES)))

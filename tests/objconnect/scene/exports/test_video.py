@@ -32,7 +32,7 @@ def made(tmp_path: Path) -> Path:
     return write_scene(tmp_path / "scene")
 
 
-def changed(path: Path, **values: object) -> None:
+def change(path: Path, **values: object) -> None:
     """Replace arrays of the session's frames."""
     scene = Scene.open(path)
     frames = dataclasses.replace(scene.frames(SESSION), **values)
@@ -75,7 +75,7 @@ def test_without_a_fix_a_drone_writes_zeros(made: Path, tmp_path: Path) -> None:
     frames = Scene.open(made).frames(SESSION)
     gps, sigma = frames.gps_prior.copy(), frames.gps_sigma.copy()
     gps[1] = sigma[1] = np.nan
-    changed(made, gps_prior=gps, gps_sigma=sigma)
+    change(made, gps_prior=gps, gps_sigma=sigma)
     export(made, "video", tmp_path / "out", [SESSION])
 
     assert "[latitude: 0.000000]" in (tmp_path / "out" / f"{SESSION}.SRT").read_text()
@@ -87,7 +87,7 @@ def test_without_a_fix_a_drone_writes_zeros(made: Path, tmp_path: Path) -> None:
 def test_uneven_times_are_refused(
     made: Path, tmp_path: Path, times: tuple[float, float, float]
 ) -> None:
-    changed(made, time=np.array(times))
+    change(made, time=np.array(times))
     with pytest.raises(InputError, match="not taken at one rate"):
         export(made, "video", tmp_path / "out", [SESSION])
     assert not (tmp_path / "out").exists()

@@ -17,7 +17,7 @@ from objconnect.scene.geo.rasters import Kind, Raster
 UPRIGHT = from_origin(500_000.0, 5_200_000.0, 0.5, 0.5)
 
 
-def written(
+def write(
     path: Path,
     values: NDArray[Any],
     *,
@@ -34,7 +34,7 @@ def written(
     return path
 
 
-def interpreted(*names: str) -> Callable[[Any], None]:
+def interpret(*names: str) -> Callable[[Any], None]:
     """Say what the bands are."""
 
     def say(file: Any) -> None:

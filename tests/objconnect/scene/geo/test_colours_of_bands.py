@@ -14,7 +14,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geo.grids import Grid
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.quantities.bands import colour_bands
-from tests.objconnect.scene.geo.raster_files import interpreted, values_of, written
+from tests.objconnect.scene.geo.raster_files import interpret, values_of, write
 
 RNG = np.random.default_rng(5)
 RGB = RNG.integers(1, 256, (3, 12, 16), dtype=np.uint8)
@@ -44,7 +44,7 @@ def stack(*names: str) -> np.ndarray:
 )
 def test_orders_of_colours(tmp_path: Path, order: str) -> None:
     names = order.split()
-    path = written(tmp_path / "o.tif", stack(*names), after=interpreted(*names))
+    path = write(tmp_path / "o.tif", stack(*names), after=interpret(*names))
     assert np.array_equal(values_of(path, "orthophoto"), RGB)
 
 
@@ -53,7 +53,7 @@ def test_descriptions_where_nothing_else_tells(tmp_path: Path) -> None:
         file.descriptions = ["Band 1 (Blue)", "green", "Red", "NIR"]
 
     values = stack("blue", "green", "red", "nir")
-    path = written(tmp_path / "o.tif", values, after=say, photometric="minisblack")
+    path = write(tmp_path / "o.tif", values, after=say, photometric="minisblack")
     assert np.array_equal(values_of(path, "orthophoto"), RGB)
 
 
@@ -65,11 +65,11 @@ def test_descriptions_in_other_languages(tmp_path: Path, words: str) -> None:
         file.descriptions = words.split()
 
     values = stack("blue", "green", "red")
-    path = written(tmp_path / "o.tif", values, after=say, photometric="minisblack")
+    path = write(tmp_path / "o.tif", values, after=say, photometric="minisblack")
     assert np.array_equal(values_of(path, "orthophoto"), RGB)
     # GDAL calls three bands red, green and blue where its user does not say what they are.
     with pytest.raises(InputError, match="ColorInterp of band 1 is red, its description"):
-        Raster.open(written(tmp_path / "p.tif", values, after=say), "orthophoto")
+        Raster.open(write(tmp_path / "p.tif", values, after=say), "orthophoto")
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_unknown_orders_are_named(
     names = interpretations.split()
 
     def say(file: Any) -> None:
-        interpreted(*names)(file)
+        interpret(*names)(file)
         if descriptions:
             file.descriptions = descriptions.split()
 
@@ -107,7 +107,7 @@ def test_unknown_orders_are_named(
     assert not found.is_known and says in found.why
     if len(set(names) & {"hue", "cyan", "alpha"}) and "alpha red" in interpretations:
         return  # GDAL keeps one alpha band
-    path = written(tmp_path / "o.tif", stack(*names), after=say, photometric="minisblack")
+    path = write(tmp_path / "o.tif", stack(*names), after=say, photometric="minisblack")
     with pytest.raises(InputError, match="ColorInterp is unknown .*gdal_edit -colorinterp_1"):
         Raster.open(path, "orthophoto")
 
@@ -115,13 +115,13 @@ def test_unknown_orders_are_named(
 @pytest.mark.parametrize("space", ["cmyk", "cielab"])
 def test_other_colour_spaces_are_named(tmp_path: Path, space: str) -> None:
     values = np.concatenate([RGB, OTHER[None]])[: 4 if space == "cmyk" else 3]
-    path = written(tmp_path / "o.tif", values, photometric=space)
+    path = write(tmp_path / "o.tif", values, photometric=space)
     with pytest.raises(InputError, match=f"colours in {space.upper()}: convert it to RGB"):
         Raster.open(path, "orthophoto")
 
 
 def test_white_is_zero(tmp_path: Path) -> None:
-    path = written(tmp_path / "o.tif", RGB[:1], photometric="miniswhite")
+    path = write(tmp_path / "o.tif", RGB[:1], photometric="miniswhite")
     assert np.array_equal(values_of(path, "orthophoto"), 255 - RGB[:1].astype(int))
 
 
@@ -130,7 +130,7 @@ def test_scales_that_differ(tmp_path: Path) -> None:
         file.scales = [1.0, 0.5, 1.0]
 
     with pytest.raises(InputError, match="different scales or offsets"):
-        Raster.open(written(tmp_path / "o.tif", RGB, after=say), "orthophoto")
+        Raster.open(write(tmp_path / "o.tif", RGB, after=say), "orthophoto")
 
 
 # ---- Palettes ------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def test_palettes(tmp_path: Path, bits: int, dtype: str, count: int) -> None:
         file.write_colormap(1, {k: (*map(int, table[k]), 255) for k in range(count)})
 
     more = {} if bits in (8, 16) else {"nbits": bits}
-    path = written(tmp_path / "o.tif", numbers, after=say, **more)
+    path = write(tmp_path / "o.tif", numbers, after=say, **more)
     read = values_of(path, "orthophoto")
     assert np.array_equal(read, np.moveaxis(table[numbers[0]], -1, 0))
     mean = Raster.open(path, "orthophoto")
@@ -163,7 +163,7 @@ def test_the_number_of_no_data_in_a_palette(tmp_path: Path) -> None:
     def say(file: Any) -> None:
         file.write_colormap(1, {k: (10 * k, 20, 30, 255) for k in range(4)})
 
-    path = written(tmp_path / "o.tif", numbers, nodata=2, after=say)
+    path = write(tmp_path / "o.tif", numbers, nodata=2, after=say)
     read = values_of(path, "orthophoto")
     assert np.array_equal(np.isnan(read[0]), numbers[0] == 2)
     assert np.array_equal(
@@ -176,7 +176,7 @@ def test_a_palette_is_no_height(tmp_path: Path) -> None:
         file.write_colormap(1, {0: (1, 2, 3, 255)})
 
     with pytest.raises(InputError, match="palette, not heights"):
-        Raster.open(written(tmp_path / "d.tif", RGB[:1], after=say), "surface model")
+        Raster.open(write(tmp_path / "d.tif", RGB[:1], after=say), "surface model")
 
 
 # ---- No data -------------------------------------------------------------------------------------
@@ -193,24 +193,24 @@ def test_one_band_of_no_data_is_a_colour(tmp_path: Path, nodata: int) -> None:
         bands = {**dict(zip(("red", "green", "blue"), values, strict=True)), "undefined": OTHER}
         names = order.split()
         stored = np.stack([bands[name] for name in names])
-        path = written(tmp_path / "o.tif", stored, nodata=nodata, after=interpreted(*names))
+        path = write(tmp_path / "o.tif", stored, nodata=nodata, after=interpret(*names))
         np.testing.assert_array_equal(values_of(path, "orthophoto"), truth)
 
 
 def test_real_black_stays(tmp_path: Path) -> None:
     values = RGB.copy()
     values[:, 2:5, 2:5] = 0
-    assert np.array_equal(values_of(written(tmp_path / "o.tif", values), "orthophoto"), values)
+    assert np.array_equal(values_of(write(tmp_path / "o.tif", values), "orthophoto"), values)
     holes = np.full((12, 16), 255, np.uint8)
     holes[9] = 0
 
     def mask(file: Any) -> None:
         file.write_mask(holes)
 
-    path = written(tmp_path / "m.tif", values, after=mask, nodata=0)
+    path = write(tmp_path / "m.tif", values, after=mask, nodata=0)
     assert np.array_equal(np.isnan(values_of(path, "orthophoto")[0]), holes == 0)
     alpha = np.concatenate([holes[None], values])
-    path = written(tmp_path / "a.tif", alpha, after=interpreted("alpha", "red", "green", "blue"))
+    path = write(tmp_path / "a.tif", alpha, after=interpret("alpha", "red", "green", "blue"))
     read = values_of(path, "orthophoto")
     assert np.array_equal(np.isnan(read[0]), holes == 0)
     assert np.array_equal(read[:, holes > 0], values[:, holes > 0])
@@ -242,7 +242,7 @@ def test_pixels_on_the_ground(crs: str, latitude: float, metres: tuple[float, fl
 
 def test_patches_of_mercator_have_the_ground_that_is_asked_for(tmp_path: Path) -> None:
     place = from_origin(1_000_000.0, 8_400_000.0, 0.5, 0.5)  # at 60 degrees: 25 cm on the ground
-    path = written(tmp_path / "o.tif", RGB, crs="EPSG:3857", transform=place)
+    path = write(tmp_path / "o.tif", RGB, crs="EPSG:3857", transform=place)
     raster = Raster.open(path, "orthophoto")
     assert raster.patch(raster.grid.box, 0.52).grid.pixel == (1.0, 1.0)
     assert raster.patch(raster.grid.box, 0.45).grid.pixel == (0.5, 0.5)
@@ -261,7 +261,7 @@ def test_patches_of_mercator_have_the_ground_that_is_asked_for(tmp_path: Path) -
 )
 @pytest.mark.parametrize("end", [".tfw", ".wld"])
 def test_a_world_file_beside(tmp_path: Path, numbers: str, agrees: bool, end: str) -> None:
-    path = written(tmp_path / "o.tif", RGB)
+    path = write(tmp_path / "o.tif", RGB)
     path.with_suffix(end).write_text(numbers.replace(" ", "\n"))
     if agrees:
         assert Raster.open(path, "orthophoto").grid.left == 500_000.0

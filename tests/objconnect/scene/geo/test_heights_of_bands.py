@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
-from tests.objconnect.scene.geo.raster_files import values_of, written
+from tests.objconnect.scene.geo.raster_files import values_of, write
 
 RNG = np.random.default_rng(4)
 HILLS = (180 + 20 * RNG.random((1, 60, 80))).astype(np.float32)
@@ -49,13 +49,13 @@ def unit(name: str) -> Any:
     ],
 )
 def test_units(tmp_path: Path, name: str, metres: float) -> None:
-    path = written(tmp_path / "d.tif", (HILLS / metres).astype(np.float32), after=unit(name))
+    path = write(tmp_path / "d.tif", (HILLS / metres).astype(np.float32), after=unit(name))
     np.testing.assert_allclose(values_of(path, "surface model"), HILLS, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["fathom", "dB", "degrees", "m/s"])
 def test_an_unknown_unit_is_named(tmp_path: Path, name: str) -> None:
-    path = written(tmp_path / "d.tif", HILLS, after=unit(name))
+    path = write(tmp_path / "d.tif", HILLS, after=unit(name))
     with pytest.raises(InputError, match=f"band's unit is unknown .*{name}.*gdal_edit .*-units"):
         Raster.open(path, "surface model")
 
@@ -71,7 +71,7 @@ def test_scale_and_offset(tmp_path: Path, scale: float, offset: float, name: str
     def say(file: Any) -> None:
         file.scales, file.offsets, file.units = [scale], [offset], [name]
 
-    path = written(tmp_path / "d.tif", stored, nodata=-1, after=say)
+    path = write(tmp_path / "d.tif", stored, nodata=-1, after=say)
     read = values_of(path, "surface model")
     assert np.isnan(read[0, 3, 4])  # no data is a number of the file, not a height
     read[0, 3, 4] = HILLS[0, 3, 4]
@@ -83,17 +83,17 @@ def test_a_scale_of_nothing_is_named(tmp_path: Path) -> None:
         file.scales = [0.0]
 
     with pytest.raises(InputError, match="the band's scale is 0"):
-        Raster.open(written(tmp_path / "d.tif", HILLS, after=say), "surface model")
+        Raster.open(write(tmp_path / "d.tif", HILLS, after=say), "surface model")
 
 
 def test_what_is_not_stated_is_told(tmp_path: Path) -> None:
-    silent = Raster.open(written(tmp_path / "a.tif", HILLS), "surface model")
+    silent = Raster.open(write(tmp_path / "a.tif", HILLS), "surface model")
     assert silent.notes(PLACE) == (
         "a.tif states neither unit nor reference of its heights: taken as metres above the "
         "ellipsoid",
     )
     assert silent.notes(PLACE, 48.0) == ("a.tif states no unit of its heights: taken as metres",)
-    metres = Raster.open(written(tmp_path / "b.tif", HILLS, after=unit("metre")), "surface model")
+    metres = Raster.open(write(tmp_path / "b.tif", HILLS, after=unit("metre")), "surface model")
     assert "no reference" in metres.notes(PLACE)[0] and not metres.notes(PLACE, 0.0)
 
 
@@ -112,7 +112,7 @@ def rim(values: NDArray[np.float32], height: float) -> NDArray[np.float32]:
 )
 @pytest.mark.parametrize("nodata", [None, -7777.0])
 def test_holes_are_no_cliffs(tmp_path: Path, height: float, nodata: float | None) -> None:
-    path = written(tmp_path / "d.tif", rim(HILLS, height), nodata=nodata)
+    path = write(tmp_path / "d.tif", rim(HILLS, height), nodata=nodata)
     read = values_of(path, "surface model")
     assert np.array_equal(np.isnan(read), rim(HILLS, height) != HILLS)
 
@@ -122,7 +122,7 @@ def test_resampled_holes_are_no_cliffs(tmp_path: Path, height: float) -> None:
     """A resampling program mixes no data with heights at its border."""
     values = rim(HILLS, height)
     values[0, 9] = 0.5 * (values[0, 9] + height)
-    path = written(tmp_path / "d.tif", values)
+    path = write(tmp_path / "d.tif", values)
     read = values_of(path, "surface model")
     assert np.nanmin(read) > 165
 
@@ -146,7 +146,7 @@ def test_holes_of_whole_numbers_are_no_cliffs(
     def say(file: Any) -> None:
         file.scales = [scale]
 
-    raster = Raster.open(written(tmp_path / "d.tif", values, after=say), "surface model")
+    raster = Raster.open(write(tmp_path / "d.tif", values, after=say), "surface model")
     read = raster.patch(raster.grid.box).values
     assert np.isnan(read[0, :10]).all()
     np.testing.assert_allclose(read[0, 10:], HILLS[0, 10:], atol=0.6)
@@ -157,13 +157,13 @@ def test_zeros_above_low_ground(tmp_path: Path) -> None:
     """Far above they are no data; between heights they may be water, which is told."""
     deep, polder = HILLS - 600, HILLS - 190
     deep[0, :10] = polder[0, :10] = 0
-    read = values_of(written(tmp_path / "d.tif", deep), "surface model")
+    read = values_of(write(tmp_path / "d.tif", deep), "surface model")
     assert np.array_equal(np.isnan(read), deep == 0)
-    raster = Raster.open(written(tmp_path / "e.tif", polder), "surface model")
+    raster = Raster.open(write(tmp_path / "e.tif", polder), "surface model")
     assert np.array_equal(raster.patch(raster.grid.box).values, polder)
     assert "have the height 0 m, between the others" in raster.doubts[0]
     steps = np.rint(10 * (HILLS - 190)) / 10
-    stepped = written(tmp_path / "f.tif", steps.astype(np.float32))
+    stepped = write(tmp_path / "f.tif", steps.astype(np.float32))
     assert Raster.open(stepped, "surface model").doubts == ()
 
 
@@ -175,14 +175,14 @@ def test_a_lake_and_a_pit_stay(tmp_path: Path) -> None:
     plain = np.full((1, 60, 80), 200, np.float32)
     plain[0, 20:30, 20:30] = 245.0
     for name, values in (("lake", lake), ("pit", pit), ("plain with a tower", plain)):
-        path = written(tmp_path / f"{name}.tif", values.astype(np.float32))
+        path = write(tmp_path / f"{name}.tif", values.astype(np.float32))
         assert np.array_equal(values_of(path, "surface model"), values), name
 
 
 def test_the_sea_stays_and_is_told(tmp_path: Path) -> None:
     quay = (3 + 4 * RNG.random((1, 60, 80))).astype(np.float32)
     quay[0, :, :30] = 0
-    raster = Raster.open(written(tmp_path / "d.tif", quay), "surface model")
+    raster = Raster.open(write(tmp_path / "d.tif", quay), "surface model")
     assert np.array_equal(raster.patch(raster.grid.box).values, quay)
     assert "37.5 % of the pixels have the height 0 m" in raster.doubts[0]
 
@@ -192,10 +192,10 @@ def test_a_plain_or_no_data(tmp_path: Path) -> None:
     values = np.full((1, 60, 80), 150, np.float32)
     values[0, 20:30, 20:40] = HILLS[0, 20:30, 20:40]
     with pytest.raises(InputError, match="150 m, far below all others: no data or a plain"):
-        Raster.open(written(tmp_path / "d.tif", values), "surface model")
-    read = values_of(written(tmp_path / "e.tif", values, nodata=150), "surface model")
+        Raster.open(write(tmp_path / "d.tif", values), "surface model")
+    read = values_of(write(tmp_path / "e.tif", values, nodata=150), "surface model")
     assert np.isfinite(read).sum() == 200
-    read = values_of(written(tmp_path / "f.tif", values, nodata=-1), "surface model")
+    read = values_of(write(tmp_path / "f.tif", values, nodata=-1), "surface model")
     assert np.array_equal(read, values)
 
 
@@ -212,7 +212,7 @@ def feet_above_egm96(path: Path, values: NDArray[Any], code: int = 32767, key: i
     parts[1]["coordinate_system"]["axis"][0]["unit"] = foot
     del parts[1]["id"]
     compound = {"type": "CompoundCRS", "name": "UTM with feet", "components": parts}
-    written(path, values, crs=str(pyproj.CRS.from_json_dict(compound).to_wkt()))
+    write(path, values, crs=str(pyproj.CRS.from_json_dict(compound).to_wkt()))
     keys = (4096, 0, 1, 32767, 4097, 34737, 13, 14, 4098, 0, 1, 32767, 4099, 0, 1, 32767)
     datum = 32767 if code == 32767 else 5171
     named = (4096, 0, 1, code, *keys[4:11], datum, *keys[12:15], key)
@@ -236,7 +236,7 @@ def test_units_of_the_system(tmp_path: Path, egm96: float) -> None:
 
 
 def test_a_band_that_contradicts_the_system(tmp_path: Path, egm96: float) -> None:
-    path = written(tmp_path / "d.tif", HILLS, crs="EPSG:32632+5773", after=unit("foot"))
+    path = write(tmp_path / "d.tif", HILLS, crs="EPSG:32632+5773", after=unit("foot"))
     with pytest.raises(InputError, match="band's unit is unknown .it is 'foot', that of the refe"):
         Raster.open(path, "surface model")
 
@@ -273,8 +273,8 @@ def test_keys_that_gdal_leaves_out(tmp_path: Path, egm96: float, key: int, says:
     ],
 )
 def test_ballparks_are_refused(tmp_path: Path, crs: str) -> None:
-    path = written(tmp_path / "d.tif", HILLS, crs=crs)
+    path = write(tmp_path / "d.tif", HILLS, crs=crs)
     with pytest.raises(InputError, match=r"surface model .*heights in .*"):
         Raster.open(path, "surface model")
-    grey = written(tmp_path / "o.tif", np.zeros((1, 60, 80), np.uint8), crs=crs)
+    grey = write(tmp_path / "o.tif", np.zeros((1, 60, 80), np.uint8), crs=crs)
     assert Raster.open(grey, "orthophoto").grid.projection.height_unit_m is None

@@ -23,20 +23,20 @@ def lines(xy: np.ndarray) -> np.ndarray:
     return jacobian
 
 
-def correlated(xy: np.ndarray, share: float, reach: float, sigma: float) -> np.ndarray:
+def correlate(xy: np.ndarray, share: float, reach: float, sigma: float) -> np.ndarray:
     """A root of the covariance (N, N) of errors, by the formula of a spherical variogram."""
     t = np.minimum(np.linalg.norm(xy[:, None] - xy[None], axis=2) / reach, 1)
     alike = share * (1 - 1.5 * t + 0.5 * t**3)
     return sigma * np.linalg.cholesky(alike + (1 - share + 1e-9) * np.eye(len(xy)))
 
 
-def fitted(
+def fit(
     xy: np.ndarray, share: float, seed: int, reach: float = REACH
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Errors of parameters, the correlation that is found, and covariances without and with it."""
     rng = np.random.default_rng(seed)
     jacobian = lines(xy)
-    errors = correlated(xy, share, REACH, 0.5) @ rng.normal(size=(len(xy), 2))
+    errors = correlate(xy, share, REACH, 0.5) @ rng.normal(size=(len(xy), 2))
     flat = jacobian.reshape(-1, 4)
     found = np.linalg.lstsq(flat, errors.ravel(), rcond=None)[0]
     residuals = errors - (flat @ found).reshape(-1, 2)
@@ -57,7 +57,7 @@ def test_covariances_are_those_of_alike_errors(share: float, alone: float) -> No
     nees = np.empty((60, 2))
     correlations = []
     for seed in range(len(nees)):
-        found, correlation, without, covariance = fitted(xy, share, seed)
+        found, correlation, without, covariance = fit(xy, share, seed)
         nees[seed] = [found @ np.linalg.solve(c, found) for c in (without, covariance)]
         correlations.append(correlation)
     mean_without, mean = nees.mean(0) / 4
@@ -69,7 +69,7 @@ def test_covariances_are_those_of_alike_errors(share: float, alone: float) -> No
 def test_without_reach_or_pairs_nothing_is_added() -> None:
     xy = places(np.random.default_rng(1))
     for reach in (0.0, 1e-6):
-        _, correlation, without, covariance = fitted(xy, 0.4, 0, reach)
+        _, correlation, without, covariance = fit(xy, 0.4, 0, reach)
         assert correlation == 0
         np.testing.assert_array_equal(without, covariance)
 

@@ -188,17 +188,17 @@ def test_a_rational_lens_ends_where_it_folds_or_its_denominator_vanishes(seed: i
     camera = random_lens(seed)
     k1, k2, _, _, k3, k4, k5, k6 = camera.distortion
 
-    def distorted(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def distort(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = r * r
         below = 1 + k4 * s + k5 * s**2 + k6 * s**3
         return r * (1 + k1 * s + k2 * s**2 + k3 * s**3) / below, below
 
     limit = camera.fold_limit()
-    radius, below = distorted(np.linspace(0, min(0.9999 * limit, 50.0), 5000))
+    radius, below = distort(np.linspace(0, min(0.9999 * limit, 50.0), 5000))
     assert (below > 0).all()
     assert (np.diff(radius) > -1e-12 * np.abs(radius[1:])).all()
     if math.isfinite(limit):
-        radius, below = distorted(limit * np.array([1.0005, 1.002]))
+        radius, below = distort(limit * np.array([1.0005, 1.002]))
         assert radius[1] < radius[0] or below[0] < 0
         beyond = rays_within(1.0) * torch.tensor([1.0, 1.0, 0.0]).double()
         beyond = beyond / beyond.norm(dim=-1, keepdim=True)

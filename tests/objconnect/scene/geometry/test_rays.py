@@ -16,7 +16,7 @@ def rays(origins: NDArray[np.float64] = ORIGINS, place: NDArray[np.float64] = PL
     return Rays(origins, directions, np.repeat(np.eye(3)[None], len(origins), 0))
 
 
-def turned(degrees: float) -> NDArray[np.float64]:
+def turn(degrees: float) -> NDArray[np.float64]:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
@@ -40,7 +40,7 @@ def test_two_of_five_wrong_rays_are_left_out() -> None:
 def test_a_reference_that_disagrees_on_the_attitude_is_left_out() -> None:
     good = rays()
     rotations = good.rotations.copy()
-    rotations[2] = turned(10)
+    rotations[2] = turn(10)
     assert Rays(good.origins, good.directions, rotations).consensus(2, 5).tolist() == [0, 1, 3, 4]
 
 
@@ -67,12 +67,12 @@ def test_the_nearer_of_two_noisy_rays_counts_for_more() -> None:
     origins = np.array([[-10.0, 0, 0], [0, -10.0, 0], [0, 1000.0, 500]])
     good = rays(origins, np.zeros(3))
     directions = good.directions.copy()
-    directions[2] = directions[2] @ turned(0.5)
+    directions[2] = directions[2] @ turn(0.5)
     off = np.linalg.norm(Rays(origins, directions, good.rotations).meet())
     assert off < 0.02
 
 
 def test_the_mean_attitude_is_between() -> None:
     good = rays(ORIGINS[:2])
-    both = Rays(good.origins, good.directions, np.stack([turned(4), turned(8)]))
-    np.testing.assert_allclose(both.attitude(), turned(6), atol=1e-12)
+    both = Rays(good.origins, good.directions, np.stack([turn(4), turn(8)]))
+    np.testing.assert_allclose(both.attitude(), turn(6), atol=1e-12)

@@ -26,7 +26,7 @@ from objconnect.scene.maps.features import Features
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
-def turned(degrees: float) -> NDArray[np.float64]:
+def turn_by(degrees: float) -> NDArray[np.float64]:
     """A camera that looks down, its up turned clockwise (seen from above) from north."""
     heading = so3_exp(torch.tensor([0.0, 0.0, np.radians(degrees)], dtype=torch.float64)).numpy()
     return np.asarray(DOWN @ heading)
@@ -34,7 +34,7 @@ def turned(degrees: float) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("heading", [0.0, 30.0, 90.0, 170.0, -120.0])
 def test_north_is_where_the_ground_s_north_projects(heading: float) -> None:
-    rotation = turned(heading)
+    rotation = turn_by(heading)
     x, y, _ = rotation @ [0, 1, 0]
     assert north_angle(rotation) == pytest.approx(np.arctan2(x, -y), abs=1e-9)
 
@@ -47,13 +47,13 @@ def test_an_oblique_view_along_north_is_upright_already() -> None:
 @pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
 def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
     level = so3_exp(torch.tensor([np.radians(-80.0), 0.0, 0.0], dtype=torch.float64)).numpy()
-    assert north_angle(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
+    assert north_angle(level @ turn_by(heading)) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, 3.0, -2.0])
 def test_a_camera_turned_about_its_axis_looks_at_the_same(heading: float) -> None:
     tilt = so3_exp(torch.tensor([np.radians(-20.0), 0.1, 0.0], dtype=torch.float64)).numpy()
-    rotation = tilt @ turned(70)
+    rotation = tilt @ turn_by(70)
     other = roll_rotation(-heading) @ upright(rotation)
     assert north_angle(other) == pytest.approx(heading, abs=1e-9)
     np.testing.assert_allclose(other[2], rotation[2])

@@ -44,7 +44,7 @@ class Truth:
         return camera.img_from_cam(self.ray()[None])[0]
 
 
-def made_truth(rng: np.random.Generator) -> Truth:
+def make_truth(rng: np.random.Generator) -> Truth:
     count = int(rng.integers(4, 9))
     matrices = np.tile(np.eye(4), (count, 1, 1))
     down = np.diag([1.0, -1.0, -1.0])
@@ -77,7 +77,7 @@ def fisheye(rng: np.random.Generator) -> tuple[str, list[float]]:
 
 
 def write_colmap(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
-    truth = made_truth(rng)
+    truth = make_truth(rng)
     number = int(rng.integers(0, 18))
     model = MODEL_IDS[number]
     native = pycolmap.Camera.create_from_model_name(1, model, 900.0, WIDTH, HEIGHT)
@@ -149,7 +149,7 @@ def move_of_odm(origin: Geodetic, zone: int) -> tuple[Array, Array, str]:
     return (seen[1:] - seen[0]).T, seen[0], f"WGS84 UTM {zone}{'S' if south else 'N'}"
 
 
-def projected(matrices: Array, linear: Array, shift: Array) -> Array:
+def project_points(matrices: Array, linear: Array, shift: Array) -> Array:
     """Poses as export_geocoords writes them."""
     left, _, right = np.linalg.svd(linear)
     moved = matrices.copy()
@@ -166,7 +166,7 @@ def plain_project(folder: Path) -> None:
 
 
 def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
-    truth = made_truth(rng)
+    truth = make_truth(rng)
     truth.placed = True
     kind = rng.choice(["brown", "fisheye_opencv", "fisheye", "perspective", "spherical"])
     fish = kind.startswith("fisheye")
@@ -189,7 +189,7 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     there = truth.world_from_cam[:, :3, 3]
     measured = there + rng.normal(0, 1, there.shape) * noise
 
-    def written(path: Path, matrices: Array, gps: bool) -> None:
+    def write(path: Path, matrices: Array, gps: bool) -> None:
         shots = _shots(truth, matrices, measured if gps else None)
         own: dict[str, Any] = {"cameras": {"c": lens}, "shots": shots, "points": {}}
         if rng.random() < 0.8 or not beside_reference:
@@ -204,7 +204,7 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
         (project / "reference_lla.json").write_text(json.dumps(reference))
     case = rng.choice(["plain", "both", "coords", "alone"])
     if case == "plain":
-        written(path, truth.world_from_cam, bool(rng.random() < 0.5))
+        write(path, truth.world_from_cam, bool(rng.random() < 0.5))
         whole = rng.random() < 0.7
         if whole:
             plain_project(project)
@@ -214,13 +214,13 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     zone = int((truth.origin.longitude + 180) // 6) + 1
     linear, shift, header = move_of_odm(truth.origin, zone)
     offset = np.floor(shift[:2] + rng.uniform(-20, 20, 2))
-    moved = projected(truth.world_from_cam, linear, shift - [*offset, 0.0])
+    moved = project_points(truth.world_from_cam, linear, shift - [*offset, 0.0])
     if rng.random() < 0.2:
         moved = truth.world_from_cam  # an older ODM left it in the first frame
-    written(path, moved, bool(rng.random() < 0.7))
+    write(path, moved, bool(rng.random() < 0.7))
     coords = folder / "odm_georeferencing"
     if case == "both":
-        written(project / "reconstruction.topocentric.json", truth.world_from_cam, True)
+        write(project / "reconstruction.topocentric.json", truth.world_from_cam, True)
     if case != "alone":
         coords.mkdir()
         (coords / "coords.txt").write_text(f"{header}\n{offset[0]:.0f} {offset[1]:.0f}\n0 0 0\n")
@@ -233,7 +233,7 @@ def _words(values: Any) -> str:
 
 
 def write_metashape(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
-    truth = made_truth(rng)
+    truth = make_truth(rng)
     truth.placed = bool(rng.random() < 0.7)
     fish = rng.random() < 0.3
     truth.lens = fisheye(rng) if fish else brown(rng)
@@ -305,7 +305,7 @@ def write_metashape(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth
 
 
 def write_nerfstudio(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
-    truth = made_truth(rng)
+    truth = make_truth(rng)
     fish = rng.random() < 0.5
     truth.lens = fisheye(rng) if fish else brown(rng)
     fx, fy, cx, cy = truth.lens[1][:4]

@@ -16,10 +16,10 @@ from objconnect.scene.imports.poses import Frame
 from objconnect.scene.quantities.horizontal_axes import convergence, infer_axes, utm_zone
 from tests.objconnect.scene.imports.made_models import (
     Truth,
-    made_truth,
+    make_truth,
     move_of_odm,
     plain_project,
-    projected,
+    project_points,
 )
 from tests.objconnect.scene.imports.test_imports import nerfstudio
 
@@ -38,7 +38,7 @@ def shots_of(truth: Truth, matrices: Any, gps: bool) -> str:
 @pytest.fixture
 def odm(tmp_path: Path, request: pytest.FixtureRequest) -> tuple[Path, Truth]:
     """A project of ODM at the edge of a zone, with every file it leaves."""
-    truth = made_truth(np.random.default_rng(3))
+    truth = make_truth(np.random.default_rng(3))
     latitude = getattr(request, "param", 47.0)
     truth.origin = Geodetic(latitude, 11.9, 0.0)
     linear, shift, header = move_of_odm(truth.origin, 32)
@@ -46,7 +46,7 @@ def odm(tmp_path: Path, request: pytest.FixtureRequest) -> tuple[Path, Truth]:
     (tmp_path / "opensfm").mkdir()
     (tmp_path / "odm_georeferencing").mkdir()
     path = tmp_path / "opensfm" / "reconstruction.json"
-    moved = projected(truth.world_from_cam, linear, shift - [*offset, 0])
+    moved = project_points(truth.world_from_cam, linear, shift - [*offset, 0])
     path.write_text(shots_of(truth, moved, True))
     first = path.with_name("reconstruction.topocentric.json")
     first.write_text(shots_of(truth, truth.world_from_cam, True))
@@ -224,7 +224,7 @@ def test_opensfm_without_gps_is_nowhere_on_earth(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, origin: Geodetic
 ) -> None:
     """Its world has any scale then; a scene of ours that is there says so itself."""
-    truth = made_truth(np.random.default_rng(3))
+    truth = make_truth(np.random.default_rng(3))
     truth.origin = origin
     plain_project(tmp_path)
     path = tmp_path / "reconstruction.json"
@@ -264,14 +264,14 @@ def test_coordinates_of_export_geocoords_are_no_metres_from_here(
     linear, shift, _ = move_of_odm(truth.origin, 32)
     path = tmp_path / "reconstruction.geocoords.json"
     (tmp_path / "odm_georeferencing" / "coords.txt").unlink()
-    path.write_text(shots_of(truth, projected(truth.world_from_cam, linear, shift), False))
+    path.write_text(shots_of(truth, project_points(truth.world_from_cam, linear, shift), False))
     with pytest.raises(InputError, match="but in a projected system, as export_geocoords writes"):
         read_foreign(path)
 
 
 def test_files_of_two_reconstructions_are_refused(odm: tuple[Path, Truth]) -> None:
     path, truth = odm
-    other = made_truth(np.random.default_rng(4))
+    other = make_truth(np.random.default_rng(4))
     other.names, other.origin = truth.names, truth.origin
     other.world_from_cam = np.resize(other.world_from_cam, truth.world_from_cam.shape)
     first = path.with_name("reconstruction.topocentric.json")

@@ -33,13 +33,13 @@ def test_round_trip_with_folders_in_names_and_blank_images(tmp_path: Path) -> No
             assert read.dtype == written.dtype
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"feature file .*features\.h5 is missing or damaged"):
         read_features(tmp_path / "features.h5")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.9])
-def test_truncated_file(tmp_path: Path, share: float) -> None:
+def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
     path = tmp_path / "features.h5"
     write_features(path, {"a.jpg": some_features(200)})
     os.truncate(path, int(share * path.stat().st_size))

@@ -36,7 +36,7 @@ def byte(*values: int) -> Field:
     return 1, len(values), bytes(values)
 
 
-def undefined(raw: bytes) -> Field:
+def make_undefined(raw: bytes) -> Field:
     return 7, len(raw), raw
 
 
@@ -54,7 +54,7 @@ def rational(*values: float | None, most: int = 10_000_000) -> Field:
     return 5, len(pairs), b"".join(struct.pack("<II", *pair) for pair in pairs)
 
 
-def signed(*values: float, most: int = 1_000_000) -> Field:
+def sign(*values: float, most: int = 1_000_000) -> Field:
     pairs = [_fraction(v, most) for v in values]
     return 10, len(pairs), b"".join(struct.pack("<ii", *pair) for pair in pairs)
 

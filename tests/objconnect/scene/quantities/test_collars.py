@@ -11,7 +11,7 @@ from objconnect.scene.quantities.collars import describe_collar
 PICTURE = np.random.default_rng(8).uniform(1, 254, (3, 60, 80)).astype(np.float32)
 
 
-def told(picture: NDArray[np.float32], rows: int = 16) -> str | None:
+def find_collar(picture: NDArray[np.float32], rows: int = 16) -> str | None:
     return describe_collar(picture[:, k : k + rows] for k in range(0, picture.shape[1], rows))
 
 
@@ -21,7 +21,7 @@ def test_a_rim_is_told(value: int, name: str, side: str) -> None:
     picture = PICTURE.copy()
     parts = {"top": np.s_[:, :20], "bottom": np.s_[:, 40:], "left": np.s_[:, :, :27]}
     picture[parts.get(side, np.s_[:, :, 53:])] = value
-    said = told(picture)
+    said = find_collar(picture)
     assert said is not None
     assert said.startswith(("33 %", "34 %"))
     assert name in said and f"-a_nodata {value} declares it" in said
@@ -33,4 +33,6 @@ def test_what_is_no_rim() -> None:
     shadow[:, :2, :8] = 0
     declared[:, :20] = np.nan
     water[:2, :20] = 0  # blue is left
-    assert [told(picture) for picture in (PICTURE, roof, shadow, declared, water)] == [None] * 5
+    assert [find_collar(picture) for picture in (PICTURE, roof, shadow, declared, water)] == [
+        None
+    ] * 5

@@ -85,10 +85,10 @@ def hemisphere(made: Made, word: str) -> Field:
     forms = [word[0], word[0].lower(), word, word.upper(), f"{word[0]} ", f" {word[0]}", word[0]]
     said = made.pick(*forms)
     padded = said.encode() + b"\0" * int(made.rng.integers(3))
-    return made.pick(raw.text(padded), raw.undefined(padded))
+    return made.pick(raw.text(padded), raw.make_undefined(padded))
 
 
-def lettered(degrees: float, letters: str, made: Made) -> str:
+def letter_tags(degrees: float, letters: str, made: Made) -> str:
     letter, value = letters[degrees < 0], abs(degrees)
     whole, minutes = int(value), (value - int(value)) * 60
     if made.chance(0.5):
@@ -113,8 +113,8 @@ def put_position(made: Made) -> None:
         made.xmp["drone-dji:GpsLatitude"] = number(made, latitude, 8)
         made.xmp[f"drone-dji:{east}"] = number(made, longitude, 8)
     if made.chance(0.3):
-        made.xmp["exif:GPSLatitude"] = lettered(latitude, "NS", made)
-        made.xmp["exif:GPSLongitude"] = lettered(longitude, "EW", made)
+        made.xmp["exif:GPSLatitude"] = letter_tags(latitude, "NS", made)
+        made.xmp["exif:GPSLongitude"] = letter_tags(longitude, "EW", made)
 
 
 def put_altitude(made: Made) -> None:
@@ -126,7 +126,8 @@ def put_altitude(made: Made) -> None:
         made.gps["GPSAltitude"] = raw.rational(abs(metres) if kind == "whole" else None)
         digit = int(below) + made.pick(0, 2)
         if below or made.chance(0.8):
-            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), raw.undefined(bytes([digit])))
+            undefined = raw.make_undefined(bytes([digit]))
+            made.gps["GPSAltitudeRef"] = made.pick(raw.byte(digit), undefined)
     if made.chance(0.5):
         made.xmp["drone-dji:AbsoluteAltitude"] = number(made, metres, 2)
     if made.chance(0.5):

@@ -51,7 +51,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return told
 
 
-def worked(seconds: float, terminal: Terminal) -> list[str]:
+def work(seconds: float, terminal: Terminal) -> list[str]:
     """What is shown of a query: after each of three steps, and once it is answered."""
     shown, clock = [], Clock()
     with progress_bar("localize", 9) as queries, one_step(clock):
@@ -67,7 +67,7 @@ def worked(seconds: float, terminal: Terminal) -> list[str]:
 
 
 def test_a_slow_query_shows_its_steps(terminal: Terminal) -> None:
-    first, second, third, after = worked(PATIENCE_S / 2, terminal)
+    first, second, third, after = work(PATIENCE_S / 2, terminal)
     assert "localize" in first and "places aligned" not in first
     assert "places aligned" in second and "2/3" in second
     assert "places aligned" in third and "3/3" in third
@@ -75,7 +75,7 @@ def test_a_slow_query_shows_its_steps(terminal: Terminal) -> None:
 
 
 def test_a_fast_query_shows_none(terminal: Terminal) -> None:
-    shown = worked(PATIENCE_S / 4, terminal)
+    shown = work(PATIENCE_S / 4, terminal)
     assert all("localize" in text for text in shown[:3])
     assert not any("places aligned" in text for text in shown)
 

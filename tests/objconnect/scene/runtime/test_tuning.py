@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.programs import printed
+from tests.programs import run_and_print
 
 FREED = """
 import ctypes
@@ -37,7 +37,7 @@ print(held - resident_bytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc keeps what is freed")
 def test_freed_memory_goes_back_above_a_bound() -> None:
-    untuned, below, above = map(int, printed(FREED).split())
+    untuned, below, above = map(int, run_and_print(FREED).split())
     assert abs(untuned) < 20_000_000
     assert abs(below) < 20_000_000
     assert above > 150_000_000
@@ -79,15 +79,15 @@ print(held - resident_bytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
 def test_passes_find_the_memory_of_the_one_before_and_it_can_still_go_back() -> None:
-    faults, given_back = map(int, printed(PASSES, KEEP="1").split())
+    faults, given_back = map(int, run_and_print(PASSES, KEEP="1").split())
     assert faults < 1000
     assert given_back > 50_000_000
-    assert int(printed(PASSES).split()[0]) > 50_000  # of 156,000 pages
+    assert int(run_and_print(PASSES).split()[0]) > 50_000  # of 156,000 pages
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's thresholds")
 def test_thresholds_of_the_environment_are_left_as_they_are() -> None:
-    faults, _ = map(int, printed(PASSES, KEEP="1", MALLOC_TRIM_THRESHOLD_="100000").split())
+    faults, _ = map(int, run_and_print(PASSES, KEEP="1", MALLOC_TRIM_THRESHOLD_="100000").split())
     assert faults > 50_000
 
 
@@ -111,8 +111,8 @@ print(resident_bytes() - before)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
 def test_few_kernels_are_kept() -> None:
-    few = int(printed(KERNELS))
-    all_of_them = int(printed(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
+    few = int(run_and_print(KERNELS))
+    all_of_them = int(run_and_print(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
     assert few < 0.7 * all_of_them, (few, all_of_them)
 
 
@@ -150,7 +150,7 @@ return_code("no such library")
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux tells what is resident")
 def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
-    before, after, doubled = map(int, printed(CODE).split())
+    before, after, doubled = map(int, run_and_print(CODE).split())
     assert before > 4 * after
     assert doubled == 6
 
@@ -182,7 +182,7 @@ print(gc.get_freeze_count())
 
 
 def test_the_collector_leaves_out_what_there_is_until_the_next_call() -> None:
-    counts, *gone, frozen = printed(SPARED).splitlines()
+    counts, *gone, frozen = run_and_print(SPARED).splitlines()
     before, after = map(int, counts.split())
     assert after < 0.1 * before
     assert gone == ["False", "True"] and frozen == "0"
@@ -233,7 +233,7 @@ print([each for each in warnings.filters if "PIL" in str(each[3])])
 
 @pytest.mark.parametrize("method", ["sift", pytest.param("objconnect", marks=pytest.mark.thorough)])
 def test_a_host_s_process_is_left_as_it_is(method: str) -> None:
-    found, again, changed, filters = printed(HOST, METHOD=method).splitlines()
+    found, again, changed, filters = run_and_print(HOST, METHOD=method).splitlines()
     assert found == again == "ok"
     assert changed == "[] []" and filters == "[]"
 
@@ -250,7 +250,7 @@ print(is_tuned())
 
 
 def test_the_command_line_tunes_its_process() -> None:
-    assert printed(COMMAND).split() == ["False", "True", "False"]
+    assert run_and_print(COMMAND).split() == ["False", "True", "False"]
 
 
 WORKERS = """
@@ -270,4 +270,4 @@ print(threading.active_count())
 
 
 def test_worker_threads_stay_in_a_tuned_process_alone() -> None:
-    assert printed(WORKERS).split() == ["1", "True", "2", "1"]
+    assert run_and_print(WORKERS).split() == ["1", "True", "2", "1"]

@@ -27,8 +27,8 @@ from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.storage.atomic import atomic_folder, atomic_write, write_text
 from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.locks import resumable_file, write_lock
-from tests.benchmark.made_data import scored_query
-from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
+from tests.benchmark.made_data import make_scored_query
+from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, make_frames, make_layers
 
 GATE = Path(__file__).parents[3] / "data" / "gate"
 
@@ -55,7 +55,7 @@ def fill(disk: Path, left: int = 0) -> Path:
     return path
 
 
-def test_a_file(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_file(disk: Path) -> None:
     path = disk / "result"
     path.write_text("old")
     with pytest.raises(WriteError, match="No space left"), atomic_write(path) as partial:
@@ -64,7 +64,7 @@ def test_a_file(disk: Path) -> None:
     assert [p.name for p in disk.iterdir()] == ["result"]
 
 
-def test_a_folder(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_folder(disk: Path) -> None:
     with pytest.raises(WriteError, match="No space left"), atomic_folder(disk / "m") as out:
         (out / "a").write_bytes(bytes(3_000_000))
     assert not list(disk.iterdir())
@@ -73,14 +73,14 @@ def test_a_folder(disk: Path) -> None:
 def test_a_session(disk: Path) -> None:
     """HDF5 reports a full disk by exceptions of its own, possibly when the file is closed."""
     path = disk / "frames.h5"
-    write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
+    write_frames(path, make_frames(3), ALL, (make_layers(k) for k in range(3)))
     filling = fill(disk, 3000)
     with pytest.raises(WriteError, match="cannot write"):
-        write_frames(path, made_frames(40), ALL, (made_layers(k) for k in range(40)))
-    assert_equal(read_frames(path), made_frames(3))
+        write_frames(path, make_frames(40), ALL, (make_layers(k) for k in range(40)))
+    assert_equal(read_frames(path), make_frames(3))
     assert {p.name for p in disk.iterdir()} == {"frames.h5", "filling"}
     filling.unlink()
-    write_frames(path, made_frames(40), ALL, (made_layers(k) for k in range(40)))
+    write_frames(path, make_frames(40), ALL, (make_layers(k) for k in range(40)))
     assert len(read_frames(path)) == 40
 
 
@@ -226,7 +226,7 @@ def test_localize_ends_with_one_line(
     assert filling.is_file()
 
 
-def test_a_checkpoint(disk: Path) -> None:
+def test_a_full_disk_leaves_no_partial_checkpoint(disk: Path) -> None:
     """Torch writes files without Python, and reports a full disk by a RuntimeError."""
     path = disk / "checkpoint.pt"
     torch.save({"done": 1}, path)
@@ -241,27 +241,27 @@ def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> 
         raise RuntimeError("mine")
 
 
-def test_a_journal(disk: Path) -> None:
+def test_a_journal_survives_a_full_disk(disk: Path) -> None:
     """Queries written to the journal are kept until there is space again."""
     filling = fill(disk, 4096)
     noted = []
     opened = Journal(disk / "j", "key", QueryResult)
     with pytest.raises(WriteError, match="No space left"), opened as journal:
         for k in range(100):
-            journal.add(scored_query(f"{k}.jpg", 0.1))
+            journal.add(make_scored_query(f"{k}.jpg", 0.1))
             noted.append(f"{k}.jpg")
     assert 1 < len(noted) < 100
     filling.unlink()
     with Journal(disk / "j", "key", QueryResult) as journal:
         assert list(journal.done) == noted
-        journal.add(scored_query("new.jpg", 0.1))
+        journal.add(make_scored_query("new.jpg", 0.1))
 
 
 def test_a_damaged_journal_keeps_what_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "j"
     with pytest.raises(KeyboardInterrupt), Journal(path, "key", QueryResult) as journal:
         for name in ("a", "b"):
-            journal.add(scored_query(name, 0.1))
+            journal.add(make_scored_query(name, 0.1))
         raise KeyboardInterrupt
     data = path.read_bytes()
     path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # not UTF-8
@@ -305,7 +305,7 @@ def test_what_is_matched_outlives_a_full_disk(
     compared = 0
     match = adapter.match
 
-    def counted(*args: object) -> object:
+    def count(*args: object) -> object:
         nonlocal compared
         compared += 1
         return match(*args)  # type: ignore[arg-type]
@@ -314,7 +314,7 @@ def test_what_is_matched_outlives_a_full_disk(
         if compared == 3:
             raise WriteError("cannot write: full")
 
-    monkeypatch.setattr(adapter, "match", counted)
+    monkeypatch.setattr(adapter, "match", count)
     with monkeypatch.context() as patch:
         patch.setattr(adapter, "require_disk_space", room)
         with (
@@ -361,10 +361,10 @@ def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
         "import os, pathlib, signal, sys\n"
         "from objconnect.localization.pipeline.journal import Journal\n"
         "from benchmark.results.query_result import QueryResult\n"
-        "from tests.benchmark.made_data import scored_query\n"
+        "from tests.benchmark.made_data import make_scored_query\n"
         "with Journal(pathlib.Path(sys.argv[1]), 'key', QueryResult) as journal:\n"
         "    for k in range(5):\n"
-        "        journal.add(scored_query(f'{k}.jpg', 0.1))\n"
+        "        journal.add(make_scored_query(f'{k}.jpg', 0.1))\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     killed = subprocess.run(

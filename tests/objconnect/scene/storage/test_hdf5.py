@@ -14,7 +14,7 @@ from objconnect.scene.bundle.frames import dense_layers, read_frames, write_fram
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.features import read_features
 from objconnect.scene.storage.hdf5 import array, attribute, group, groups, set_text
-from tests.objconnect.scene.bundle.test_frames import ALL, made_frames, made_layers
+from tests.objconnect.scene.bundle.test_frames import ALL, make_frames, make_layers
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ SPOILERS = [
 @pytest.mark.parametrize("name", ["time", "names", "cam_from_world", "depth"])
 def test_frames(spoil: Spoil, name: str, tmp_path: Path, secret: Path) -> None:
     path = tmp_path / "frames.h5"
-    write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
+    write_frames(path, make_frames(3), ALL, (make_layers(k) for k in range(3)))
     with h5py.File(path, "r+") as file:
         del file[name]
         spoil(file, name, secret)
@@ -143,7 +143,7 @@ def test_attributes_and_groups_from_strangers(tmp_path: Path, secret: Path) -> N
 @pytest.mark.parametrize("name", ["/etc/passwd", "../../x.jpg", "a/../../b.jpg", ".."])
 def test_frames_lie_in_the_scene(name: str, tmp_path: Path) -> None:
     path = tmp_path / "frames.h5"
-    write_frames(path, made_frames(1), (), iter(()))
+    write_frames(path, make_frames(1), (), iter(()))
     with h5py.File(path, "r+") as file:
         del file["names"]
         file["names"] = np.array([name.encode()])

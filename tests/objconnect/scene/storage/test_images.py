@@ -70,7 +70,7 @@ def test_time_is_written_as_universal_time(tmp_path: Path) -> None:
     assert read_exif(tmp_path / "a.jpg").time == TIME
 
 
-def taken_with(tag: ExifTags.Base, value: str, folder: Path) -> Path:
+def take_with(tag: ExifTags.Base, value: str, folder: Path) -> Path:
     """A photograph taken at ``TIME``, with one more tag or another value of it."""
     path = folder / "a.jpg"
     write_jpeg(path, picture(), Exif(None, TIME))
@@ -86,7 +86,7 @@ def taken_with(tag: ExifTags.Base, value: str, folder: Path) -> Path:
     [("25", 0.25), ("025", 0.025), ("5\0", 0.5), (" 123456 ", 0.123456), ("", 0), ("-5", 0)],
 )
 def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> None:
-    path = taken_with(ExifTags.Base.SubsecTimeOriginal, digits, tmp_path)
+    path = take_with(ExifTags.Base.SubsecTimeOriginal, digits, tmp_path)
     assert read_exif(path).time == TIME + timedelta(seconds=seconds)
 
 
@@ -102,7 +102,7 @@ def test_focal_length_is_in_longest_sides(size: tuple[int, int], tmp_path: Path)
 
 @pytest.mark.parametrize(("offset", "hours"), [("+02:00", 2), ("-05:30", -5.5), ("", 0), ("?", 0)])
 def test_offset_from_universal_time(offset: str, hours: float, tmp_path: Path) -> None:
-    path = taken_with(ExifTags.Base.OffsetTimeOriginal, offset, tmp_path)
+    path = take_with(ExifTags.Base.OffsetTimeOriginal, offset, tmp_path)
     assert read_exif(path).time == TIME - timedelta(hours=hours)
 
 
@@ -194,7 +194,7 @@ def test_real_photographs_tell_where_they_were_taken(beach: Path) -> None:
         assert exif.time is not None
 
 
-def refused(path: Path, camera: Camera | None = None) -> str:
+def expect_error(path: Path, camera: Camera | None = None) -> str:
     with pytest.raises(InputError) as caught:
         read_rgb(path, camera)
     message = str(caught.value)
@@ -203,8 +203,8 @@ def refused(path: Path, camera: Camera | None = None) -> str:
     return message
 
 
-def test_missing_image(tmp_path: Path) -> None:
-    assert "does not exist" in refused(tmp_path / "missing.jpg")
+def test_a_missing_image_is_refused(tmp_path: Path) -> None:
+    assert "does not exist" in expect_error(tmp_path / "missing.jpg")
     with pytest.raises(InputError, match=r"missing\.jpg does not exist"):
         read_exif(tmp_path / "missing.jpg")
 
@@ -213,34 +213,34 @@ def test_not_an_image(tmp_path: Path) -> None:
     (tmp_path / "notes.jpg").write_text("these are not pixels")
     (tmp_path / "empty.jpg").touch()
     for name in ("notes.jpg", "empty.jpg"):
-        assert "not an image" in refused(tmp_path / name)
+        assert "not an image" in expect_error(tmp_path / name)
         with pytest.raises(InputError, match="not an image"):
             read_exif(tmp_path / name)
 
 
-def test_truncated_jpeg(jpeg: Path) -> None:
+def test_a_truncated_jpeg_is_refused(jpeg: Path) -> None:
     whole = jpeg.read_bytes()
     jpeg.write_bytes(whole[: len(whole) * 2 // 3])
-    assert "damaged" in refused(jpeg)
+    assert "damaged" in expect_error(jpeg)
 
 
-def test_truncated_png(tmp_path: Path) -> None:
+def test_a_truncated_png_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "photo.png"
     Image.fromarray(picture()).save(path)
     whole = path.read_bytes()
     for length in (20, len(whole) // 2):
         path.write_bytes(whole[:length])
-        refused(path)
+        expect_error(path)
 
 
 def test_a_folder_is_no_image(tmp_path: Path) -> None:
     (tmp_path / "folder.jpg").mkdir()
-    refused(tmp_path / "folder.jpg")
+    expect_error(tmp_path / "folder.jpg")
 
 
-def test_wrong_size(jpeg: Path) -> None:
+def test_an_image_of_a_wrong_size_is_refused(jpeg: Path) -> None:
     camera = Camera("PINHOLE", 128, 96, (50.0, 50.0, 32.0, 24.0))
-    assert "is 64 x 48 pixels but its camera is 128 x 96" in refused(jpeg, camera)
+    assert "is 64 x 48 pixels but its camera is 128 x 96" in expect_error(jpeg, camera)
 
 
 def test_grey_and_transparent_images_become_rgb(tmp_path: Path) -> None:

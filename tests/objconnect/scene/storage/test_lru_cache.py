@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from objconnect.scene.storage.lru_cache import LruCache
-from tests.programs import printed
+from tests.programs import run_and_print
 
 
 def test_the_last_used_stay_within_the_bound() -> None:
@@ -44,7 +44,7 @@ print(room(1))
 
 def test_half_of_what_is_left_below_a_bound_is_for_values() -> None:
     """In a process that does nothing else: what other tests let go may leave memory meanwhile."""
-    at_first, with_less, without = map(float, printed(ROOM).split())
+    at_first, with_less, without = map(float, run_and_print(ROOM).split())
     assert at_first == pytest.approx(100, abs=10)
     # What is taken meanwhile is not there any more.
     assert with_less == pytest.approx(50, abs=10)

@@ -1,0 +1,98 @@
+"""Commands about the methods: their options and their training."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import fill
+from typing import Annotated, Any
+
+import typer
+from pydantic import BaseModel
+
+from benchmark.cli.arguments import parse_settings
+from benchmark.cli.options import Json, Settings, TrainingScenes, ValidationScenes
+from benchmark.cli.output import Summary, emit
+from objconnect.methods import TRAINABLES
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.command()
+def options(
+    method: Annotated[str, typer.Argument(metavar="METHOD", help="Localizer, such as sift.")],
+    as_json: Json = False,
+) -> None:
+    """List the options of a localizer with their defaults.
+
+    Each is printed as KEY=VALUE, as --set of evaluate and localize takes it. The options of a group
+    follow it as GROUP.KEY.
+    """
+    from objconnect.methods import create
+
+    listed = list(_list_options(create(method, {}).config))
+    lines = [_describe(option) for option in listed] or [f"{method} has no options"]
+    emit(Summary("\n".join(lines), {"method": method, "options": listed}), as_json)
+
+
+def _list_options(config: BaseModel, group: str = "") -> Iterator[dict[str, Any]]:
+    """Yield key, default and description of every option; those of a group follow the group."""
+    defaults = config.model_dump(mode="json")
+    for name, field in type(config).model_fields.items():
+        description = (field.description or "").replace("``", "")
+        yield {"key": group + name, "default": defaults[name], "description": description}
+        if isinstance(inner := getattr(config, name), BaseModel):
+            yield from _list_options(inner, f"{group}{name}.")
+
+
+def _describe(option: dict[str, Any]) -> str:
+    is_group = isinstance(option["default"], dict)
+    first = f"{option['key']}{' (group)' if is_group else '=' + json.dumps(option['default'])}"
+    indent = " " * 4
+    text = fill(option["description"], 96, initial_indent=indent, subsequent_indent=indent)
+    return f"{first}\n{text}"
+
+
+@app.command()
+# More than six parameters: each is an option or argument of the command.
+def train(
+    method: Annotated[
+        str,
+        typer.Argument(
+            metavar="METHOD", help=f"Method to train: {', '.join(TRAINABLES.built_in)}."
+        ),
+    ],
+    data: TrainingScenes,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="RUN",
+            help="Folder for the checkpoint, the log, the loss curves, the weights and their card.",
+        ),
+    ],
+    validation: ValidationScenes = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="Configuration of the training (objconnect.learning.training.config): a file, or "
+            "the name of one that comes with objconnect, such as train/pixloc.",
+        ),
+    ] = None,
+    overrides: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Train a method on rendered scenes, or resume its training.
+
+    Under torchrun, several processes train together. To use the weights, pass --set weights=FILE to
+    evaluate or localize.
+    """
+    from objconnect.learning.training.command import train as run
+    from objconnect.learning.training.config import TrainConfig
+    from objconnect.methods import trainable
+    from objconnect.scene.config import load_config
+
+    settings = load_config(TrainConfig, config, parse_settings(overrides))
+    weights = str(run(method, trainable(method), data, out, settings, validation or []))
+    emit(Summary(weights, {"weights": weights}), as_json)
