@@ -30,29 +30,29 @@ from objconnect.scene.localizer import Status
 
 Boards = Mapping[str, TrackBoard]
 
-# The columns of the table of methods: starts, and what each tells a method.
-_TOLD: Final = {
-    "error=3m,5deg": "within 3 m and 5°",
-    "gps=50m": "50 m, no heading",
-    "none": "nothing",
+# The columns of the table of methods: starts, and the prior that each gives a method.
+_PRIORS: Final = {
+    "error=3m,5deg": "prior off by 3 m, 5°",
+    "gps=50m": "position off by 50 m, no heading",
+    "none": "no prior",
 }
 _TRACK: Final = "uav-seasons"
 
 
 def methods(boards: Boards) -> str:
-    """Return the table of README: recall of all methods by what they are told.
+    """Return the table of README: recall of all methods by the prior.
 
     Each column holds the changed queries of ``uav-seasons`` on the places that all methods with
     results from that start share. Stored results have no comparable seconds: they were timed on
     different days, beside other work.
     """
     board = track_of(boards, _TRACK)
-    rows = {start: _shared(board, start) for start in _TOLD}
-    head = [f"told {_TOLD[start]} ({len(rows[start])})" for start in _TOLD]
+    rows = {start: _shared(board, start) for start in _PRIORS}
+    head = [f"{prior} ({len(rows[start])})" for start, prior in _PRIORS.items()]
     lines = [["method", *head, "false fixes"]]
     for method in board.track.methods:
         runs = {run.start: run for run in board.runs if run.method == method}
-        answers = [runs[s].of(rows[s]) if s in runs else None for s in _TOLD]
+        answers = [runs[s].of(rows[s]) if s in runs else None for s in _PRIORS]
         recalls = ["–" if a is None else _cell(recall(a, FOUND)) for a in answers]
         wrong = ["–" if a is None else str(wrong_count(a)) for a in answers]
         lines.append([f"`{method}`", *recalls, ", ".join(wrong)])
