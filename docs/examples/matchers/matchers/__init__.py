@@ -1,1 +1,1 @@
-"""Matchers of others as localizers: their matches, lifted to the map's points, give a pose."""
+"""Third-party matchers as localizers: matches are lifted to map points, and PnP gives a pose."""
