@@ -1,1 +1,1 @@
-"""Localizers from the matchers of other packages: matches are lifted to map points for PnP."""
+"""Third-party matchers as localizers: matches are lifted to map points, and PnP gives a pose."""
