@@ -55,7 +55,10 @@ GROUND = {
 }
 
 
-@pytest.fixture(scope="module", params=[(name, seed) for name in PRESETS for seed in (1, 2)])
+SECOND = [pytest.param((name, 2), marks=pytest.mark.thorough) for name in PRESETS]
+
+
+@pytest.fixture(scope="module", params=[*((name, 1) for name in PRESETS), *SECOND])
 def place(request: pytest.FixtureRequest) -> tuple[str, World]:
     name, seed = request.param
     return name, preset(name)(seed, AREA)
