@@ -17,7 +17,6 @@ from simulate.place.presets import preset
 from simulate.place.town import build_town
 from simulate.place.world import MAX_OBJECT_ID, Heightfield, World, class_lookup
 
-
 # The largest is checked in the thorough part.
 TOWNS = [
     (0, 120.0),

@@ -46,7 +46,7 @@ def test_freed_memory_goes_back_above_a_bound() -> None:
 PASSES = """
 import ctypes, os, resource
 from objconnect.scene.runtime.memory import resident_bytes
-from objconnect.scene.runtime.tuning import ProcessTuning, keep_freed, return_freed
+from objconnect.scene.runtime.tuning import ProcessTuning, retain_heap, trim_heap
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
@@ -61,10 +61,10 @@ def one():
     for block in blocks:
         libc.free(block)
 
-keep_freed()  # not tuned: nothing
+retain_heap()  # not tuned: nothing
 if os.environ.get("KEEP"):
     ProcessTuning().__enter__()
-    keep_freed()
+    retain_heap()
 for _ in range(3):
     one()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -72,7 +72,7 @@ for _ in range(10):
     one()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 held = resident_bytes()
-return_freed()
+trim_heap()
 print(held - resident_bytes())
 """
 
@@ -94,7 +94,7 @@ def test_thresholds_of_the_environment_are_left_as_they_are() -> None:
 KERNELS = """
 import torch
 from objconnect.scene.runtime.memory import resident_bytes
-from objconnect.scene.runtime.tuning import ProcessTuning, return_freed
+from objconnect.scene.runtime.tuning import ProcessTuning, trim_heap
 
 torch.set_num_threads(1)
 ProcessTuning().__enter__()
@@ -102,9 +102,9 @@ layer = torch.nn.Conv2d(16, 16, 3)
 with torch.inference_mode():
     layer(torch.rand(1, 16, 64, 64))
     before = resident_bytes()
-    for width in range(400):
+    for width in range(200):
         layer(torch.rand(1, 16, 64, 65 + width))
-return_freed()
+trim_heap()
 print(resident_bytes() - before)
 """
 
@@ -118,7 +118,7 @@ def test_few_kernels_are_kept() -> None:
 
 CODE = """
 import numpy as np
-from objconnect.scene.runtime.loops import compiled
+from objconnect.scene.runtime.loops import compile_loop
 from objconnect.scene.runtime.tuning import ProcessTuning, return_code
 
 ProcessTuning().__enter__()
@@ -139,10 +139,10 @@ def double(numbers):
 import llvmlite.binding as llvm
 llvm.initialize_native_target()
 print(resident())
-loop, numbers = compiled(double, "void(f8[::1])"), np.ones(3)
+loop, numbers = compile_loop(double, "void(f8[::1])"), np.ones(3)
 print(resident())
 loop(numbers)
-compiled(double, "void(f4[::1])")
+compile_loop(double, "void(f4[::1])")
 print(int(numbers.sum()))
 return_code("no such library")
 """
@@ -190,6 +190,7 @@ def test_the_collector_leaves_out_what_there_is_until_the_next_call() -> None:
 
 HOST = """
 import ctypes, gc, os, signal, sys, threading, warnings
+from dataclasses import replace
 from pathlib import Path
 import cv2, numba, torch  # they change the process themselves
 
@@ -219,8 +220,9 @@ import objconnect as oc
 flight = Path("tests/data/gate-snow")
 place = oc.open_map(flight)
 localizer = oc.create_localizer(os.environ["METHOD"], {})
-localizer.prepare(place.sparse_map, flight / "images")
-name, image = next(iter(place.sparse_map.images.items()))
+first = dict(list(place.sparse_map.images.items())[:6])
+localizer.prepare(replace(place.sparse_map, images=first), flight / "images")
+name, image = next(iter(first.items()))
 pixels = oc.read_rgb(flight / "images" / name)
 sure = oc.Prior(image.pose.centre().numpy(), None, image.pose.rotation.numpy())
 for prior in (sure, None):
