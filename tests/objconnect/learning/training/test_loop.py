@@ -63,7 +63,8 @@ class KilledAt(PixlocTraining):
         return super().loss(batch, progress)
 
 
-THOROUGH = {"objects": pytest.mark.thorough}  # ``test_detector`` takes its steps every time
+# Their own tests take steps of both every time.
+THOROUGH = dict.fromkeys(("objects", "objconnect"), pytest.mark.thorough)
 
 
 @pytest.mark.parametrize(
