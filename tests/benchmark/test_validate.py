@@ -7,35 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmark.validation import validate
-from objconnect.scene.colmap.sift import SiftExtractor
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.maps.features import Features
+
+pytestmark = pytest.mark.usefixtures("extracted_once")
 
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map's features are the same in every test."""
     return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def _extracted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The photographs are the same in every test, too: their features are extracted once."""
-    extract = SiftExtractor.__call__
-
-    def remembered(extractor: SiftExtractor, rgb: NDArray[np.uint8]) -> Features:
-        key = rgb.tobytes()
-        if key not in EXTRACTED:
-            EXTRACTED[key] = extract(extractor, rgb)
-        return EXTRACTED[key]
-
-    monkeypatch.setattr(SiftExtractor, "__call__", remembered)
-
-
-EXTRACTED: dict[bytes, Features] = {}
 
 
 @pytest.fixture
