@@ -143,7 +143,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("kind", IMAGES)
+NOTHING = [kind for kind in IMAGES if kind != "noise"]
+
+
+@pytest.mark.parametrize("kind", [*NOTHING, pytest.param("noise", marks=pytest.mark.thorough)])
 def test_an_image_of_nothing_is_not_localized(localizer: Localizer, kind: str) -> None:
     if localizer.name == "place" and kind == "noise":
         pytest.skip("place answers the likeliest start, which nothing has verified")
@@ -185,7 +188,17 @@ def test_a_prior_of_infinite_sigma_is_one_nobody_relies_on(localizer: Localizer)
         assert metres_off(estimate.cam_from_world) < limit
 
 
-@pytest.mark.parametrize("method", LOOKING)
+# Both search by the engine of ``pixloc``.
+SEARCHING = ("objconnect", "pixloc-search")
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(name, marks=pytest.mark.thorough) if name in SEARCHING else name
+        for name in LOOKING
+    ],
+)
 @pytest.mark.parametrize(
     "spoiled",
     [one_point(WHOLE), observing(WHOLE, np.zeros(0, np.int64))],

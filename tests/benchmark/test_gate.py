@@ -68,6 +68,8 @@ GUARDED: Final = [
     *(pytest.param(*guarded, marks=pytest.mark.thorough) for guarded in THOROUGH),
 ]
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 
 @pytest.fixture(scope="module")
 def gate() -> Dataset:

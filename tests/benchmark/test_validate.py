@@ -7,35 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmark.validation import validate
-from objconnect.scene.colmap.sift import SiftExtractor
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.maps.features import Features
+
+pytestmark = pytest.mark.usefixtures("extracted_once")
 
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map's features are the same in every test."""
     return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def _extracted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The photographs are the same in every test, too: their features are extracted once."""
-    extract = SiftExtractor.__call__
-
-    def remembered(extractor: SiftExtractor, rgb: NDArray[np.uint8]) -> Features:
-        key = rgb.tobytes()
-        if key not in EXTRACTED:
-            EXTRACTED[key] = extract(extractor, rgb)
-        return EXTRACTED[key]
-
-    monkeypatch.setattr(SiftExtractor, "__call__", remembered)
-
-
-EXTRACTED: dict[bytes, Features] = {}
 
 
 @pytest.fixture
@@ -81,9 +63,14 @@ def test_a_real_flight_passes(sparse: Path, cache: Path) -> None:
     ("change", "fault"),
     [
         (np.linalg.inv, "poses are inverted"),
-        (centre, "translations are camera centres"),
-        (transpose, "rotations are transposed"),
-        (lambda matrix: np.diag([1.0, -1, -1, 1]) @ matrix, "camera axes are OpenGL's"),
+        *(
+            pytest.param(*convention, marks=pytest.mark.thorough)
+            for convention in (
+                (centre, "translations are camera centres"),
+                (transpose, "rotations are transposed"),
+                (lambda matrix: np.diag([1.0, -1, -1, 1]) @ matrix, "camera axes are OpenGL's"),
+            )
+        ),
     ],
 )
 def test_other_conventions_of_reference_poses_are_named(
@@ -99,6 +86,7 @@ def test_other_conventions_of_reference_poses_are_named(
     assert fault in report.text()
 
 
+@pytest.mark.thorough
 def test_query_cameras_off_by_half_a_pixel_are_named(
     flight_copy: Path, sparse: Path, cache: Path
 ) -> None:

@@ -169,6 +169,7 @@ def test_pixels_differ_only_where_the_manifest_declares_it(two_sessions: Scene) 
     assert min(seen.values()) > 20, seen  # and what is declared is there to see
 
 
+@pytest.mark.thorough
 def test_what_is_declared_is_all_that_was_rendered_elsewhere(two_sessions: Scene) -> None:
     """Depth lifted to the world: what is new stands in its own box of objects.json."""
     scene = two_sessions

@@ -152,6 +152,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return camera, job, poses, frames
 
 
+@pytest.mark.thorough
 def test_depth_is_what_rays_through_the_lens_meet(flown, tmp_path: Path) -> None:
     _, job, _, frames = flown
     check_rays(job, frames, tmp_path)

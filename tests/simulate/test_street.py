@@ -26,7 +26,7 @@ from simulate.planner import plan_session
 AREA = 300.0
 
 
-@pytest.fixture(scope="module", params=[1, 2])
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.thorough)])
 def street(request: pytest.FixtureRequest) -> World:
     return preset("street")(request.param, AREA)
 

@@ -17,8 +17,16 @@ from simulate.place.presets import preset
 from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, Heightfield, World, class_lookup
 
+# The largest is checked in the thorough part.
+TOWNS = [
+    (0, 120.0),
+    (1, 120.0),
+    (2, 150.0),
+    pytest.param((7, 240.0), marks=pytest.mark.thorough),
+]
 
-@pytest.fixture(scope="module", params=[(0, 120.0), (1, 120.0), (2, 150.0), (7, 240.0)])
+
+@pytest.fixture(scope="module", params=TOWNS)
 def town(request: pytest.FixtureRequest) -> World:
     return TOWN.build(*request.param)
 

@@ -140,7 +140,10 @@ def make_answers(
     "planted",
     [
         CovarianceModel.of((2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)),
-        CovarianceModel.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
+        pytest.param(
+            CovarianceModel.of((3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2)),
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_calibration_finds_what_was_planted(planted: CovarianceModel) -> None:

@@ -24,6 +24,7 @@ def verdicts(query: QueryResult) -> NDArray[np.bool_]:
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("extracted_once")
 def test_a_fresh_render_gives_the_recorded_results(tmp_path: Path) -> None:
     """On any processor: the render is that of the leaderboard but for rounding, and so are answers.
 

@@ -83,6 +83,16 @@ def new_ones(rendered: Scene, folder: Path, *, exif: bool = True) -> Path:
     return some(folder, sorted(photographs_of(rendered).iterdir())[OLD:], exif=exif)
 
 
+@pytest.fixture(scope="module")
+def added(
+    rendered: Scene, old: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Scene, IngestReport]:
+    """The old scene and the new photographs. Tests that change it take a copy."""
+    folder = tmp_path_factory.mktemp("added")
+    report = ingest(new_ones(rendered, folder / "photos"), folder / "both", add=old)
+    return Scene.open(folder / "both"), report
+
+
 def require_unchanged(scene: Path, before: dict[str, bytes], kept: Scene) -> None:
     """The scene is as before, and its frames are in the other one bit by bit."""
     assert contents(scene) == before
@@ -101,11 +111,10 @@ def require_unchanged(scene: Path, before: dict[str, bytes], kept: Scene) -> Non
 
 
 def test_features_of_the_map_are_those_that_localizers_would_extract(
-    rendered: Scene, old: Path, tmp_path: Path
+    rendered: Scene, old: Path, added: tuple[Scene, IngestReport], tmp_path: Path
 ) -> None:
     """So that they need not, also once photographs are added; not where the old are unknown."""
-    ingest(new_ones(rendered, tmp_path / "photos"), tmp_path / "both", add=old)
-    for path in (old, tmp_path / "both"):
+    for path in (old, added[0].path):
         scene = Scene.open(path)
         sift, sparse_map = Sift(SiftOptions().max_features), scene.sparse_map()
         kept = map_features(MapCache.of(sparse_map, scene.images_root, tmp_path / "cache"), sift)
@@ -118,7 +127,8 @@ def test_features_of_the_map_are_those_that_localizers_would_extract(
     features = tmp_path / "unknown" / "map" / "features.h5"
     write_features(features, read_features(features))
     finish_scene(tmp_path / "unknown", Scene.open(old).manifest)
-    ingest(tmp_path / "photos", tmp_path / "other", add=tmp_path / "unknown")
+    photos = new_ones(rendered, tmp_path / "photos")
+    ingest(photos, tmp_path / "other", add=tmp_path / "unknown")
     assert FeatureFile(tmp_path / "other" / "map" / "features.h5").inputs_digest == ""
 
 
@@ -166,10 +176,11 @@ def test_new_photographs_stand_where_they_were_taken(
     assert len(dataset.queries) == report.queries
 
 
-def test_covisibility_of_old_and_new(rendered: Scene, old: Path, tmp_path: Path) -> None:
+def test_covisibility_of_old_and_new(
+    rendered: Scene, old: Path, added: tuple[Scene, IngestReport]
+) -> None:
     """The shares among old frames are as before, and those of new ones are near the true ones."""
-    ingest(new_ones(rendered, tmp_path / "photos"), tmp_path / "both", add=old)
-    before, both = Scene.open(old).covisibility, Scene.open(tmp_path / "both").covisibility
+    before, both = Scene.open(old).covisibility, added[0].covisibility
     assert both.names[:OLD] == before.names
     assert np.array_equal(both.overlap[:OLD, :OLD], before.overlap)
     names = [f"{SESSION}/images/{Path(name).name}" for name in both.names]
@@ -207,7 +218,11 @@ def test_what_is_there_is_not_added_again(rendered: Scene, old: Path, tmp_path: 
 
 
 def test_an_interrupted_addition_goes_on(
-    rendered: Scene, old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rendered: Scene,
+    old: Path,
+    added: tuple[Scene, IngestReport],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Features of the map are never extracted, those of new photographs once; the old scene is
     whole after the interruption."""
@@ -246,8 +261,9 @@ def test_an_interrupted_addition_goes_on(
         f"flight-2/images/{path.name}" for path in sorted(photos.iterdir())
     ]
     assert ingest(photos, out, add=old) == report
-    assert report == ingest(photos, tmp_path / "at once", add=old)
-    first, second = Scene.open(out).manifest, Scene.open(tmp_path / "at once").manifest
+    at_once, expected = added
+    assert report == expected
+    first, second = Scene.open(out).manifest, at_once.manifest
     assert first.sha256["map/points3D.bin"] == second.sha256["map/points3D.bin"]
     assert not list(out.glob(".*"))
 
@@ -332,6 +348,7 @@ def test_scenes_that_cannot_be_added_to(rendered: Scene, old: Path, tmp_path: Pa
     assert not (tmp_path / "both").exists()
 
 
+@pytest.mark.thorough
 def test_a_rendered_scene_can_be_added_to(rendered: Scene, old: Path, tmp_path: Path) -> None:
     """Its other sessions, their layers and objects come along."""
     assert sorted(path.name for path in photographs_of(rendered).iterdir())[0] == "000000.jpg"

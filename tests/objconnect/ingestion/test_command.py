@@ -173,6 +173,7 @@ def test_the_scene_does_what_scenes_do(ingested: Ingested, tmp_path: Path) -> No
         assert export(scene.path, file_format, tmp_path / file_format)["frames"] == 18
 
 
+@pytest.mark.thorough
 def test_the_map_can_be_built_again(ingested: Ingested, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(ingested[0].path, tmp_path / "copy"))
     report = build_map(copy)

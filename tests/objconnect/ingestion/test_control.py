@@ -329,6 +329,7 @@ def test_a_scene_of_photographs_and_points(rendered: Scene, tmp_path: Path) -> N
     assert report.gps.horizontal_rms > 0.5
 
 
+@pytest.mark.thorough
 def test_points_only_check_given_poses(rendered: Scene, tmp_path: Path) -> None:
     export(rendered.path, "opensfm", tmp_path / "given", [MAP_SESSION])
     path = tmp_path / "gcp_list.txt"

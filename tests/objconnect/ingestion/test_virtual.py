@@ -127,6 +127,7 @@ def _geodetic(scene: Scene, xyz: NDArray[np.float64]) -> Geodetic:
     return geodetic_from_enu(xyz, scene.manifest.origin)
 
 
+@pytest.mark.thorough
 def test_a_query_has_the_same_pose_in_two_systems(maps: dict[str, Scene]) -> None:
     """To 1 cm, whatever grid the map's files are in: the query is the place's own, not a view."""
     camera = Camera("PINHOLE", 320, 320, (300.0, 300.0, 160.0, 160.0))

@@ -38,7 +38,7 @@ def refuse(*_: object) -> None:
     raise AssertionError("computed again")
 
 
-@pytest.mark.parametrize("method", ["sift", "objconnect"])
+@pytest.mark.parametrize("method", ["sift", pytest.param("objconnect", marks=pytest.mark.thorough)])
 def test_parts_are_copied(
     made: tuple[SparseMap, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:

@@ -16,6 +16,7 @@ import torch
 
 from objconnect.mapping.build import build_map, choose_pairs
 from objconnect.mapping.class_coverage import class_coverage
+from objconnect.mapping.report import MapReport
 from objconnect.scene.bundle.scene import FEATURES, Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.features import read_features
@@ -58,12 +59,18 @@ def test_features_lie_beside_the_map(rendered: Scene) -> None:
         assert np.abs(features[name].xy - image.xy).max() < 1e-3
 
 
-def test_mapping_again_replaces_the_map(rendered_copy: Path) -> None:
-    before = Scene.open(rendered_copy).sparse_map()
-    (rendered_copy / "map" / "points3D.bin").write_bytes(b"damaged")
-    build_map(rendered_copy)
-    scene = Scene.open(rendered_copy)
-    assert np.allclose(scene.sparse_map().xyz, before.xyz)
+@pytest.fixture(scope="module")
+def again(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, MapReport]:
+    """The rendered scene, whose damaged map is built again."""
+    path = Path(shutil.copytree(rendered.path, tmp_path_factory.mktemp("again") / "hamlet"))
+    (path / "map" / "points3D.bin").write_bytes(b"damaged")
+    report = build_map(path)
+    return Scene.open(path), report
+
+
+def test_mapping_again_replaces_the_map(rendered: Scene, again: tuple[Scene, MapReport]) -> None:
+    scene, _ = again
+    assert np.allclose(scene.sparse_map().xyz, rendered.sparse_map().xyz)
     assert scene.find_changed_files() == []
 
 
@@ -114,9 +121,8 @@ def test_structure_from_motion_finds_the_poses(rendered_copy: Path) -> None:
     assert scene.sparse_map().reprojection_error() == report.reprojection_error_px
 
 
-def test_report_of_a_triangulated_map(rendered_copy: Path) -> None:
-    report = build_map(rendered_copy)
-    scene = Scene.open(rendered_copy)
+def test_report_of_a_triangulated_map(again: tuple[Scene, MapReport]) -> None:
+    scene, report = again
     assert report.points == len(scene.sparse_map().xyz)
     # Poses went into COLMAP's file as quaternions and came back.
     assert report.position_m.max < 1e-9

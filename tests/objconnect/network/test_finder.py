@@ -208,7 +208,9 @@ def test_objects_are_switched_off_by_name() -> None:
     assert without._other is None
 
 
-@pytest.mark.parametrize(("most", "asked"), [(5000, True), (0, False)])
+@pytest.mark.parametrize(
+    ("most", "asked"), [pytest.param(5000, True, marks=pytest.mark.thorough), (0, False)]
+)
 def test_in_large_maps_the_search_is_asked_first(
     rendered: Scene, cache: Path, most: int, asked: bool
 ) -> None:

@@ -76,6 +76,7 @@ def rays(scene: Scene, session: str, frame: int) -> tuple[np.ndarray, np.ndarray
     return -pose[:3, :3].T @ pose[:3, 3], local @ pose[:3, :3], depth
 
 
+@pytest.mark.thorough
 def test_the_place_of_a_finished_twin_is_taken_over(
     twin: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,11 +88,13 @@ def test_the_place_of_a_finished_twin_is_taken_over(
     assert report is not None and report.spacing_m > 0
 
 
+@pytest.mark.thorough
 def test_the_truth_is_valid(twin: Scene) -> None:
     report = validate(twin.path)
     assert report.ok, report.text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("session", "frame"), [("again", 1), ("tilted", 0)])
 def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
     """Rays are followed over triangles of the test's own: above them before, on them at the end."""
@@ -113,6 +116,7 @@ def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
         assert (at[within, 2] - surface_height(world, *at[within, :2].T) > -0.01).all()
 
 
+@pytest.mark.thorough
 def test_blender_agrees(twin: Scene, tmp_path: Path) -> None:
     made = SimulateConfig.model_validate(twin.manifest.config)
     frames = twin.frames("again")
@@ -122,6 +126,7 @@ def test_blender_agrees(twin: Scene, tmp_path: Path) -> None:
     check_rays(job, arrays, tmp_path)
 
 
+@pytest.mark.thorough
 def test_the_season_changes_no_truth(twin: Scene) -> None:
     summer, snow = "summer-noon-nadir-map", "again"
     assert np.array_equal(twin.frames(summer).cam_from_world, twin.frames(snow).cam_from_world)
@@ -131,6 +136,7 @@ def test_the_season_changes_no_truth(twin: Scene) -> None:
                 np.testing.assert_array_equal(one.read(layer, frame), other.read(layer, frame))
 
 
+@pytest.mark.thorough
 def test_labels_and_normals_are_those_of_the_surface(twin: Scene) -> None:
     world = load_site(twin.path / PLACE, 0)
     start, ways, depth = rays(twin, "again", 2)
@@ -148,6 +154,7 @@ def test_labels_and_normals_are_those_of_the_surface(twin: Scene) -> None:
     assert np.median(np.abs(normal[inside] @ [1, 0, 0] + normal[inside] @ [0, 0, 1] * east)) < 0.01
 
 
+@pytest.mark.thorough
 def test_a_report_tells_what_it_was_made_of(twin: Scene) -> None:
     report = SiteReport.model_validate_json((twin.path / REPORT).read_text())
     assert report.texel_m == pytest.approx(0.5, abs=0.01)
@@ -156,6 +163,7 @@ def test_a_report_tells_what_it_was_made_of(twin: Scene) -> None:
     assert set(twin.manifest.config["site"]["sha256"]) == {"ortho", "dsm"}
 
 
+@pytest.mark.thorough
 def test_an_interrupted_twin_goes_on_from_its_own_place(
     twin: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,14 +28,14 @@ from objconnect.scene.storage.locks import write_lock
 
 ROOT = Path(__file__).parents[4]
 TINY = TrainConfig(
-    steps=6,
+    steps=4,
     batch=2,
     crop=96,
     points=64,
     width=0.05,
     workers=0,
     save_every=2,
-    validate_every=3,
+    validate_every=2,
     warm_up=0.5,
 )
 
@@ -63,7 +63,8 @@ class KilledAt(PixlocTraining):
         return super().loss(batch, progress)
 
 
-THOROUGH = {"objects": pytest.mark.thorough}  # ``test_detector`` takes its steps every time
+# Their own tests take steps of both every time.
+THOROUGH = dict.fromkeys(("objects", "objconnect"), pytest.mark.thorough)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +42,22 @@ def hamlet(rendered: Scene) -> Dataset:
     return dataset
 
 
-@pytest.fixture
-def left(hamlet: Dataset, tmp_path: Path) -> FeaturemetricLocalizer:
-    """A method that has prepared what comes first."""
+@pytest.fixture(scope="module")
+def first(hamlet: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cache of a method that has prepared what comes first."""
+    cache = tmp_path_factory.mktemp("first")
     method = create("objconnect", OPTIONS)
-    assert isinstance(method, FeaturemetricLocalizer) and isinstance(method, PreparesLater)
+    assert isinstance(method, PreparesLater)
+    prepare_first(method, hamlet.load_map(), hamlet.images, cache)
+    return cache
+
+
+@pytest.fixture
+def left(hamlet: Dataset, first: Path, tmp_path: Path) -> FeaturemetricLocalizer:
+    """A method that has prepared what comes first."""
+    shutil.copytree(first, tmp_path / "cache")
+    method = create("objconnect", OPTIONS)
+    assert isinstance(method, FeaturemetricLocalizer)
     prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path / "cache")
     return method
 

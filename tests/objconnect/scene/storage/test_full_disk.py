@@ -199,8 +199,15 @@ def test_rerun_is_whole_or_absent(disk: Path, rendered: Scene, left: int) -> Non
     assert [path.name for path in disk.iterdir()] == ["filling"]
 
 
-@pytest.mark.parametrize("method", ["sift", "pixloc"])
-@pytest.mark.parametrize("cache", [None, "cache"])
+@pytest.mark.parametrize(
+    ("method", "cache"),
+    [
+        ("sift", None),
+        ("pixloc", "cache"),
+        pytest.param("sift", "cache", marks=pytest.mark.thorough),
+        pytest.param("pixloc", None, marks=pytest.mark.thorough),
+    ],
+)
 def test_localize_ends_with_one_line(
     disk: Path, tmp_path: Path, method: str, cache: str | None
 ) -> None:
