@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -51,17 +53,19 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Pat
 
 
 @pytest.fixture(scope="module")
-def maps(
+def mapped(
     files: dict[str, tuple[Path, Path]], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, Scene]:
-    """The mapped scene of each, with the origin that it chose itself."""
-    scenes = {}
-    for crs, (ortho, dsm) in files.items():
+) -> Callable[[str], Scene]:
+    """Makes the mapped scene of a system, with the origin that it chose itself, once."""
+
+    @cache
+    def scene(crs: str) -> Scene:
         out = tmp_path_factory.mktemp("maps") / crs[5:]
-        photograph_orthophoto(ortho, dsm, out, options=VIEWS)
+        photograph_orthophoto(*files[crs], out, options=VIEWS)
         build_map(out)
-        scenes[crs] = Scene.open(out)
-    return scenes
+        return Scene.open(out)
+
+    return scene
 
 
 def surface(files: tuple[Path, Path]) -> Surface:
@@ -107,8 +111,8 @@ def test_the_same_views_in_two_systems(files: dict[str, tuple[Path, Path]]) -> N
         assert np.percentile(off, 97) < 0.01 and np.median(off) < 0.001
 
 
-def test_scene_of_an_orthophoto(maps: dict[str, Scene]) -> None:
-    scene = maps["EPSG:2056"]
+def test_scene_of_an_orthophoto(mapped: Callable[[str], Scene]) -> None:
+    scene = mapped("EPSG:2056")
     assert scene.find_changed_files() == []
     assert scene.manifest.sessions["virtual"].condition == "orthophoto"
     frames = scene.frames("virtual")
@@ -128,7 +132,7 @@ def _geodetic(scene: Scene, xyz: NDArray[np.float64]) -> Geodetic:
 
 
 @pytest.mark.thorough
-def test_a_query_has_the_same_pose_in_two_systems(maps: dict[str, Scene]) -> None:
+def test_a_query_has_the_same_pose_in_two_systems(mapped: Callable[[str], Scene]) -> None:
     """To 1 cm, whatever grid the map's files are in: the query is the place's own, not a view."""
     camera = Camera("PINHOLE", 320, 320, (300.0, 300.0, 160.0, 160.0))
     pose = down_from(-3.0, 2.0, 22.0, 8.0)
@@ -136,7 +140,8 @@ def test_a_query_has_the_same_pose_in_two_systems(maps: dict[str, Scene]) -> Non
     photograph = np.rint(colour(points[..., 0], points[..., 1])).astype(np.uint8)
     truth = np.array([-3.0, 2.0, 22.0])
     found = []
-    for crs, scene in maps.items():
+    for crs in SYSTEMS:
+        scene = mapped(crs)
         localizer = SiftLocalizer(SiftConfig())
         localizer.prepare(scene.sparse_map(), scene.images_root)
         place = geodetic_from_enu(truth, ORIGIN)
