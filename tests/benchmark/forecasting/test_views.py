@@ -132,7 +132,7 @@ def test_only_a_twin_of_the_same_place_is_taken(tmp_path: Path, scene: Scene, tw
     other = retold(
         tmp_path / "other", scene, preset="site", config=twin.manifest.config, origin=there
     )
-    with pytest.raises(InputError, match="twin of another place"):
+    with pytest.raises(InputError, match="twin of another site"):
         views_config(scene, scene.sparse_map(), flight, SNOW, other)
 
 

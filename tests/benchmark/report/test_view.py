@@ -232,7 +232,7 @@ def test_mistakes_are_named(path: Path, written: SceneView, tmp_path: Path) -> N
     other.write_text(results.read_text().replace("winter-grid/images/000002", "elsewhere/x"))
     with pytest.raises(InputError, match="no photograph elsewhere/x"):
         view(path, [other])
-    with pytest.raises(InputError, match="no name for a page"):
+    with pytest.raises(InputError, match="must end in .html"):
         view(path, out=tmp_path / "page.png")
     answer = CliRunner().invoke(
         app, ["view", str(path), "--out", str(tmp_path / "v.html"), "--json"]

@@ -144,7 +144,7 @@ def test_one_flight_line_takes_up_from_the_ground(shore: tuple[SparseMap, Fixes]
 
 def test_too_few_positions(shore: tuple[SparseMap, Fixes]) -> None:
     model, fixes = shore
-    with pytest.raises(InputError, match="only 2 of the 13 photographs"):
+    with pytest.raises(InputError, match="only 2 of the 13 registered photographs"):
         georegister(model, dict(list(fixes.items())[:2]))
     with pytest.raises(InputError, match="all GPS positions are equal"):
         georegister(model, dict.fromkeys(fixes, np.zeros(3)))
