@@ -20,7 +20,8 @@ from objconnect.scene.storage.files import require_readable
 
 # Largest file that is read (bytes); an hour of 60 subtitles a second takes 100 MB.
 _LARGEST = 1 << 29
-# The parser takes cubic time in the digits of a number. Longer ones, which no value has, are cut.
+# The parser takes cubic time in the digits of a number. In longer ones, which no value has, a
+# replacement character stands for the rest, so that they are not read as a shorter number.
 _MOST_DIGITS: Final = re.compile(r"([0-9]{100})[0-9]+")
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
@@ -71,7 +72,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     except OSError as error:
         raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None
     text = data.decode(_encoding(data), errors="replace")
-    text = _MOST_DIGITS.sub(r"\1", text)
+    text = _MOST_DIGITS.sub("\\1\ufffd", text)
     try:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)

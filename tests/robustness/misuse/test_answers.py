@@ -162,7 +162,7 @@ def test_a_file_of_the_user_stays_and_one_of_ours_is_replaced(
 def test_answers_lie_outside_of_the_photographs(
     flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer, more: tuple[object, ...]
 ) -> None:
-    said = "lies in the folder of photographs: choose a folder outside it"
+    said = "lies in the folder of photographs: choose one outside it"
     for out in (photographs / "poses.txt", photographs / "out" / "poses.txt"):
         line = expect_error(tmp_path, *localizing(flight, photographs, out, *more))
         assert line == f"objconnect: error: {out} {said}"
@@ -520,7 +520,7 @@ def test_leaderboard_keeps_files_of_the_user(scored: Path, tmp_path: Path, name:
 def test_view_keeps_files_of_the_user(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "hamlet")
     line = expect_error(tmp_path, "view", scene, "--out", scene / "scene.json")
-    assert "no name for a page" in line
+    assert "must end in .html" in line
     photo = tmp_path / "photo.png"
     Image.new("RGB", (8, 8)).save(photo)
     line = expect_error(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
