@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,9 @@ VOCABULARY = ROOT / "docs" / "vocabulary.md"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 # Rejected in documents alone.
 _DOCUMENTS_ONLY = {"place search", "of before", "of now"}
+_PARTICIPLE = re.compile(
+    r"_*(?!speed|red|seed|shed)([a-z]+ed(_[a-z_0-9]+)?|[a-z_]+_[a-z]+ed|(laid|made|seen|given|found)_?.*)"
+)
 
 
 def tables() -> Iterator[tuple[str, str]]:
@@ -71,3 +75,17 @@ def test_a_rejected_word_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     page.write_text("The Place\nsearch of places.\nNo shelf-life, one shelf.\n", encoding="utf-8")
     assert lines_with("place search", [page]) == ["page.md:1"]
     assert lines_with("shelf", [page]) == ["page.md:3"]
+
+
+def function_names() -> list[str]:
+    """Return the name of every function of the packages."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES]
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    return [node.name for tree in trees for node in ast.walk(tree) if isinstance(node, kinds)]
+
+
+def test_functions_are_not_named_by_participles() -> None:
+    """``judged`` or ``_laid_out`` do not say what a function does."""
+    names = function_names()
+    participles = [name for name in names if _PARTICIPLE.fullmatch(name)]
+    assert len(participles) <= 0.02 * len(names), participles
