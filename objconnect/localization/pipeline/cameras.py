@@ -70,8 +70,7 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
     same = [camera for camera in alike if (camera.width, camera.height) == size]
     if same and (
-        _unlike(same[0], exif) < SAME_LENS
-        or (exif.focal_in_longest_sides is None and len(same) == 1)
+        _unlike(same[0], exif) < SAME_LENS or (exif.focal_ratio is None and len(same) == 1)
     ):
         return Calibration(same[0], CameraSource.MAP)
     made = exif.xmp.camera
@@ -79,7 +78,7 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
         return Calibration(_fit_to_size(made, size), CameraSource.CALIBRATED)
     if alike and _unlike(alike[0], exif) < SAME_LENS:
         return Calibration(_fit_to_size(alike[0], size), CameraSource.SCALED)
-    focal = exif.focal_in_longest_sides
+    focal = exif.focal_ratio
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
     tried = [_fit_to_size(camera, size) for camera in alike]
@@ -202,7 +201,7 @@ def _rotation_sigma(estimate: Estimate) -> float:
 
 def _unlike(camera: Camera, exif: Exif) -> float:
     """Return by which share a camera's focal length differs from EXIF; infinite without one."""
-    focal = exif.focal_in_longest_sides
+    focal = exif.focal_ratio
     return math.inf if focal is None else _off(camera, focal)
 
 

@@ -39,14 +39,14 @@ class Footage:
     """A video with its telemetry, to be localized.
 
     Attributes:
-        srt: subtitles with telemetry; None without.
-        flight: telemetry of the subtitles; empty without.
+        srt: file of the subtitles; None without subtitles.
+        telemetry: entries of the subtitles; empty without subtitles.
     """
 
     path: Path
     video: Video
     srt: Path | None
-    flight: Sequence[Telemetry]
+    telemetry: Sequence[Telemetry]
     rate_hz: float
 
     @staticmethod
@@ -78,12 +78,14 @@ class Footage:
                 path,
                 ", ".join(map(for_terminal, video.unread)),
             )
-        flight = (
+        telemetry = (
             []
             if srt is None
-            else read_telemetry(srt, _near(localization_map), _lenses(localization_map, video))
+            else read_telemetry(
+                srt, _map_position(localization_map), _lenses(localization_map, video)
+            )
         )
-        return Footage(path, video, srt, flight, rate_hz)
+        return Footage(path, video, srt, telemetry, rate_hz)
 
     @property
     def count(self) -> int:
@@ -92,7 +94,7 @@ class Footage:
         return max(1, round((self.video.duration_s or 0.0) * rate_hz))
 
 
-def _near(localization_map: LocalizationMap | None) -> Pair | None:
+def _map_position(localization_map: LocalizationMap | None) -> Pair | None:
     """Return latitude and longitude of a map, degrees."""
     if localization_map is None or localization_map.origin is None:
         return None
@@ -122,22 +124,22 @@ class FrameCameras:
         base: camera without digital zoom.
         focal_mm: 35 mm equivalent focal length (mm) that telemetry has for ``base``; None if
             unknown.
-        steady: zoom of all frames, a ratio to the base; None where it changes or is unknown.
+        constant_zoom: zoom of all frames, a ratio to the base; None if it changes or is unknown.
         is_given: whether the user gives the camera, which then holds for all frames.
     """
 
     base: Calibration
     focal_mm: float | None = None
-    steady: float | None = 1.0
+    constant_zoom: float | None = 1.0
     is_given: bool = False
 
-    def of(self, said: Telemetry | None) -> Calibration | None:
+    def of(self, telemetry: Telemetry | None) -> Calibration | None:
         """Return the camera of a frame; None where its focal length is unknown."""
         if self.is_given:
             return self.base
-        scale = self.steady
-        if said is not None and self.steady is None:
-            scale = _scale(said, self.focal_mm)
+        scale = self.constant_zoom
+        if telemetry is not None and self.constant_zoom is None:
+            scale = _scale(telemetry, self.focal_mm)
         if scale is None or abs(scale - 1) < 1e-9:
             return None if scale is None else self.base
         source = self.base.source
@@ -168,14 +170,14 @@ def cameras_of_frames(
     aspect = footage.video.pixel_aspect
     if abs(aspect - 1) > _SQUARE:
         raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
-    focal = _reference_focal(footage.flight, _lenses(localization_map, footage.video))
+    focal = _reference_focal(footage.telemetry, _lenses(localization_map, footage.video))
     base = calibration_of(size, Exif(None, None, focal_35mm=focal), localization_map.cameras)
     if base.source is CameraSource.ESTIMATED:
-        told = [said.zoom for said in footage.flight]
-        what = "focal length" if all(told) else "focal length and zoom (dzoom_ratio)"
+        zooms = [item.zoom for item in footage.telemetry]
+        what = "focal length" if all(zooms) else "focal length and zoom (dzoom_ratio)"
         raise InputError(f"{shape}has no {what}{hint}")
-    scales = {_scale(said, focal) for said in footage.flight} or {1.0}
-    if scales == {None} and all(said.zoom is None for said in footage.flight):
+    scales = {_scale(item, focal) for item in footage.telemetry} or {1.0}
+    if scales == {None} and all(item.zoom is None for item in footage.telemetry):
         if base.source is not CameraSource.MAP:
             raise InputError(f"{shape}has no zoom (dzoom_ratio){hint}")
         log.warning("%s: the zoom is unknown; the map's camera is used without zoom", footage.srt)
@@ -184,9 +186,9 @@ def cameras_of_frames(
     return FrameCameras(base, focal, scales.pop() if len(scales) == 1 else None)
 
 
-def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
-    """Return the focal length of a flight nearest to one of the map, else the most frequent."""
-    focals = Counter(said.focal_mm for said in flight if said.focal_mm is not None)
+def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
+    """Return the stated focal length nearest to one of the map's, else the most frequent one."""
+    focals = Counter(item.focal_mm for item in telemetry if item.focal_mm is not None)
     if not focals:
         return None
 
@@ -197,11 +199,11 @@ def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> fl
     return min(focals, key=lambda focal: (unlike(focal), -focals[focal]))
 
 
-def _scale(said: Telemetry, focal_mm: float | None) -> float | None:
+def _scale(telemetry: Telemetry, focal_mm: float | None) -> float | None:
     """Return the factor on the base focal length for a frame; None where it is unknown."""
-    if focal_mm is None or said.zoom is None:
-        return said.zoom
-    return None if said.focal_mm is None else said.zoom * said.focal_mm / focal_mm
+    if focal_mm is None or telemetry.zoom is None:
+        return telemetry.zoom
+    return None if telemetry.focal_mm is None else telemetry.zoom * telemetry.focal_mm / focal_mm
 
 
 def _zoom(camera: Camera, scale: float) -> Camera:
@@ -217,10 +219,10 @@ def _zoom(camera: Camera, scale: float) -> Camera:
 
 def _warn_of_zoom(footage: Footage) -> None:
     """Warn if one camera is given for frames of several focal lengths."""
-    focals = [said.effective_mm for said in footage.flight if said.effective_mm is not None]
+    focals = [item.effective_mm for item in footage.telemetry if item.effective_mm is not None]
     if focals and max(focals) > (1 + _ZOOMED) * min(focals):
         log.warning(
-            "%s tells a zoom from %.1f to %.1f mm, and --camera is taken for all frames",
+            "%s states a zoom from %.1f to %.1f mm, but --camera is used for all frames",
             footage.srt,
             min(focals),
             max(focals),
@@ -251,24 +253,25 @@ class Timing:
     """The assignment of subtitles to frames of a video.
 
     Attributes:
-        by_frame: whether frame numbers decide instead of times, which slow motion stretches.
-        is_known: whether either of them fits the video.
+        by_frame: whether subtitles are matched to frames by frame number instead of by time (slow
+            motion makes times unusable).
+        is_known: whether frame numbers or times fit the video.
     """
 
     by_frame: bool = False
     is_known: bool = True
 
     @staticmethod
-    def of(flight: Sequence[Telemetry], video: Video) -> Timing:
+    def of(telemetry: Sequence[Telemetry], video: Video) -> Timing:
         """Compare the times and frame numbers of the subtitles with those of the video.
 
-        If frame numbers advance at another rate than the video's frames, those of the two count
-        that reach to the end of the video. If neither does, the subtitles are not used and a
-        warning says so.
+        If frame numbers and subtitle times imply different frame rates, use whichever ends where
+        the video ends: frame numbers first, then times. If neither does, ignore the subtitles and
+        warn.
         """
-        numbered = [(said.frame, said.start_s) for said in flight if said.frame is not None]
+        numbered = [(item.frame, item.start_s) for item in telemetry if item.frame is not None]
         ascending = all(first[0] < second[0] for first, second in pairwise(numbered))
-        if len(numbered) < max(2, len(flight)) or not ascending or video.duration_s is None:
+        if len(numbered) < max(2, len(telemetry)) or not ascending or video.duration_s is None:
             return Timing()
         frames, seconds = numbered[-1][0] - numbered[0][0], numbered[-1][1] - numbered[0][1]
         # Times of subtitles are whole milliseconds.
@@ -276,7 +279,7 @@ class Timing:
             return Timing()
         if _alike(numbered[-1][0], video.duration_s * video.rate_hz):
             return Timing(by_frame=True)
-        if _alike(flight[-1].end_s, video.duration_s):
+        if _alike(telemetry[-1].end_s, video.duration_s):
             return Timing()
         log.warning(
             "the subtitles have %.1f frames a second and the video %.1f: they cannot be assigned "
@@ -286,14 +289,14 @@ class Timing:
         )
         return Timing(is_known=False)
 
-    def said(self, flight: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
-        """Return the telemetry of a frame; None without."""
+    def telemetry_of(self, telemetry: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
+        """Return the telemetry of a frame; None if the subtitles have none for it."""
         if not self.is_known:
             return None
         if not self.by_frame:
-            return at_time(flight, frame.seconds)
-        row = bisect_right(flight, frame.index + 1, key=lambda item: item.frame or 0) - 1
-        return flight[row] if row >= 0 else None
+            return at_time(telemetry, frame.seconds)
+        row = bisect_right(telemetry, frame.index + 1, key=lambda item: item.frame or 0) - 1
+        return telemetry[row] if row >= 0 else None
 
 
 def _alike(first: float, second: float) -> bool:

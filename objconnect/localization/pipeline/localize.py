@@ -170,7 +170,7 @@ class _Job:
                 prepare_first, localizer, localization_map.sparse_map, localization_map.images, kept
             )
             answering = _Answering(self, journal, cache(prepare))
-            images = source.images(answering.ask)
+            images = source.images(answering.localize)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
                 for image in images:
                     located.append(self._to_answer(image, answering(image)))
@@ -245,7 +245,7 @@ class _Answering:
         self._tracker = None if job.sequence is None else Tracker(job.localizer, job.sequence)
         self._asked = ""
 
-    def ask(self, query: Query) -> Estimate:
+    def localize(self, query: Query) -> Estimate:
         """Localize a query by itself; with a gimbal's attitude, retry a failure without it."""
         self._prepare()
         retries = self._job.options.priors is None
@@ -269,7 +269,7 @@ class _Answering:
         answer = self._journal.done.get(quote_name(image.name))
         if answer is None or answer.asked != self._asked:
             if self._tracker is None or image.seconds is None:
-                estimate = self.ask(image.query)
+                estimate = self.localize(image.query)
             else:
                 estimate = self._tracker.localize(image.query, image.seconds)
             answer = Answer.of(image.name, self._asked, estimate)

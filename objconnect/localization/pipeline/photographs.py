@@ -53,7 +53,7 @@ class PhotographReader:
         undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
             are above sea level; None if unknown.
         estimated: estimated cameras by lens.
-        said: metadata of the photographs that were read.
+        metadata: metadata of the photographs that were read.
     """
 
     localization_map: LocalizationMap
@@ -61,7 +61,7 @@ class PhotographReader:
     priors: Mapping[str, Prior] | None = None
     undulation_m: float | None = None
     estimated: Mapping[Lens, Camera] = field(default_factory=dict)
-    said: dict[Path, Exif] = field(default_factory=dict)
+    metadata: dict[Path, Exif] = field(default_factory=dict)
 
     def __call__(self, name: str, path: Path) -> QueryImage:
         """Read a photograph.
@@ -88,9 +88,9 @@ class PhotographReader:
         Raises:
             InputError: it cannot be read.
         """
-        if path not in self.said:
-            self.said[path] = above_ellipsoid(read_exif(path), self.undulation_m)
-        return self.said[path]
+        if path not in self.metadata:
+            self.metadata[path] = above_ellipsoid(read_exif(path), self.undulation_m)
+        return self.metadata[path]
 
     def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:
         """Return the camera of a photograph, or the cameras to try."""
@@ -197,7 +197,7 @@ def _read(
 
 def warn_of_doubts(reader: PhotographReader) -> None:
     """Warn of uncertain metadata of photographs, a line for each kind."""
-    doubts = {path.name: reader.doubts(exif) for path, exif in reader.said.items()}
+    doubts = {path.name: reader.doubts(exif) for path, exif in reader.metadata.items()}
     for line in summarize_doubts(doubts):
         log.warning("%s", line)
 

@@ -52,7 +52,7 @@ class FocalLength:
     """The focal length of a photograph.
 
     Attributes:
-        reading: the value in longest sides, or unknown with the reason.
+        reading: the focal ratio f / max(w, h), or unknown with the reason.
         candidates: stated values if the focal length is unknown, the likeliest first.
         agrees: whether a calibration in pixels belongs to the picture.
     """
@@ -67,7 +67,7 @@ class Lens:
     """A calibration in pixels.
 
     Attributes:
-        focal: focal length in longest sides of the calibrated picture.
+        focal: focal ratio f / max(w, h) of the calibrated image.
         sized: whether its optical centre confirms the size of that picture.
     """
 
@@ -97,7 +97,7 @@ class _Source:
 
 
 def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = None) -> FocalLength:
-    """Return the focal length of a photograph in longest sides.
+    """Return the focal ratio f / max(w, h) of a photograph.
 
     Args:
         detail: fields of EXIF by name.

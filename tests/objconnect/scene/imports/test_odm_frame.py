@@ -141,7 +141,7 @@ def test_the_project_of_plain_opensfm_tells_the_frame(
     path.parent.mkdir(parents=True)
     path.write_text(shots_of(truth, truth.world_from_cam, False))
     with pytest.raises(
-        InputError, match=r"a UTM grid as of zone 32\) cannot be told \(gps_position"
+        InputError, match=r"a UTM grid, such as zone 32\) cannot be determined \(gps_position"
     ):
         read_foreign(path)
     assert_true(path, truth, "topocentric")
