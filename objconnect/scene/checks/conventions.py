@@ -18,8 +18,8 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 Array = NDArray[np.float64]
 
 MAX_RESIDUAL_RATIO: Final = 0.5
-"""Another convention explains a scene if its residual is below this share of ours, or if our share of
-agreeing pixels is below this share of its share."""
+"""Another convention explains a scene if its residual is below this share of ours, or if our share
+of agreeing pixels is below this share of the other convention's."""
 
 
 def _same(matrices: Array) -> Array:
