@@ -13,7 +13,7 @@ from objconnect.localization.pipeline.answers import Geography, Located
 
 log = logging.getLogger(__name__)
 
-# Fewer photographs may all have a bad fix.
+# With fewer photographs, all of them may have a bad fix.
 _MIN_PHOTOGRAPHS: Final = 5
 # Standard deviations of one axis. Errors that all photographs share exceed them with a chance of
 # 1 in 90 horizontally, and of 1 in 370 vertically.
@@ -59,8 +59,8 @@ class _Compared(NamedTuple):
 def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
     """Compare estimated with measured positions; None if fewer than five photographs have both.
 
-    Distances are in standard deviations of both positions together. The estimate's deviation is
-    that on earth where the map's accuracy on earth is known, else that within the map.
+    Distances are divided by the standard deviation of their difference. The estimate's standard
+    deviation includes the map's georeference if the accuracy of that is known.
     """
     compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
     if len(compared) < _MIN_PHOTOGRAPHS:
@@ -78,10 +78,10 @@ def measure_disagreement(located: Sequence[Located], geography: Geography) -> Di
 
 
 def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
-    """Warn in one line where estimates are much further from measured positions than the sigmas.
+    """Warn in one line if estimates are much farther from measured positions than the sigmas.
 
-    Where the map's accuracy on earth is unknown, sigmas are within the map alone. The line then
-    says how far the estimates are from the measured positions.
+    If the accuracy of the map's georeference is unknown, sigmas are relative to the map. The line
+    then states the distance of the estimates from the measured positions.
     """
     errors = measure_disagreement(located, geography)
     if errors is None:
@@ -90,7 +90,7 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
         if errors.far_within:
             log.warning(
                 "the answers lie %.1f m beside the GPS positions of the photographs (median of "
-                "%d): sigma_m is within the map, whose place on earth is not known as exactly",
+                "%d): sigma_m is relative to the map, whose georeference has unknown accuracy",
                 errors.across_m,
                 errors.photographs,
             )
@@ -103,7 +103,7 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
         parts.append(f"{errors.height_error_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
-        "the sigmas of both: the map's place on earth is off, or the GPS is%s",
+        "the sigmas of both: the map's georeference or the GPS is wrong%s",
         " and ".join(parts),
         errors.photographs,
         ", or its altitudes are above another surface (sea or ellipsoid)" if errors.far_up else "",

@@ -153,7 +153,7 @@ def cameras_of_frames(
     """Return the cameras of a video's frames.
 
     If the user gives none, it is the map's camera of the frames' size and focal length, else one
-    with the focal length of the telemetry, scaled from the map's camera if that has such a lens.
+    with the focal length of the telemetry, scaled from the map's camera if its lens is the same.
     Zoom in the telemetry multiplies the focal length.
 
     Raises:

@@ -49,7 +49,7 @@ class Journal(Generic[Entry]):
             path: path of the file.
             key: digest of everything that decides the results.
             model: class of the entries.
-            parts: digests of the parts of the data set, which show a later run what changed.
+            parts: digests of the parts of the data set; a later run compares them with its own.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -97,7 +97,7 @@ class Journal(Generic[Entry]):
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
             )
-        # The rest was cut short by a crash, or belongs to another run.
+        # What follows is truncated by a crash, or belongs to another run.
         self._file.truncate(good)
         if not good:
             self._append(json.dumps({"key": self._key, "parts": self._parts}))

@@ -42,7 +42,7 @@ _DATUMS: Final = (
 def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[LatLon]:
     """Return the latitude and longitude of a photograph.
 
-    EXIF's position counts if it is complete, else XMP's. It is unknown if they contradict each
+    EXIF's position is used if it is complete, else XMP's. It is unknown if they contradict each
     other.
 
     Args:
