@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 _SIDECARS: Final = (".SRT", ".srt", ".Srt")
 _FILM_MM: Final = 36.0
-# Rates and numbers of frames that agree differ by less than this share.
+# Frame rates, and numbers of frames, agree if they differ relatively by less than this.
 _SAME_RATE: Final = 0.05
 # Largest deviation of square pixels' aspect ratio from 1.
 _SQUARE: Final = 0.005
@@ -62,7 +62,7 @@ class Footage:
             path: file of the video.
             srt: its subtitles; None takes those of the same name beside it, if there are any.
             rate_hz: frames a second to localize.
-            localization_map: resolves what is ambiguous in telemetry, such as the order of
+            localization_map: map that resolves ambiguities of the telemetry, such as the order of
                 coordinates.
 
         Raises:
@@ -125,7 +125,7 @@ class FrameCameras:
         focal_mm: 35 mm equivalent focal length (mm) that telemetry has for ``base``; None if
             unknown.
         constant_zoom: zoom of all frames, a ratio to the base; None if it changes or is unknown.
-        is_given: whether the user gives the camera, which then holds for all frames.
+        is_given: whether the user gives the camera, which is then used for all frames.
     """
 
     base: Calibration
@@ -134,7 +134,7 @@ class FrameCameras:
     is_given: bool = False
 
     def of(self, telemetry: Telemetry | None) -> Calibration | None:
-        """Return the camera of a frame; None where its focal length is unknown."""
+        """Return the camera of a frame; None if its focal length is unknown."""
         if self.is_given:
             return self.base
         scale = self.constant_zoom
@@ -144,7 +144,7 @@ class FrameCameras:
             return None if scale is None else self.base
         source = self.base.source
         source = CameraSource.SCALED if source is CameraSource.MAP else source
-        return Calibration(_zoom(self.base.camera, scale), source)
+        return Calibration(_apply_zoom(self.base.camera, scale), source)
 
 
 def cameras_of_frames(
@@ -200,13 +200,13 @@ def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) ->
 
 
 def _scale(telemetry: Telemetry, focal_mm: float | None) -> float | None:
-    """Return the factor on the base focal length for a frame; None where it is unknown."""
+    """Return the factor on the base focal length for a frame; None if it is unknown."""
     if focal_mm is None or telemetry.zoom is None:
         return telemetry.zoom
     return None if telemetry.focal_mm is None else telemetry.zoom * telemetry.focal_mm / focal_mm
 
 
-def _zoom(camera: Camera, scale: float) -> Camera:
+def _apply_zoom(camera: Camera, scale: float) -> Camera:
     """Return the camera with a digital zoom, which enlarges the middle of the picture."""
     middle = {"cx": camera.width / 2, "cy": camera.height / 2}
     params = []

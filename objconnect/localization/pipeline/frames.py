@@ -149,7 +149,7 @@ class VideoFrames:
 def _doubts(
     footage: Footage, telemetry: Telemetry | None, cameras: FrameCameras, reader: TelemetryReader
 ) -> tuple[str, ...]:
-    """Return the telemetry of a frame that is used though it is uncertain."""
+    """Return the uncertain telemetry of a frame that is used nevertheless."""
     if telemetry is None:
         return ("the subtitles have no entry for this frame",) if footage.telemetry else ()
     doubts = [] if cameras.is_given else [*telemetry.lens_doubts]

@@ -37,7 +37,7 @@ class Journal(Generic[Entry]):
     Attributes:
         done: finished queries by name.
         dropped: digests of the parts of the data set of an earlier run whose key differs, so that
-            its queries are dropped; None without such a run, or if they are unknown.
+            its queries are discarded; None without such a run, or if they are unknown.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Journal(Generic[Entry]):
         return self
 
     def _begin(self) -> None:
-        """Keep the entries of an earlier run with the same key, and drop everything else."""
+        """Keep the entries of an earlier run with the same key, and discard everything else."""
         self._file.seek(0)
         # str.splitlines would also split at characters that names may contain.
         lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
@@ -136,7 +136,7 @@ class Journal(Generic[Entry]):
 
 
 def _header(line: str) -> dict[str, object]:
-    """Return the first line of a journal as a dictionary; empty where it is damaged."""
+    """Return the first line of a journal as a dictionary; empty if it is damaged."""
     try:
         header = parse_json(line)
     except ValueError:
@@ -145,7 +145,7 @@ def _header(line: str) -> dict[str, object]:
 
 
 def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
-    """Return the parts of the data set in a header; None where they are missing or damaged."""
+    """Return the parts of the data set in a header; None if they are missing or damaged."""
     parts = header.get("parts")
     if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
         return None

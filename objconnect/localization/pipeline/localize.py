@@ -126,7 +126,7 @@ def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> st
 
 @dataclass(frozen=True)
 class _Job:
-    """A call of ``localize``; ``sequence`` is None if each photograph is localized by itself."""
+    """A call of ``localize``; ``sequence`` is None if photographs are localized independently."""
 
     localization_map: LocalizationMap
     localizer: Localizer

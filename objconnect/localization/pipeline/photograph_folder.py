@@ -1,4 +1,4 @@
-"""A folder of photographs as queries, each by itself or in the order of their times."""
+"""A folder of photographs as queries, independent or in the order of their times."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class PhotographFolder:
     Attributes:
         rate_hz: photographs per second of a sequence in the order of names; None for EXIF times.
         seconds: time of each from the start of the sequence, without those that cannot be read;
-            None where each is localized by itself.
+            None if they are localized independently.
     """
 
     folder: Path

@@ -101,7 +101,7 @@ class PhotographReader:
         return calibration_of(size, exif, self.localization_map.cameras)
 
     def doubts(self, exif: Exif) -> tuple[str, ...]:
-        """Return the metadata that are used though they are uncertain.
+        """Return the uncertain metadata that are used nevertheless.
 
         The user's camera and table of priors replace metadata, which then cause no doubt.
         """

@@ -149,9 +149,8 @@ class Tracker:
 
     def _agrees_with_both(self, estimate: Estimate, predicted: Motion, prior: Prior | None) -> bool:
         """Return whether an estimate agrees with the motion and with the aircraft's prior."""
-        return self._agrees_with_motion(estimate, predicted) and self._agrees_with_prior(
-            estimate, prior
-        )
+        as_predicted = self._agrees_with_motion(estimate, predicted)
+        return as_predicted and self._agrees_with_prior(estimate, prior)
 
     def _search(self, query: Query) -> Estimate:
         """Localize an image without the motion."""

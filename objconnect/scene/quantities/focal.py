@@ -1,9 +1,9 @@
 """The focal length of a photograph from the fields of EXIF and XMP.
 
 Cameras state it in millimetres of the sensor, as a 35 mm equivalent, or in pixels. Programs that
-resize, crop or rotate a photograph update only some of the fields. Each field is therefore a
-source of its own. If sources contradict each other, or nothing shows that they refer to this size
-of the picture, the focal length is unknown and the stated values are candidates.
+resize, crop or rotate a photograph update only some of the fields. Each field is therefore
+a separate source. If sources contradict each other, or no source confirms that they refer to this
+image size, the focal length is unknown and the stated values are candidates.
 
 Focal lengths are ratios f / max(w, h) unless a unit is stated.
 """
@@ -82,7 +82,7 @@ class _Source:
     Attributes:
         name: name of the field.
         values: possible focal lengths, one of which is right.
-        alternatives: values that programs write against the standard.
+        alternatives: values of programs that violate the standard.
         sized: whether the field refers to this size of the picture.
     """
 

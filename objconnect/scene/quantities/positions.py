@@ -97,7 +97,7 @@ def _read_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
         return unknown(source, f"GPSMapDatum {name!r} is not WGS84")
     # A receiver without satellites repeats its last position.
     void = plain_text(gps.get("GPSStatus")).upper() == "V"
-    doubts = ["GPSStatus V says that the receiver had no fix"] if void else []
+    doubts = ["GPSStatus V means that the receiver had no fix"] if void else []
     return known((latitude.value, longitude.value), source, *doubts)
 
 

@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 # A file of a few bytes may claim any size; 8K has 33 million pixels.
 _MOST_PIXELS: Final = 64_000_000
 _PURPOSE: Final = "a video"
-# A video that ends so many seconds before its stated end is truncated.
+# A video that ends at least this many seconds before its stated end is truncated.
 _CUT_SHORT_S: Final = 1.0
 # Codecs of still pictures; such a stream is a video stream only if it has several frames.
 _OF_PICTURES: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
@@ -295,7 +295,7 @@ def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
     turns, rest = divmod(round(frame.rotation or 0), 90)
     if rest:
         raise InputError(
-            f"{path} is shown turned by {frame.rotation} degrees: write it without a rotation"
+            f"{path} is displayed rotated by {frame.rotation} degrees: write it without a rotation"
         )
     # FFmpeg's and numpy's angles are counter-clockwise.
     return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), turns))
@@ -305,7 +305,7 @@ def _rate(stream: Any) -> float:
     """Return the frames per second; 30 if not stated."""
     rate = stream.average_rate or stream.guessed_rate
     if not rate:
-        _warn_once(f"{stream.container.name} does not state its frame rate: taken as 30")
+        _warn_once(f"{stream.container.name} does not state its frame rate: 30 is assumed")
     return float(rate) if rate else 30.0
 
 
@@ -313,7 +313,7 @@ def _unread(container: Any) -> tuple[str, ...]:
     """Return the kinds of the streams that may hold a drone's telemetry."""
     kinds: dict[str, None] = {}
     for stream in container.streams:
-        # The time code of a video is a data stream too.
+        # The time code of a video is also a data stream.
         if stream.type in ("subtitle", "data") and "timecode" not in stream.metadata:
             kinds[str(stream.name or stream.type)] = None
     return tuple(kinds)

@@ -116,7 +116,7 @@ def test_a_spherical_panorama_has_no_lens(tmp_path: Path) -> None:
 def test_a_position_without_a_fix_is_said(tmp_path: Path) -> None:
     exact = {"GPSLatitude": raw.rational(46.8426), "GPSLatitudeRef": raw.text("N")}
     exact |= {"GPSLongitude": raw.rational(91.9944), "GPSLongitudeRef": raw.text("W")}
-    for status, doubts in (("A", []), ("V", ["GPSStatus V says that the receiver had no fix"])):
+    for status, doubts in (("A", []), ("V", ["GPSStatus V means that the receiver had no fix"])):
         gps = {**exact, "GPSStatus": raw.text(status)}
         raw.write(tmp_path / "a.jpg", SIZE, raw.exif({}, gps))
         said = read_exif(tmp_path / "a.jpg").place_doubts
