@@ -18,7 +18,7 @@ from objconnect.scene.quantities.focal import SAME_ASPECT
 from objconnect.scene.storage.images import Exif
 
 # Focal ratios f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of view.
-_TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
+_FOCAL_RATIOS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
 # Relative standard deviation of an estimated focal length, for a pinhole
 # (docs/evidence/robustness.md has an example) and for a camera of the map.
 _FOCAL_SHARE: Final = 0.06
@@ -27,7 +27,7 @@ _MAP_SHARE: Final = 0.005
 _POINTS: Final = 20_000
 # Sigma of a focal length with which localization fails, as a multiple of the largest sigma of those
 # with which it succeeds.
-_NOT_FOUND: Final = 2.0
+_FAILED_SIGMA: Final = 2.0
 
 
 class CameraSource(StrEnum):
@@ -78,17 +78,17 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
         or (exif.focal_ratio is None and len(same) == 1)
     ):
         return Calibration(same[0], CameraSource.MAP)
-    made = exif.xmp.camera
-    if made is not None and _same_aspect((made.width, made.height), size):
-        return Calibration(_fit_to_size(made, size), CameraSource.CALIBRATED)
+    calibrated = exif.xmp.camera
+    if calibrated is not None and _same_aspect((calibrated.width, calibrated.height), size):
+        return Calibration(_fit_to_size(calibrated, size), CameraSource.CALIBRATED)
     if alike and _difference_from_exif(alike[0], exif) < SAME_LENS:
         return Calibration(_fit_to_size(alike[0], size), CameraSource.SCALED)
     focal = exif.focal_ratio
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
-    tried = [_fit_to_size(camera, size) for camera in alike]
-    tried += [_pinhole(size, focal) for focal in _TRIED]
-    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+    candidates = [_fit_to_size(camera, size) for camera in alike]
+    candidates += [_pinhole(size, focal) for focal in _FOCAL_RATIOS]
+    return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
 def _candidates(
@@ -102,13 +102,13 @@ def _candidates(
     alike = sorted(
         (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
     )
-    tried: list[Camera] = []
+    candidates: list[Camera] = []
     for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
         camera = _nearest(focal, alike)
-        tried += [] if camera is None else [_fit_to_size(camera, size)]
-        tried.append(_pinhole(size, focal))
-    tried = list(dict.fromkeys(tried))
-    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+        candidates += [] if camera is None else [_fit_to_size(camera, size)]
+        candidates.append(_pinhole(size, focal))
+    candidates = list(dict.fromkeys(candidates))
+    return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
@@ -145,12 +145,12 @@ def estimate_camera(
         sigmas = np.array([_rotation_sigma(estimate) for estimate in estimates])
         found = np.isfinite(sigmas)
         if found.any():
-            sigmas[~found] = _NOT_FOUND * sigmas[found].max()
+            sigmas[~found] = _FAILED_SIGMA * sigmas[found].max()
             misfit += max(estimate.inliers for estimate in estimates) * np.log(sigmas)
     best = int(misfit.argmin())
-    first = len(cameras) - len(_TRIED)
+    first = len(cameras) - len(_FOCAL_RATIOS)
     size = cameras[0].width, cameras[0].height
-    row = first >= 0 and cameras[first] == _pinhole(size, _TRIED[0])
+    row = first >= 0 and cameras[first] == _pinhole(size, _FOCAL_RATIOS[0])
     if not row or not first < best < len(cameras) - 1:
         return cameras[best]
     near = slice(best - 1, best + 2)

@@ -82,7 +82,7 @@ class Footage:
             []
             if srt is None
             else read_telemetry(
-                srt, _map_position(localization_map), _lenses(localization_map, video)
+                srt, _map_position(localization_map), _map_focals(localization_map, video)
             )
         )
         return Footage(path, video, srt, telemetry, rate_hz)
@@ -101,18 +101,18 @@ def _map_position(localization_map: LocalizationMap | None) -> Pair | None:
     return localization_map.origin.latitude, localization_map.origin.longitude
 
 
-def _lenses(localization_map: LocalizationMap | None, video: Video) -> list[float]:
+def _map_focals(localization_map: LocalizationMap | None, video: Video) -> list[float]:
     """Return the 35 mm equivalent focal lengths (mm) of the map's cameras of a video's shape."""
     cameras: Collection[Camera] = () if localization_map is None else localization_map.cameras
     shape = video.width / video.height
     return [
-        _on_film(camera)
+        _equivalent_focal(camera)
         for camera in cameras
         if abs(camera.width / camera.height / shape - 1) < SAME_LENS
     ]
 
 
-def _on_film(camera: Camera) -> float:
+def _equivalent_focal(camera: Camera) -> float:
     return _FILM_MM * camera.focal[0] / max(camera.width, camera.height)
 
 
@@ -170,7 +170,7 @@ def cameras_of_frames(
     aspect = footage.video.pixel_aspect
     if abs(aspect - 1) > _SQUARE:
         raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
-    focal = _reference_focal(footage.telemetry, _lenses(localization_map, footage.video))
+    focal = _reference_focal(footage.telemetry, _map_focals(localization_map, footage.video))
     base = calibration_of(size, Exif(None, None, focal_35mm=focal), localization_map.cameras)
     if base.source is CameraSource.ESTIMATED:
         zooms = [item.zoom for item in footage.telemetry]
@@ -192,11 +192,11 @@ def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) ->
     if not focals:
         return None
 
-    def unlike(focal: float) -> float:
+    def mismatch(focal: float) -> float:
         least = min((max(focal / lens, lens / focal) - 1 for lens in lenses), default=SAME_LENS)
         return min(least, SAME_LENS)
 
-    return min(focals, key=lambda focal: (unlike(focal), -focals[focal]))
+    return min(focals, key=lambda focal: (mismatch(focal), -focals[focal]))
 
 
 def _scale(telemetry: Telemetry, focal_mm: float | None) -> float | None:
@@ -244,7 +244,7 @@ def _warn_of_another_lens(
             "%.1f mm: give --camera if that is right",
             footage.srt,
             focal,
-            _on_film(same[0]),
+            _equivalent_focal(same[0]),
         )
 
 
@@ -275,11 +275,11 @@ class Timing:
             return Timing()
         frames, seconds = numbered[-1][0] - numbered[0][0], numbered[-1][1] - numbered[0][1]
         # Times of subtitles are whole milliseconds.
-        if frames <= 0 or seconds < 0.1 or _alike(frames / seconds, video.rate_hz):
+        if frames <= 0 or seconds < 0.1 or _is_close(frames / seconds, video.rate_hz):
             return Timing()
-        if _alike(numbered[-1][0], video.duration_s * video.rate_hz):
+        if _is_close(numbered[-1][0], video.duration_s * video.rate_hz):
             return Timing(by_frame=True)
-        if _alike(telemetry[-1].end_s, video.duration_s):
+        if _is_close(telemetry[-1].end_s, video.duration_s):
             return Timing()
         log.warning(
             "the subtitles have %.1f frames a second and the video %.1f: they cannot be assigned "
@@ -299,5 +299,5 @@ class Timing:
         return telemetry[row] if row >= 0 else None
 
 
-def _alike(first: float, second: float) -> bool:
+def _is_close(first: float, second: float) -> bool:
     return abs(first / second - 1) < _SAME_RATE if second else False

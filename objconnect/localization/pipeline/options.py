@@ -35,8 +35,8 @@ class LocalizeOptions:
         undulation_m: height of the geoid above the ellipsoid at the map, metres. None takes it from
             the grid of PROJ; without the grid, heights above sea level are left out.
         projection: coordinate reference system of further coordinates in the output.
-        cache: folder for the data that the method prepares per map. None uses a scratch folder beside
-            the poses.
+        cache: folder for the data that the method prepares per map. None uses a scratch folder
+            beside the poses.
     """
 
     camera: Camera | None = None

@@ -157,22 +157,22 @@ def equivalent(focal_35mm: float, size: Size) -> float:
 def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Iterator[_Source]:
     """Yield the focal length of each field, the most exact field first."""
     zoom = to_number(detail.get("DigitalZoomRatio"))
-    times = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
+    factors = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
     # Programs that resize a picture may write the new size beside the old resolution.
     width = to_number(detail.get("ExifImageWidth"))
     sized = width >= 1 and width not in size
     sized |= lens is not None and lens.sized
     planes = _focal_plane(detail, size)
     if planes:
-        values = tuple(plane * each for plane in planes for each in times)
+        values = tuple(plane * each for plane in planes for each in factors)
         yield _Source("FocalPlaneXResolution", values, sized=sized)
     if lens is not None and _is_plausible(lens.focal):
-        values = tuple(lens.focal * each for each in times)
+        values = tuple(lens.focal * each for each in factors)
         yield _Source("XMP's calibration", values, sized=sized)
     film = to_number(detail.get("FocalLengthIn35mmFilm"))
     if film > 0 and _is_plausible(focal := equivalent(film, size)):
-        values = tuple(focal * each for each in times)
-        wide = tuple(film / FILM_LENGTH * each for each in times)
+        values = tuple(focal * each for each in factors)
+        wide = tuple(film / FILM_LENGTH * each for each in factors)
         yield _Source("FocalLengthIn35mmFilm", values, wide)
 
 

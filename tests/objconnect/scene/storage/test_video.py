@@ -98,7 +98,7 @@ def test_a_slant_is_refused(tmp_path: Path) -> None:
         stream.set_display_rotation(30)
         container.mux(stream.encode(av.VideoFrame.from_ndarray(pictures(1)[0], format="rgb24")))
         container.mux(stream.encode())
-    with pytest.raises(InputError, match="turned by"):
+    with pytest.raises(InputError, match="rotated by"):
         read_video(path)
 
 
