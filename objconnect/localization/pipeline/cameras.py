@@ -94,7 +94,7 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
 def _candidates(
     size: tuple[int, int], focals: Sequence[float], cameras: Collection[Camera]
 ) -> Calibration:
-    """Return the cameras to try for a photograph whose EXIF fields contradict each other.
+    """Return candidate cameras of a photograph whose EXIF fields contradict each other.
 
     If a focal length agrees with a camera of the map, that camera is also a candidate. These
     candidates come first.
@@ -135,7 +135,8 @@ def estimate_camera(
     Between the pinholes of the range, a parabola through the misfits interpolates the focal length.
 
     Args:
-        cameras: cameras to try (``calibration_of``). Pinholes of a range come last, shortest first.
+        cameras: candidates (``calibration_of``). Pinholes of ``_FOCAL_RATIOS`` come last, shortest
+            first.
         queries: photographs of the lens.
         localize: localizes a query.
     """

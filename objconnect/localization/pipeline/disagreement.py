@@ -15,8 +15,8 @@ log = logging.getLogger(__name__)
 
 # With fewer photographs, all of them may have a bad fix.
 _MIN_PHOTOGRAPHS: Final = 5
-# Standard deviations of one axis. Errors that all photographs share exceed them with a chance of
-# 1 in 90 horizontally, and of 1 in 370 vertically.
+# Standard deviations of one axis. An error that all photographs share exceeds them with a
+# probability of 1 / 90 horizontally and of 1 / 370 vertically.
 _FAR: Final = 3.0
 # A receiver without corrections is off by less at 95 % of sites (m; GPS SPS standard of 2020).
 _RECEIVER_M: Final = 8.0
@@ -30,7 +30,7 @@ class Disagreement(NamedTuple):
     Attributes:
         photographs: number of photographs that have both positions.
         across_m: median horizontal distance, metres.
-        up_m: median height of the estimates above the measurements, metres; None where no height
+        up_m: median height of the estimates above the measurements, metres; None if no height
             was measured.
         height_error_m: median absolute difference of the heights, metres; None as ``up_m``.
         far_across: whether the horizontal distances are far larger than the sigmas.
@@ -97,7 +97,7 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
         return
     parts = [f"{errors.across_m:.1f} m beside"] if errors.far_across else []
     if errors.far_up and errors.up_m is not None and errors.height_error_m is not None:
-        # Heights that scatter have a median near 0, which would say that they agree.
+        # Heights that scatter have a median near 0, which would falsely suggest agreement.
         scattered = abs(errors.up_m) < errors.height_error_m / 2
         where = "above or below" if scattered else "above" if errors.up_m > 0 else "below"
         parts.append(f"{errors.height_error_m:.1f} m {where}")

@@ -118,7 +118,7 @@ def _equivalent_focal(camera: Camera) -> float:
 
 @dataclass(frozen=True)
 class FrameCameras:
-    """The cameras of a video's frames, which zoom changes.
+    """The cameras of a video's frames; zoom changes the focal length from frame to frame.
 
     Attributes:
         base: camera without digital zoom.

@@ -1,4 +1,4 @@
-"""A journal of the finished queries of a run, which an interrupted run resumes from."""
+"""A journal of the finished queries of a run, from which an interrupted run resumes."""
 
 from __future__ import annotations
 

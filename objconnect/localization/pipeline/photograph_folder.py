@@ -136,7 +136,7 @@ class PhotographFolder:
         raise InputError((several if self.count > 1 else "") + reason)
 
     def _order(self) -> list[str]:
-        """Return the names in the order of their times; those without one come last."""
+        """Return the names in the order of their times; photographs without a time come last."""
         seconds = self.seconds or {}
         return sorted(self.paths, key=lambda name: seconds.get(name, math.inf))
 

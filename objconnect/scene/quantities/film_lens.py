@@ -77,7 +77,7 @@ def millimetres_per_unit(
     return unknown(source, f"focal_len {number:g} may be in millimetres or in tenths of them")
 
 
-def focal_on_film(focal_mm: float) -> float | None:
+def plausible_focal(focal_mm: float) -> float | None:
     """Return an equivalent focal length, mm; None if it is outside the range of drones' lenses."""
     return focal_mm if _SHORTEST_MM <= focal_mm <= _LONGEST_MM else None
 
