@@ -91,7 +91,7 @@ def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("size", [(400, 300), (300, 400)])
-def test_focal_length_is_in_longest_sides(size: tuple[int, int], tmp_path: Path) -> None:
+def test_focal_ratio_refers_to_the_longer_side(size: tuple[int, int], tmp_path: Path) -> None:
     rgb = np.zeros((size[1], size[0], 3), np.uint8)
     write_jpeg(tmp_path / "a.jpg", rgb, Exif(None, None, focal_35mm=36 * 500 / 400))
     focal = read_exif(tmp_path / "a.jpg").focal_ratio
