@@ -14,7 +14,12 @@ from benchmark.datasets.open import open_datasets
 from benchmark.scoring.score import FALSE_FIX
 from objconnect.methods import create
 from objconnect.scene.bundle.scene import is_scene
-from objconnect.scene.checks.conventions import EXPLAINS, OURS, POSE_READINGS, Reading
+from objconnect.scene.checks.conventions import (
+    MAX_RESIDUAL_RATIO,
+    OURS,
+    POSE_CONVENTIONS,
+    Convention,
+)
 from objconnect.scene.checks.map_check import check_map, check_principal_points
 from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.checks.validate import validate as validate_scene
@@ -72,27 +77,28 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
     # The rotation of a camera that looks straight down is nearly its own transpose, so that several
     # conventions may fit; the best one decides.
     others = [
-        (sum(_difference(localized, matrices, reading)), reading) for reading in POSE_READINGS
+        (sum(_difference(localized, matrices, convention)), convention)
+        for convention in POSE_CONVENTIONS
     ]
-    best, reading = min(others, key=lambda item: item[0])
-    if best < EXPLAINS * (metres + degrees):
-        return Check(name, False, reading.fault, figures)
+    best, convention = min(others, key=lambda item: item[0])
+    if best < MAX_RESIDUAL_RATIO * (metres + degrees):
+        return Check(name, False, convention.fault, figures)
     detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(localized)} queries"
     ok = metres < FALSE_FIX.metres and degrees < FALSE_FIX.degrees
     return Check(name, ok, detail, figures)
 
 
 def _difference(
-    localized: Sequence[Pose], stated: NDArray[np.float64], reading: Reading
+    localized: Sequence[Pose], stated: NDArray[np.float64], convention: Convention
 ) -> tuple[float, float]:
     """Return the median distance (m) and angle (deg) between two lists of poses.
 
     Args:
         localized: poses ``cam_from_world`` that SIFT found.
         stated: (N, 4, 4) matrices of the data set.
-        reading: convention by which the matrices are read.
+        convention: convention by which the matrices are read.
     """
-    read = [Pose.from_matrix(matrix) for matrix in reading.poses(stated)]
+    read = [Pose.from_matrix(matrix) for matrix in convention.poses(stated)]
     errors = [pose.error_to(other) for pose, other in zip(localized, read, strict=True)]
     metres, degrees = np.median(np.array([[float(m), float(d)] for m, d in errors]), axis=0)
     return float(metres), float(degrees)

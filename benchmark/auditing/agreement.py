@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.matches import WORKING_SIDE, Pair
-from objconnect.scene.checks.conventions import FOREIGN_READINGS, PoseReading
+from objconnect.scene.checks.conventions import FOREIGN_CONVENTIONS, PoseConvention
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.sampson import Matches
@@ -28,7 +28,7 @@ _AGREES_PX = 2.0
 _LEAST_PX = 1.0
 # Poses are right if this share of the matches agrees with them.
 RIGHT_SHARE = 0.7
-# Another reading explains the photographs if it adds this share.
+# Another convention explains the photographs if it adds this share.
 GAIN = 0.15
 # Fewer pairs or matches decide nothing.
 _LEAST_PAIRS = 3
@@ -117,15 +117,17 @@ def too_few(rays: Sequence[Rays]) -> str:
     return ""
 
 
-def best_reading(rays: Sequence[Rays], poses: Array) -> tuple[PoseReading | None, float]:
+def best_convention(rays: Sequence[Rays], poses: Array) -> tuple[PoseConvention | None, float]:
     """Return the convention in which poses agree best, and the share that agrees in it.
 
     The convention is None if no other one is better than the poses as stated.
     """
     ours = share(rays, poses)
-    candidates = [(share(rays, reading.poses(poses)), reading) for reading in FOREIGN_READINGS]
-    best, reading = max(candidates, key=lambda item: item[0])
-    return (reading, best) if best > ours + GAIN else (None, ours)
+    candidates = [
+        (share(rays, convention.poses(poses)), convention) for convention in FOREIGN_CONVENTIONS
+    ]
+    best, convention = max(candidates, key=lambda item: item[0])
+    return (convention, best) if best > ours + GAIN else (None, ours)
 
 
 def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
@@ -134,10 +136,13 @@ def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
         return unknown(CHECK, why), poses
     ours = share(rays, poses)
     figures = {"agreeing": ours, "pairs": float(len(rays))}
-    reading, best = best_reading(rays, poses)
-    if reading is not None and best >= RIGHT_SHARE:
-        detail = f"{reading.fault}: so read, {best:.0%} of the matches agree, as stated {ours:.0%}"
-        return wrong(CHECK, reading.name, detail, **figures, explained=best), reading.poses(poses)
+    convention, best = best_convention(rays, poses)
+    if convention is not None and best >= RIGHT_SHARE:
+        agree = f"{best:.0%} of the matches agree in this convention, {ours:.0%} as stated"
+        finding = wrong(
+            CHECK, convention.name, f"{convention.fault}: {agree}", **figures, explained=best
+        )
+        return finding, convention.poses(poses)
     if ours >= RIGHT_SHARE:
         pixels = float(np.median(np.concatenate([errors(r, poses) for r in rays])))
         matches = sum(len(r.first) for r in rays)

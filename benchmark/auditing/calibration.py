@@ -29,10 +29,12 @@ Array = NDArray[np.float64]
 FOCAL = "focal lengths fit the photographs"
 PRINCIPAL = "principal points fit the photographs"
 
-# Relative error within which a focal length fits, and beyond which it contradicts EXIF.
+# A focal length fits if its relative error is below the first value, and contradicts EXIF if the
+# relative difference is above the second.
 _FOCAL_FITS = 0.01
 _EXIF_FITS = 0.15
-# A shift is half a pixel if its standard error and its distance from half a pixel are below (px).
+# A shift counts as half a pixel if its standard error is below the first value and it lies within
+# the second of ±0.5 px.
 _HALF_SIGMA, _HALF_MET = 0.1, 0.15
 # Error within which a principal point fits: pixels, or in large pictures a share of their side.
 _PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
@@ -189,9 +191,9 @@ def _check_focal(
         if 2 * sigma < 2 * _FOCAL_FITS:
             return right(FOCAL, f"within {abs(off):.2%} of the best (±{sigma:.2%})", **figures)
     ratios = [
-        max(camera.focal) / (tags.focal_in_longest_sides * max(camera.width, camera.height))
+        max(camera.focal) / (tags.focal_ratio * max(camera.width, camera.height))
         for camera, tags in zip(cameras, exif, strict=False)
-        if camera is not None and tags is not None and tags.focal_in_longest_sides is not None
+        if camera is not None and tags is not None and tags.focal_ratio is not None
     ]
     if not ratios:
         return unknown(FOCAL, "neither matches nor EXIF determine them")

@@ -139,9 +139,9 @@ def _fit_camera(
     if size is None:
         return camera
     if camera is None:
-        if exif is None or exif.focal_in_longest_sides is None:
+        if exif is None or exif.focal_ratio is None:
             return None
-        focal = exif.focal_in_longest_sides * max(size)
+        focal = exif.focal_ratio * max(size)
         return Camera("SIMPLE_PINHOLE", *size, (focal, size[0] / 2, size[1] / 2))
     if size == (camera.width, camera.height):
         return camera

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.statements import Stated
-from objconnect.scene.checks.conventions import PIXEL_READINGS
+from objconnect.scene.checks.conventions import PIXEL_CONVENTIONS
 from objconnect.scene.checks.map_check import check_map
 from objconnect.scene.geometry.camera import Camera
 
@@ -45,7 +45,7 @@ def check_points(
     check = check_map(replace(sparse_map, images=images))
     if check.ok:
         return right(CHECK, check.detail, **check.figures)
-    halves = {reading.fault: reading.principal_shift for reading in PIXEL_READINGS}
+    halves = {convention.fault: convention.principal_shift for convention in PIXEL_CONVENTIONS}
     if check.detail not in halves:
         return wrong(CHECK, "points-off", check.detail, **check.figures)
     if not photographs_agree:

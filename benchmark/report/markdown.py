@@ -15,7 +15,8 @@ from objconnect.scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
 _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
-# Beyond this NEES, a covariance is wrong however much; ``shared.js`` has the same number.
+# NEES above this is shown as '> 1000': the covariance is useless, and the exact value does not
+# matter. ``shared.js`` has the same number.
 _LARGEST_NEES: Final = 1000
 _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
@@ -84,7 +85,7 @@ def line(cells: Sequence[str]) -> str:
 
 
 def nees_text(value: float) -> str:
-    """Return a NEES; one that is far too large is not told more exactly than that."""
+    """Format a NEES; values above the limit are shown as '> 1000'."""
     return f"> {_LARGEST_NEES}" if value > _LARGEST_NEES else f"{value:.1f}"
 
 

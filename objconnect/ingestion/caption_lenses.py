@@ -9,8 +9,8 @@ from typing import Final
 from objconnect.ingestion.captions import Caption, parse_quantity
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 from objconnect.scene.quantities.film_lens import (
-    focal_on_film,
     millimetres_per_unit,
+    plausible_focal,
     scales_whole_numbers,
     zoom_ratio,
 )
@@ -101,7 +101,7 @@ def _parse_focals(
         if text is None or number is None or number <= 0:
             readings.append(_unparsable(text))
             continue
-        millimetres = None if unit.value is None else focal_on_film(unit.value * number)
+        millimetres = None if unit.value is None else plausible_focal(unit.value * number)
         doubts = unit.doubts
         if unit.is_known and millimetres is None:
             doubts = (*doubts, f"{_FOCAL} {text} is no 35 mm equivalent focal length")

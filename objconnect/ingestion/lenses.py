@@ -21,7 +21,7 @@ _SAME_FOCAL: Final = 0.005
 class _Lens:
     """A lens by its EXIF: maker and model, and 35 mm equivalent focal length (mm).
 
-    Where the fields of EXIF contradict each other, ``focals`` are their values (longest sides).
+    Where the fields of EXIF contradict each other, ``focals`` are their values (focal ratios).
     """
 
     body: tuple[str, str]

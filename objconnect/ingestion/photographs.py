@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
-# Initial focal length where EXIF has none, in longest sides of the image, as COLMAP assumes it.
+# Initial focal ratio f / max(w, h) of images without a focal length in EXIF; COLMAP's default.
 _GUESSED_FOCAL: Final = 1.2
 
 
@@ -190,7 +190,7 @@ def copy_photographs(
                 except InputError as error:
                     damaged[image.file] = str(error)
                 else:
-                    resize_file(folder / image.file, target, size, over=image.name in rotated)
+                    resize_file(folder / image.file, target, size, rotate_180=image.name in rotated)
             advance(done)
     return flight.without(damaged)
 
@@ -212,7 +212,7 @@ def make_photographs(
     """
     photographs = []
     for image in images:
-        focal = image.exif.focal_in_longest_sides
+        focal = image.exif.focal_ratio
         if calibration is None:
             width, height = reduce_size(image, longest)
             likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL

@@ -49,12 +49,13 @@ class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
 
     @property
     def rise(self) -> Tensor:
-        """Logarithm (B, h, w) of one plus the height of its object's centre, in its sides."""
+        """Value log(1 + h / s) per cell (B, h, w): h is the height of the object's centre above
+        ground, s the object's side, both in pixels."""
         return self[4]
 
     @property
     def vector(self) -> Tensor:
-        """Vectors (B, V, h, w), of unit length."""
+        """Unit-length embeddings (B, V, h, w) for matching objects."""
         return self[5]
 
 
@@ -66,8 +67,8 @@ class Detections:
         xy: (N, 2) centres, pixels.
         score: (N,) probability that there is an object.
         side: (N,) side of a square of its size, pixels.
-        rise: (N,) height of the centre above the ground, pixels at its depth.
-        vectors: (N, V) of unit length.
+        rise: (N,) height of the centre above the ground, converted to pixels at the object's depth.
+        vectors: (N, V) unit-length embeddings for matching objects.
     """
 
     xy: Tensor
@@ -116,11 +117,17 @@ class ObjectDetector(nn.Module):
             self.places.bias[0] = _RARE
 
     def forward(self, levels: Sequence[Level]) -> DetectorMaps:
-        """Return the maps for features of any length and confidences of a network's levels."""
+        """Return the maps for the features and confidences of all levels.
+
+        Features need not be normalized.
+        """
         return self.detect(self.join_levels(levels))
 
     def join_levels(self, levels: Sequence[Level]) -> Tensor:
-        """Return unit features and confidences of all levels, resized to the detector's stride."""
+        """Return features and confidences of all levels, resized to the detector's stride.
+
+        Features of C channels are normalized to length sqrt(C).
+        """
         stride = self.config.stride
         shape = levels[self._strides.index(stride)][0].shape[-2:]
         parts = []

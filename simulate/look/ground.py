@@ -89,7 +89,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     return srgb(albedo)
 
 
-def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+def specular_map(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     """Return the specular share of the ground, (n, n) uint8 from 0 to 255.
 
     Water is a full mirror. Rain leaves a film and puddles on sealed ground.
@@ -130,7 +130,8 @@ def grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
 def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the darkening (n, n) by crop rows and mowing stripes.
 
-    The tone sets their direction.
+    Their direction is derived from the region's tone value (a number per region from -0.5 to 0.5),
+    so each field gets its own.
     """
     n = len(ground.labels)
     axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m

@@ -20,7 +20,7 @@ _WET_DARKENING = 0.35  # of walls, roofs and paint
 
 
 def build_materials(
-    data: Any, condition: Condition, ground: NDArray[np.uint8], mirror: NDArray[np.uint8]
+    data: Any, condition: Condition, ground: NDArray[np.uint8], specular: NDArray[np.uint8]
 ) -> dict[str, Any]:
     """Build the Blender materials, by the names that meshes use.
 
@@ -31,11 +31,11 @@ def build_materials(
         data: ``bpy.data``.
         condition: The season, light and weather.
         ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
-        mirror: Specular share (n, n) of the ground, uint8.
+        specular: Specular share (n, n) of the ground, uint8.
     """
     build = _Builder(data, condition)
-    image = build.image("ground", np.dstack([ground, mirror]))
-    materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
+    image = build.image("ground", np.dstack([ground, specular]))
+    materials = {"ground": build.ground(image, mirrored=bool(specular.any()))}
     for style in Facade:
         name = textures.facade_material(style)
         materials[name] = build.add_textured(name, textures.facade(style))

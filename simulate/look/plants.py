@@ -1,7 +1,7 @@
 """Build meshes of trees, hedges and fences. Crowns consist of opaque triangles, one per leaf.
 
-The tint of a leaf is (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The material mixes
-two leaf colours of the season, or of needles, by it.
+The red channel of a leaf's tint is a shade value: 0 for dark inner leaves, 1 for light outer ones.
+The material uses it to blend two leaf (or needle) colours of the season.
 """
 
 from __future__ import annotations

@@ -15,13 +15,17 @@ Array = NDArray[np.float64]
 
 _PITCH_M = 42.0  # distance between poles
 _ATTACHED_M = 8.75  # height of the wires above the ground at a pole
-SPACING_M = 1.7  # distance between the two wires
-RADIUS_M = 0.03
+WIRE_SPACING_M = 1.7  # distance between the two wires
+WIRE_RADIUS_M = 0.03
 _SAG = 0.02  # as a share of the span
 
 
 def power_lines(site: Site) -> None:
-    """Place a power line along every third road that crosses the place, starting at the centre."""
+    """Place power lines along roads.
+
+    Sort the roads that cross the site by distance from its centre, and place a power line along
+    every third.
+    """
     crossing = [r for r in site.roads if polyline_length(r.line) > site.area_m]
     crossing.sort(key=lambda r: float(np.linalg.norm(r.line, axis=1).min()))
     for road in crossing[::3]:
@@ -49,9 +53,11 @@ def _wires(site: Site, ends: Array) -> None:
     """Hang the wires between two poles (2, 2), and keep the ground below free of trees."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
     z = wire_heights(site.terrain, ends)
-    site.span("wire", ends, (z[0], z[-1]), SPACING_M + 2 * RADIUS_M, z.min() - 2 * RADIUS_M)
+    site.span(
+        "wire", ends, (z[0], z[-1]), WIRE_SPACING_M + 2 * WIRE_RADIUS_M, z.min() - 2 * WIRE_RADIUS_M
+    )
     yaw = float(np.arctan2(*(ends[1] - ends[0])[::-1]))
-    site.reserve(rectangle(ends.mean(0), (length, SPACING_M + 0.6), yaw))
+    site.reserve(rectangle(ends.mean(0), (length, WIRE_SPACING_M + 0.6), yaw))
 
 
 def wire_heights(terrain: Heightfield, ends: Array) -> Array:

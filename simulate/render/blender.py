@@ -127,10 +127,10 @@ def _build_scene(world: World, light: Condition) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if world.imagery is None:
         albedo = ground.bake(world.ground, light, world.seed)
-        mirror = ground.mirror(world.ground, light, world.seed)
+        specular = ground.specular_map(world.ground, light, world.seed)
     else:
-        albedo, mirror = bake_albedo(world, light), bake_gloss(world, light)
-    materials = build_materials(bpy.data, light, albedo, mirror)
+        albedo, specular = bake_albedo(world, light), bake_gloss(world, light)
+    materials = build_materials(bpy.data, light, albedo, specular)
     # Meshes come first, because adding a material to a mesh slows down with existing objects.
     surfaces = [
         _mesh_data(name, surface, materials)

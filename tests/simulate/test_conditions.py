@@ -89,8 +89,8 @@ def test_rain_darkens_everything_and_lies_on_sealed_ground() -> None:
     dry, wet = condition("autumn-noon"), condition("autumn-noon-wet")
     darker = ground.bake(town.ground, wet, 1).mean() / ground.bake(town.ground, dry, 1).mean()
     assert 0.6 < darker < 0.85  # of sRGB bytes
-    assert not ground.mirror(town.ground, dry, 1).any()
-    water = ground.mirror(town.ground, wet, 1)
+    assert not ground.specular_map(town.ground, dry, 1).any()
+    water = ground.specular_map(town.ground, wet, 1)
     road = town.ground.labels == CLASSES["road"]
     assert water[road].min() > 0
     assert (water[road] == 255).mean() > 0.03  # puddles

@@ -1,7 +1,8 @@
 """Alignment of an image of a sequence from its predicted pose.
 
-It uses one start, a few reference images, the middle of the picture, and no level coarser than the
-prediction needs. The pose counts only if it is believed.
+It uses one start, a few reference images, the middle of the image, and no level coarser than the
+prediction needs. It returns None if the prediction is too uncertain to start from, or if the pose
+fails the acceptance test (probability and precision).
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from objconnect.localization.featuremetric.priors import pose_of
 from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.scene.localizer import Prior, Query, Stopwatch
 
-# Alignment begins on the finest level on which the prediction's sigma is less than so many cells;
-# if there is none, the image is not tracked.
+# Alignment starts on the finest level on which the prediction's sigma is less than this many cells.
+# If there is none, the image is not tracked.
 _REACH_CELLS: Final = 3.0
-# Points on levels before the finest, spread over the image, and the factor on the step lengths at
-# which these levels stop: the finest makes up for both.
+# Coarser levels use at most this many points, and their convergence thresholds are multiplied by
+# this factor. The finest level recovers the lost accuracy.
 _ROUGH_POINTS: Final = 512
 _ROUGH_CONVERGENCE: Final = 4.0
 
@@ -45,7 +46,10 @@ class Tracking:
     options: TrackingOptions
 
     def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
-        """Align an image from its prior alone; return None if the pose is not believed.
+        """Align an image from its prior alone.
+
+        Returns None if the prediction is too uncertain to start from, or if the pose fails the
+        acceptance test (probability and precision).
 
         Args:
             query: the image; its prior has a position and an attitude.
@@ -63,7 +67,7 @@ class Tracking:
         with clock.stage("points"):
             problem = self.problems.build(view, maps, chosen, start, options.points)
         with clock.stage("alignment"):
-            first = _first_level(problem, _unsure_px(problem, prior))
+            first = _first_level(problem, _prior_sigma_px(problem, prior))
             if first is None:
                 return None
             aligned = AlignedView(view, problem, _align(problem, first))
@@ -71,7 +75,7 @@ class Tracking:
         return attempt if is_answered([attempt], self.search) else None
 
 
-def _unsure_px(problem: Problem, prior: Prior) -> float:
+def _prior_sigma_px(problem: Problem, prior: Prior) -> float:
     """Return the standard deviation (px) of points that are projected by a prior's pose."""
     depth = float(problem.start.transform(problem.points)[0, :, 2].median())
     metres = 0.0 if prior.position_sigma is None else float(np.max(prior.position_sigma))
@@ -80,17 +84,17 @@ def _unsure_px(problem: Problem, prior: Prior) -> float:
     return focal * (metres / depth + radians) if depth > 0 else math.inf
 
 
-def _first_level(problem: Problem, unsure_px: float) -> int | None:
+def _first_level(problem: Problem, prior_sigma_px: float) -> int | None:
     """Return the number of the finest level that converges from the prediction; None if none."""
     for number in reversed(range(len(problem.levels))):
         stride = problem.levels[number].stride
-        if unsure_px < _REACH_CELLS * float(np.max(stride)):
+        if prior_sigma_px < _REACH_CELLS * float(np.max(stride)):
             return number
     return None
 
 
 def _align(problem: Problem, first: int) -> Alignment:
-    """Align from a level on; levels before the finest use few points and stop early."""
+    """Align from level ``first`` to the finest; coarser levels use few points and stop early."""
     options = problem.options
     iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
     rough = options.rougher(_ROUGH_CONVERGENCE)

@@ -31,9 +31,9 @@ class PnpConfig(Config):
         0.09,
         ge=0,
         le=1,
-        description="Distance, as a share of the picture's longer side, within which errors of "
-        "matches are correlated as far as their residuals are, which enlarges covariances. 0 "
-        "treats matches as independent.",
+        description="Matches closer than this share of the longer image side are treated as "
+        "having correlated errors. The correlation is estimated from their residuals, and it "
+        "enlarges the pose covariance. 0 treats matches as independent.",
     )
 
 

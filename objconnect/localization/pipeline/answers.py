@@ -34,7 +34,7 @@ from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile
 
-# The header and the first columns mark a file as one of this command, which it may replace.
+# The header and the first columns identify files of this command, which may be replaced.
 _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
@@ -85,9 +85,9 @@ class Located:
         place: position of the camera on earth; None if unknown.
         time: when it was taken; None if unknown.
         camera: its camera; None if the photograph cannot be read.
-        seconds: time from the start of its sequence; None outside one.
+        seconds: time from the start of its sequence; None without a sequence.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: metadata of the photograph that were used though they are uncertain.
+        doubts: uncertain metadata of the photograph that were used nevertheless.
     """
 
     name: str
@@ -172,7 +172,7 @@ class Located:
             known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
-            # A fallback pose says nothing about a focal length that is to be estimated.
+            # A fallback pose does not determine an estimated focal length.
             estimated = self.is_localized and self.estimate.inliers > 0
             if estimated or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
@@ -196,7 +196,7 @@ def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
     """
     if not poses.name or poses.suffix.lower() == _TABLE:
         raise InputError(
-            f"{poses} cannot hold the poses: its name is that of the table; let it end in .txt"
+            f"{poses} is the name of the table: give the poses a name that ends in .txt"
         )
     for path in also:
         if path.suffix.lower() not in FURTHER:
@@ -261,7 +261,7 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
 
 
 def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not localized.
+    """Return GeoJSON (RFC 7946): a point for each photograph, null if it was not localized.
 
     Altitudes are above the ellipsoid, as the standard requires.
     """

@@ -17,21 +17,21 @@ from objconnect.scene.quantities.film_lens import SAME_LENS
 from objconnect.scene.quantities.focal import SAME_ASPECT
 from objconnect.scene.storage.images import Exif
 
-# Focal lengths to try where nothing is known, as multiples of the longer side: 90 to 37 degrees of
-# view.
-_TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
-# Standard deviation of an estimated focal length, as a share of it: of a pinhole
-# (docs/evidence/robustness.md has an example), and of a camera of the map.
+# Focal ratios f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of view.
+_FOCAL_RATIOS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
+# Relative standard deviation of an estimated focal length, for a pinhole
+# (docs/evidence/robustness.md has an example) and for a camera of the map.
 _FOCAL_SHARE: Final = 0.06
 _MAP_SHARE: Final = 0.005
 # Maximum number of map points that give the distance to the ground.
 _POINTS: Final = 20_000
-# Sigma of a focal length with which localization fails, relative to the worst that succeeds.
-_NOT_FOUND: Final = 2.0
+# Sigma of a focal length with which localization fails, as a multiple of the largest sigma of those
+# with which it succeeds.
+_FAILED_SIGMA: Final = 2.0
 
 
 class CameraSource(StrEnum):
-    """Where the camera of a photograph comes from."""
+    """The source of a photograph's camera."""
 
     GIVEN = "given"
     MAP = "map"
@@ -43,7 +43,11 @@ class CameraSource(StrEnum):
 
 @dataclass(frozen=True)
 class Calibration:
-    """The camera of a photograph with its source; ``others`` are tried if it is to be estimated."""
+    """The camera of a photograph and its source.
+
+    Attributes:
+        others: further candidates; empty unless the camera must be estimated.
+    """
 
     camera: Camera
     source: CameraSource
@@ -53,11 +57,11 @@ class Calibration:
 def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera]) -> Calibration:
     """Return the camera of a photograph for which the user gives none.
 
-    The first that exists is taken: the map's camera of the photograph's size; the calibration in
+    The first that exists is used: the map's camera of the photograph's size; the calibration in
     XMP; the map's camera of another size, scaled; a pinhole with the focal length in EXIF. A camera
     of the map is used only if its focal length agrees with EXIF, or if EXIF has none and it is the
     only one of the photograph's size. If none exists, or if fields of EXIF contradict each other,
-    the camera is to be estimated against the map.
+    the camera must be estimated against the map.
 
     Args:
         size: width and height of the photograph, pixels.
@@ -67,55 +71,55 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     if exif.focals:
         return _candidates(size, exif.focals, cameras)
     alike = [camera for camera in cameras if _same_aspect((camera.width, camera.height), size)]
-    alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
+    alike.sort(key=lambda camera: (_difference_from_exif(camera, exif), str(camera)))
     same = [camera for camera in alike if (camera.width, camera.height) == size]
     if same and (
-        _unlike(same[0], exif) < SAME_LENS
-        or (exif.focal_in_longest_sides is None and len(same) == 1)
+        _difference_from_exif(same[0], exif) < SAME_LENS
+        or (exif.focal_ratio is None and len(same) == 1)
     ):
         return Calibration(same[0], CameraSource.MAP)
-    made = exif.xmp.camera
-    if made is not None and _same_aspect((made.width, made.height), size):
-        return Calibration(_fit_to_size(made, size), CameraSource.CALIBRATED)
-    if alike and _unlike(alike[0], exif) < SAME_LENS:
+    calibrated = exif.xmp.camera
+    if calibrated is not None and _same_aspect((calibrated.width, calibrated.height), size):
+        return Calibration(_fit_to_size(calibrated, size), CameraSource.CALIBRATED)
+    if alike and _difference_from_exif(alike[0], exif) < SAME_LENS:
         return Calibration(_fit_to_size(alike[0], size), CameraSource.SCALED)
-    focal = exif.focal_in_longest_sides
+    focal = exif.focal_ratio
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
-    tried = [_fit_to_size(camera, size) for camera in alike]
-    tried += [_pinhole(size, focal) for focal in _TRIED]
-    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+    candidates = [_fit_to_size(camera, size) for camera in alike]
+    candidates += [_pinhole(size, focal) for focal in _FOCAL_RATIOS]
+    return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
 def _candidates(
     size: tuple[int, int], focals: Sequence[float], cameras: Collection[Camera]
 ) -> Calibration:
-    """Return the cameras to try for a photograph whose EXIF fields contradict each other.
+    """Return candidate cameras of a photograph whose EXIF fields contradict each other.
 
-    A focal length that agrees with a camera of the map brings that camera, too. Such ones come
-    first.
+    If a focal length agrees with a camera of the map, that camera is also a candidate. These
+    candidates come first.
     """
     alike = sorted(
         (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
     )
-    tried: list[Camera] = []
+    candidates: list[Camera] = []
     for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
         camera = _nearest(focal, alike)
-        tried += [] if camera is None else [_fit_to_size(camera, size)]
-        tried.append(_pinhole(size, focal))
-    tried = list(dict.fromkeys(tried))
-    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+        candidates += [] if camera is None else [_fit_to_size(camera, size)]
+        candidates.append(_pinhole(size, focal))
+    candidates = list(dict.fromkeys(candidates))
+    return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera with the nearest focal length; None if it is of another lens."""
-    off = {camera: _off(camera, focal) for camera in cameras}
+    """Return the camera with the nearest focal length; None if it belongs to another lens."""
+    off = {camera: _relative_difference(camera, focal) for camera in cameras}
     best = min(off, key=lambda camera: off[camera], default=None)
     return best if best is not None and off[best] < SAME_LENS else None
 
 
-def _off(camera: Camera, focal: float) -> float:
-    """Return by which share a camera's focal length differs from ``focal`` (longer sides)."""
+def _relative_difference(camera: Camera, focal: float) -> float:
+    """Return the relative difference of a camera's focal length from a focal ratio ``focal``."""
     ratio = camera.focal[0] / max(camera.width, camera.height) / focal
     return max(ratio, 1 / ratio) - 1
 
@@ -131,7 +135,8 @@ def estimate_camera(
     Between the pinholes of the range, a parabola through the misfits interpolates the focal length.
 
     Args:
-        cameras: cameras to try (``calibration_of``). Pinholes of a range come last, shortest first.
+        cameras: candidates (``calibration_of``). Pinholes of ``_FOCAL_RATIOS`` come last, shortest
+            first.
         queries: photographs of the lens.
         localize: localizes a query.
     """
@@ -141,12 +146,12 @@ def estimate_camera(
         sigmas = np.array([_rotation_sigma(estimate) for estimate in estimates])
         found = np.isfinite(sigmas)
         if found.any():
-            sigmas[~found] = _NOT_FOUND * sigmas[found].max()
+            sigmas[~found] = _FAILED_SIGMA * sigmas[found].max()
             misfit += max(estimate.inliers for estimate in estimates) * np.log(sigmas)
     best = int(misfit.argmin())
-    first = len(cameras) - len(_TRIED)
+    first = len(cameras) - len(_FOCAL_RATIOS)
     size = cameras[0].width, cameras[0].height
-    row = first >= 0 and cameras[first] == _pinhole(size, _TRIED[0])
+    row = first >= 0 and cameras[first] == _pinhole(size, _FOCAL_RATIOS[0])
     if not row or not first < best < len(cameras) - 1:
         return cameras[best]
     near = slice(best - 1, best + 2)
@@ -162,7 +167,7 @@ def with_focal_error(
 ) -> Estimate:
     """Return an estimate whose covariance includes the error of an estimated focal length.
 
-    A focal length that is too long by a share moves the camera away by that share of its distance
+    A relative error of the focal length causes the same relative error of the camera's distance
     from the ground.
 
     Args:
@@ -200,10 +205,10 @@ def _rotation_sigma(estimate: Estimate) -> float:
     return math.sqrt(variance if variance > 0 else 1 / max(estimate.inliers, 1))
 
 
-def _unlike(camera: Camera, exif: Exif) -> float:
-    """Return by which share a camera's focal length differs from EXIF; infinite without one."""
-    focal = exif.focal_in_longest_sides
-    return math.inf if focal is None else _off(camera, focal)
+def _difference_from_exif(camera: Camera, exif: Exif) -> float:
+    """Return the relative difference of a camera's focal length from EXIF; infinite if unknown."""
+    focal = exif.focal_ratio
+    return math.inf if focal is None else _relative_difference(camera, focal)
 
 
 def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
@@ -211,7 +216,7 @@ def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
 
 
 def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera of a resized picture; the aspect ratio may differ by a little."""
+    """Return the camera of a resized image; the aspect ratio may differ slightly."""
     scale = size[0] / camera.width
     return _change(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
 
@@ -229,5 +234,5 @@ def _change(
 
 
 def _pinhole(size: tuple[int, int], focal: float) -> Camera:
-    """Return the pinhole camera with a focal length in longer sides of the picture."""
+    """Return the pinhole camera with a focal ratio f / max(w, h)."""
     return Camera("SIMPLE_PINHOLE", *size, (focal * max(size), size[0] / 2, size[1] / 2))

@@ -13,10 +13,10 @@ from objconnect.localization.pipeline.answers import Geography, Located
 
 log = logging.getLogger(__name__)
 
-# Fewer photographs may all have a bad fix.
+# With fewer photographs, all of them may have a bad fix.
 _MIN_PHOTOGRAPHS: Final = 5
-# Standard deviations of one axis. Errors that all photographs share exceed them with a chance of
-# 1 in 90 horizontally, and of 1 in 370 vertically.
+# Standard deviations of one axis. An error that all photographs share exceeds them with a
+# probability of 1 / 90 horizontally and of 1 / 370 vertically.
 _FAR: Final = 3.0
 # A receiver without corrections is off by less at 95 % of sites (m; GPS SPS standard of 2020).
 _RECEIVER_M: Final = 8.0
@@ -30,7 +30,7 @@ class Disagreement(NamedTuple):
     Attributes:
         photographs: number of photographs that have both positions.
         across_m: median horizontal distance, metres.
-        up_m: median height of the estimates above the measurements, metres; None where no height
+        up_m: median height of the estimates above the measurements, metres; None if no height
             was measured.
         height_error_m: median absolute difference of the heights, metres; None as ``up_m``.
         far_across: whether the horizontal distances are far larger than the sigmas.
@@ -59,8 +59,8 @@ class _Compared(NamedTuple):
 def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
     """Compare estimated with measured positions; None if fewer than five photographs have both.
 
-    Distances are in standard deviations of both positions together. The estimate's deviation is
-    that on earth where the map's accuracy on earth is known, else that within the map.
+    Distances are divided by the standard deviation of their difference. The estimate's standard
+    deviation includes the map's georeference if the accuracy of that is known.
     """
     compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
     if len(compared) < _MIN_PHOTOGRAPHS:
@@ -78,10 +78,10 @@ def measure_disagreement(located: Sequence[Located], geography: Geography) -> Di
 
 
 def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
-    """Warn in one line where estimates are much further from measured positions than the sigmas.
+    """Warn in one line if estimates are much farther from measured positions than the sigmas.
 
-    Where the map's accuracy on earth is unknown, sigmas are within the map alone. The line then
-    says how far the estimates are from the measured positions.
+    If the accuracy of the map's georeference is unknown, sigmas are relative to the map. The line
+    then states the distance of the estimates from the measured positions.
     """
     errors = measure_disagreement(located, geography)
     if errors is None:
@@ -90,20 +90,20 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
         if errors.far_within:
             log.warning(
                 "the answers lie %.1f m beside the GPS positions of the photographs (median of "
-                "%d): sigma_m is within the map, whose place on earth is not known as exactly",
+                "%d): sigma_m is relative to the map, whose georeference has unknown accuracy",
                 errors.across_m,
                 errors.photographs,
             )
         return
     parts = [f"{errors.across_m:.1f} m beside"] if errors.far_across else []
     if errors.far_up and errors.up_m is not None and errors.height_error_m is not None:
-        # Heights that scatter have a median near 0, which would say that they agree.
+        # Heights that scatter have a median near 0, which would falsely suggest agreement.
         scattered = abs(errors.up_m) < errors.height_error_m / 2
         where = "above or below" if scattered else "above" if errors.up_m > 0 else "below"
         parts.append(f"{errors.height_error_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
-        "the sigmas of both: the map's place on earth is off, or the GPS is%s",
+        "the sigmas of both: the map's georeference or the GPS is wrong%s",
         " and ".join(parts),
         errors.photographs,
         ", or its altitudes are above another surface (sea or ellipsoid)" if errors.far_up else "",

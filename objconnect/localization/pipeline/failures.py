@@ -1,4 +1,4 @@
-"""Localize a query so that exceptions become failures, and retry a failure without attitude."""
+"""Convert exceptions of a method to failures, and retry a failed query without its attitude."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 def localize_safely(localizer: Localizer, query: Query) -> Estimate:
     """Localize a query; an exception of the method becomes the status ``FAILED`` and its reason.
 
-    A pose that is missing, not finite or too far away is a failure, too.
+    A pose that is missing, not finite or too far away is also a failure.
 
     Raises:
         InputError: the method cannot read its input.
@@ -44,9 +44,9 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
 
 
 def localize_retrying(localizer: Localizer, query: Query) -> Estimate:
-    """Localize a query; on failure, once more without its attitude.
+    """Localize a query; if that fails, retry without its attitude prior.
 
-    The attitude may be wrong, as when a picture was rotated after it was taken. Arguments and
+    The attitude may be wrong, for example if the image was rotated after capture. Arguments and
     errors are those of ``localize_safely``.
     """
     estimate, prior = localize_safely(localizer, query), query.prior

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 _SIDECARS: Final = (".SRT", ".srt", ".Srt")
 _FILM_MM: Final = 36.0
-# Rates and numbers of frames that agree differ by less than this share.
+# Frame rates, and numbers of frames, agree if they differ relatively by less than this.
 _SAME_RATE: Final = 0.05
 # Largest deviation of square pixels' aspect ratio from 1.
 _SQUARE: Final = 0.005
@@ -39,14 +39,14 @@ class Footage:
     """A video with its telemetry, to be localized.
 
     Attributes:
-        srt: subtitles with telemetry; None without.
-        flight: telemetry of the subtitles; empty without.
+        srt: file of the subtitles; None without subtitles.
+        telemetry: entries of the subtitles; empty without subtitles.
     """
 
     path: Path
     video: Video
     srt: Path | None
-    flight: Sequence[Telemetry]
+    telemetry: Sequence[Telemetry]
     rate_hz: float
 
     @staticmethod
@@ -62,7 +62,7 @@ class Footage:
             path: file of the video.
             srt: its subtitles; None takes those of the same name beside it, if there are any.
             rate_hz: frames a second to localize.
-            localization_map: resolves what is ambiguous in telemetry, such as the order of
+            localization_map: map that resolves ambiguities of the telemetry, such as the order of
                 coordinates.
 
         Raises:
@@ -78,12 +78,14 @@ class Footage:
                 path,
                 ", ".join(map(for_terminal, video.unread)),
             )
-        flight = (
+        telemetry = (
             []
             if srt is None
-            else read_telemetry(srt, _near(localization_map), _lenses(localization_map, video))
+            else read_telemetry(
+                srt, _map_position(localization_map), _map_focals(localization_map, video)
+            )
         )
-        return Footage(path, video, srt, flight, rate_hz)
+        return Footage(path, video, srt, telemetry, rate_hz)
 
     @property
     def count(self) -> int:
@@ -92,57 +94,57 @@ class Footage:
         return max(1, round((self.video.duration_s or 0.0) * rate_hz))
 
 
-def _near(localization_map: LocalizationMap | None) -> Pair | None:
+def _map_position(localization_map: LocalizationMap | None) -> Pair | None:
     """Return latitude and longitude of a map, degrees."""
     if localization_map is None or localization_map.origin is None:
         return None
     return localization_map.origin.latitude, localization_map.origin.longitude
 
 
-def _lenses(localization_map: LocalizationMap | None, video: Video) -> list[float]:
+def _map_focals(localization_map: LocalizationMap | None, video: Video) -> list[float]:
     """Return the 35 mm equivalent focal lengths (mm) of the map's cameras of a video's shape."""
     cameras: Collection[Camera] = () if localization_map is None else localization_map.cameras
     shape = video.width / video.height
     return [
-        _on_film(camera)
+        _equivalent_focal(camera)
         for camera in cameras
         if abs(camera.width / camera.height / shape - 1) < SAME_LENS
     ]
 
 
-def _on_film(camera: Camera) -> float:
+def _equivalent_focal(camera: Camera) -> float:
     return _FILM_MM * camera.focal[0] / max(camera.width, camera.height)
 
 
 @dataclass(frozen=True)
 class FrameCameras:
-    """The cameras of a video's frames, which zoom changes.
+    """The cameras of a video's frames; zoom changes the focal length from frame to frame.
 
     Attributes:
         base: camera without digital zoom.
         focal_mm: 35 mm equivalent focal length (mm) that telemetry has for ``base``; None if
             unknown.
-        steady: zoom of all frames, a ratio to the base; None where it changes or is unknown.
-        is_given: whether the user gives the camera, which then holds for all frames.
+        constant_zoom: zoom of all frames, a ratio to the base; None if it changes or is unknown.
+        is_given: whether the user gives the camera, which is then used for all frames.
     """
 
     base: Calibration
     focal_mm: float | None = None
-    steady: float | None = 1.0
+    constant_zoom: float | None = 1.0
     is_given: bool = False
 
-    def of(self, said: Telemetry | None) -> Calibration | None:
-        """Return the camera of a frame; None where its focal length is unknown."""
+    def of(self, telemetry: Telemetry | None) -> Calibration | None:
+        """Return the camera of a frame; None if its focal length is unknown."""
         if self.is_given:
             return self.base
-        scale = self.steady
-        if said is not None and self.steady is None:
-            scale = _scale(said, self.focal_mm)
+        scale = self.constant_zoom
+        if telemetry is not None and self.constant_zoom is None:
+            scale = _scale(telemetry, self.focal_mm)
         if scale is None or abs(scale - 1) < 1e-9:
             return None if scale is None else self.base
         source = self.base.source
         source = CameraSource.SCALED if source is CameraSource.MAP else source
-        return Calibration(_zoom(self.base.camera, scale), source)
+        return Calibration(_apply_zoom(self.base.camera, scale), source)
 
 
 def cameras_of_frames(
@@ -151,7 +153,7 @@ def cameras_of_frames(
     """Return the cameras of a video's frames.
 
     If the user gives none, it is the map's camera of the frames' size and focal length, else one
-    with the focal length of the telemetry, scaled from the map's camera if that has such a lens.
+    with the focal length of the telemetry, scaled from the map's camera if its lens is the same.
     Zoom in the telemetry multiplies the focal length.
 
     Raises:
@@ -168,14 +170,14 @@ def cameras_of_frames(
     aspect = footage.video.pixel_aspect
     if abs(aspect - 1) > _SQUARE:
         raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
-    focal = _reference_focal(footage.flight, _lenses(localization_map, footage.video))
+    focal = _reference_focal(footage.telemetry, _map_focals(localization_map, footage.video))
     base = calibration_of(size, Exif(None, None, focal_35mm=focal), localization_map.cameras)
     if base.source is CameraSource.ESTIMATED:
-        told = [said.zoom for said in footage.flight]
-        what = "focal length" if all(told) else "focal length and zoom (dzoom_ratio)"
+        zooms = [item.zoom for item in footage.telemetry]
+        what = "focal length" if all(zooms) else "focal length and zoom (dzoom_ratio)"
         raise InputError(f"{shape}has no {what}{hint}")
-    scales = {_scale(said, focal) for said in footage.flight} or {1.0}
-    if scales == {None} and all(said.zoom is None for said in footage.flight):
+    scales = {_scale(item, focal) for item in footage.telemetry} or {1.0}
+    if scales == {None} and all(item.zoom is None for item in footage.telemetry):
         if base.source is not CameraSource.MAP:
             raise InputError(f"{shape}has no zoom (dzoom_ratio){hint}")
         log.warning("%s: the zoom is unknown; the map's camera is used without zoom", footage.srt)
@@ -184,27 +186,27 @@ def cameras_of_frames(
     return FrameCameras(base, focal, scales.pop() if len(scales) == 1 else None)
 
 
-def _reference_focal(flight: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
-    """Return the focal length of a flight nearest to one of the map, else the most frequent."""
-    focals = Counter(said.focal_mm for said in flight if said.focal_mm is not None)
+def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
+    """Return the stated focal length nearest to one of the map's, else the most frequent one."""
+    focals = Counter(item.focal_mm for item in telemetry if item.focal_mm is not None)
     if not focals:
         return None
 
-    def unlike(focal: float) -> float:
+    def mismatch(focal: float) -> float:
         least = min((max(focal / lens, lens / focal) - 1 for lens in lenses), default=SAME_LENS)
         return min(least, SAME_LENS)
 
-    return min(focals, key=lambda focal: (unlike(focal), -focals[focal]))
+    return min(focals, key=lambda focal: (mismatch(focal), -focals[focal]))
 
 
-def _scale(said: Telemetry, focal_mm: float | None) -> float | None:
-    """Return the factor on the base focal length for a frame; None where it is unknown."""
-    if focal_mm is None or said.zoom is None:
-        return said.zoom
-    return None if said.focal_mm is None else said.zoom * said.focal_mm / focal_mm
+def _scale(telemetry: Telemetry, focal_mm: float | None) -> float | None:
+    """Return the factor on the base focal length for a frame; None if it is unknown."""
+    if focal_mm is None or telemetry.zoom is None:
+        return telemetry.zoom
+    return None if telemetry.focal_mm is None else telemetry.zoom * telemetry.focal_mm / focal_mm
 
 
-def _zoom(camera: Camera, scale: float) -> Camera:
+def _apply_zoom(camera: Camera, scale: float) -> Camera:
     """Return the camera with a digital zoom, which enlarges the middle of the picture."""
     middle = {"cx": camera.width / 2, "cy": camera.height / 2}
     params = []
@@ -217,10 +219,10 @@ def _zoom(camera: Camera, scale: float) -> Camera:
 
 def _warn_of_zoom(footage: Footage) -> None:
     """Warn if one camera is given for frames of several focal lengths."""
-    focals = [said.effective_mm for said in footage.flight if said.effective_mm is not None]
+    focals = [item.effective_mm for item in footage.telemetry if item.effective_mm is not None]
     if focals and max(focals) > (1 + _ZOOMED) * min(focals):
         log.warning(
-            "%s tells a zoom from %.1f to %.1f mm, and --camera is taken for all frames",
+            "%s states a zoom from %.1f to %.1f mm, but --camera is used for all frames",
             footage.srt,
             min(focals),
             max(focals),
@@ -242,7 +244,7 @@ def _warn_of_another_lens(
             "%.1f mm: give --camera if that is right",
             footage.srt,
             focal,
-            _on_film(same[0]),
+            _equivalent_focal(same[0]),
         )
 
 
@@ -251,32 +253,33 @@ class Timing:
     """The assignment of subtitles to frames of a video.
 
     Attributes:
-        by_frame: whether frame numbers decide instead of times, which slow motion stretches.
-        is_known: whether either of them fits the video.
+        by_frame: whether subtitles are matched to frames by frame number instead of by time (slow
+            motion makes times unusable).
+        is_known: whether frame numbers or times fit the video.
     """
 
     by_frame: bool = False
     is_known: bool = True
 
     @staticmethod
-    def of(flight: Sequence[Telemetry], video: Video) -> Timing:
+    def of(telemetry: Sequence[Telemetry], video: Video) -> Timing:
         """Compare the times and frame numbers of the subtitles with those of the video.
 
-        If frame numbers advance at another rate than the video's frames, those of the two count
-        that reach to the end of the video. If neither does, the subtitles are not used and a
-        warning says so.
+        If frame numbers and subtitle times imply different frame rates, use whichever ends where
+        the video ends: frame numbers first, then times. If neither does, ignore the subtitles and
+        warn.
         """
-        numbered = [(said.frame, said.start_s) for said in flight if said.frame is not None]
+        numbered = [(item.frame, item.start_s) for item in telemetry if item.frame is not None]
         ascending = all(first[0] < second[0] for first, second in pairwise(numbered))
-        if len(numbered) < max(2, len(flight)) or not ascending or video.duration_s is None:
+        if len(numbered) < max(2, len(telemetry)) or not ascending or video.duration_s is None:
             return Timing()
         frames, seconds = numbered[-1][0] - numbered[0][0], numbered[-1][1] - numbered[0][1]
         # Times of subtitles are whole milliseconds.
-        if frames <= 0 or seconds < 0.1 or _alike(frames / seconds, video.rate_hz):
+        if frames <= 0 or seconds < 0.1 or _is_close(frames / seconds, video.rate_hz):
             return Timing()
-        if _alike(numbered[-1][0], video.duration_s * video.rate_hz):
+        if _is_close(numbered[-1][0], video.duration_s * video.rate_hz):
             return Timing(by_frame=True)
-        if _alike(flight[-1].end_s, video.duration_s):
+        if _is_close(telemetry[-1].end_s, video.duration_s):
             return Timing()
         log.warning(
             "the subtitles have %.1f frames a second and the video %.1f: they cannot be assigned "
@@ -286,15 +289,15 @@ class Timing:
         )
         return Timing(is_known=False)
 
-    def said(self, flight: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
-        """Return the telemetry of a frame; None without."""
+    def telemetry_of(self, telemetry: Sequence[Telemetry], frame: VideoFrame) -> Telemetry | None:
+        """Return the telemetry of a frame; None if the subtitles have none for it."""
         if not self.is_known:
             return None
         if not self.by_frame:
-            return at_time(flight, frame.seconds)
-        row = bisect_right(flight, frame.index + 1, key=lambda item: item.frame or 0) - 1
-        return flight[row] if row >= 0 else None
+            return at_time(telemetry, frame.seconds)
+        row = bisect_right(telemetry, frame.index + 1, key=lambda item: item.frame or 0) - 1
+        return telemetry[row] if row >= 0 else None
 
 
-def _alike(first: float, second: float) -> bool:
+def _is_close(first: float, second: float) -> bool:
     return abs(first / second - 1) < _SAME_RATE if second else False

@@ -46,13 +46,13 @@ class TelemetryReader:
     options: LocalizeOptions
     undulation_m: float | None
 
-    def __call__(self, said: Telemetry | None) -> Prior | None:
+    def __call__(self, telemetry: Telemetry | None) -> Prior | None:
         """Return the prior in the map's frame; None if telemetry has neither a position near the
         map nor an attitude."""
-        if said is None:
+        if telemetry is None:
             return None
-        prior = self._position(said)
-        if said.gimbal is None:
+        prior = self._position(telemetry)
+        if telemetry.gimbal is None:
             return prior
         if prior is None:
             # An attitude needs a position: the middle of the map's cameras, with infinite sigma.
@@ -61,17 +61,17 @@ class TelemetryReader:
             )
         return replace(
             prior,
-            cam_from_world_rotation=gimbal_pose(*said.gimbal).rotation.numpy(),
+            cam_from_world_rotation=gimbal_pose(*telemetry.gimbal).rotation.numpy(),
             attitude_sigma_deg=self.options.gimbal_sigma_deg,
         )
 
-    def _position(self, said: Telemetry) -> Prior | None:
+    def _position(self, telemetry: Telemetry) -> Prior | None:
         origin = self.localization_map.origin
-        if said.place is None or origin is None:
+        if telemetry.place is None or origin is None:
             return None
-        known = said.abs_alt is not None and self.undulation_m is not None
-        altitude = (said.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
-        fix, sigma = Geodetic(*said.place, altitude), np.full(3, self.options.gps_sigma_m)
+        known = telemetry.abs_alt is not None and self.undulation_m is not None
+        altitude = (telemetry.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
+        fix, sigma = Geodetic(*telemetry.place, altitude), np.full(3, self.options.gps_sigma_m)
         prior = Prior(*self.localization_map.locate(fix, origin, sigma))
         return None if np.hypot(*prior.position[:2]) > REACH_M else prior
 
@@ -82,7 +82,7 @@ class VideoFrames:
 
     footage: Footage
     cameras: FrameCameras
-    telemetry: TelemetryReader
+    reader: TelemetryReader
 
     @staticmethod
     def open(
@@ -103,10 +103,10 @@ class VideoFrames:
             InputError: video or subtitles cannot be read, or the camera is unknown.
         """
         footage = Footage.open(video, options.srt, options.rate_hz or RATE_HZ, localization_map)
-        telemetry = TelemetryReader(localization_map, options, undulation_m)
-        warn_of_far_telemetry(footage, telemetry)
+        reader = TelemetryReader(localization_map, options, undulation_m)
+        warn_of_far_telemetry(footage, reader)
         return VideoFrames(
-            footage, cameras_of_frames(footage, options.camera, localization_map), telemetry
+            footage, cameras_of_frames(footage, options.camera, localization_map), reader
         )
 
     @property
@@ -121,19 +121,19 @@ class VideoFrames:
         srt_name = None if srt is None else srt.name
         return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}
 
-    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """Yield the frames with the priors of their telemetry; ``ask`` is not used."""
+    def images(self, localize: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
+        """Yield the frames with the priors of their telemetry; ``localize`` is not used."""
         footage = self.footage
-        clock, timing = _clock(footage), Timing.of(footage.flight, footage.video)
+        clock, timing = _clock(footage), Timing.of(footage.telemetry, footage.video)
         for frame in decode_frames(footage.path, footage.rate_hz):
-            said = timing.said(footage.flight, frame)
-            calibration, gps = self.cameras.of(said), self.telemetry(said)
+            telemetry = timing.telemetry_of(footage.telemetry, frame)
+            calibration, gps = self.cameras.of(telemetry), self.reader(telemetry)
             image = QueryImage(
                 frame_name(footage.path.stem, frame.index),
                 calibration=calibration,
                 time=None if clock is None else clock + timedelta(seconds=frame.seconds),
                 seconds=frame.seconds,
-                doubts=_doubts(footage, said, self.cameras, self.telemetry),
+                doubts=_doubts(footage, telemetry, self.cameras, self.reader),
             )
             if calibration is None:
                 reason = f"{footage.srt} has no focal length or zoom of this frame: give --camera"
@@ -147,25 +147,25 @@ class VideoFrames:
 
 
 def _doubts(
-    footage: Footage, said: Telemetry | None, cameras: FrameCameras, telemetry: TelemetryReader
+    footage: Footage, telemetry: Telemetry | None, cameras: FrameCameras, reader: TelemetryReader
 ) -> tuple[str, ...]:
-    """Return the telemetry of a frame that is used though it is uncertain."""
-    if said is None:
-        return ("the subtitles have no entry for this frame",) if footage.flight else ()
-    doubts = [] if cameras.is_given else [*said.lens_doubts]
-    if telemetry.localization_map.origin is not None:
-        doubts = [*said.place_doubts, *doubts]
-        if said.place is not None and telemetry(replace(said, gimbal=None)) is None:
+    """Return the uncertain telemetry of a frame that is used nevertheless."""
+    if telemetry is None:
+        return ("the subtitles have no entry for this frame",) if footage.telemetry else ()
+    doubts = [] if cameras.is_given else [*telemetry.lens_doubts]
+    if reader.localization_map.origin is not None:
+        doubts = [*telemetry.place_doubts, *doubts]
+        if telemetry.place is not None and reader(replace(telemetry, gimbal=None)) is None:
             doubts.append(f"its position is more than {REACH_M / 1000:.0f} km from the map")
     return tuple(doubts)
 
 
-def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
+def warn_of_far_telemetry(footage: Footage, reader: TelemetryReader) -> None:
     """Warn if no position of the telemetry is near the map."""
-    fixes = [said for said in footage.flight if said.place is not None]
-    if fixes and telemetry.localization_map.origin is not None and telemetry(fixes[0]) is None:
-        places = [replace(said, gimbal=None) for said in fixes]
-        if all(telemetry(said) is None for said in places):
+    fixes = [item for item in footage.telemetry if item.place is not None]
+    if fixes and reader.localization_map.origin is not None and reader(fixes[0]) is None:
+        places = [replace(item, gimbal=None) for item in fixes]
+        if all(reader(item) is None for item in places):
             log.warning(
                 "%s has no position within %.0f km of the map: its positions are not used",
                 footage.srt,
@@ -175,7 +175,7 @@ def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
 
 def _clock(footage: Footage) -> datetime | None:
     """Return the drone's clock at the start of a video, from its subtitles, else from the file."""
-    for said in footage.flight:
-        if said.time is not None:
-            return said.time - timedelta(seconds=said.start_s)
+    for item in footage.telemetry:
+        if item.time is not None:
+            return item.time - timedelta(seconds=item.start_s)
     return footage.video.created

@@ -1,4 +1,4 @@
-"""A journal of the finished queries of a run, which an interrupted run resumes from."""
+"""A journal of the finished queries of a run, from which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Journal(Generic[Entry]):
     Attributes:
         done: finished queries by name.
         dropped: digests of the parts of the data set of an earlier run whose key differs, so that
-            its queries are dropped; None without such a run, or if they are unknown.
+            its queries are discarded; None without such a run, or if they are unknown.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Journal(Generic[Entry]):
             path: path of the file.
             key: digest of everything that decides the results.
             model: class of the entries.
-            parts: digests of the parts of the data set, which show a later run what changed.
+            parts: digests of the parts of the data set; a later run compares them with its own.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -83,7 +83,7 @@ class Journal(Generic[Entry]):
         return self
 
     def _begin(self) -> None:
-        """Keep the entries of an earlier run with the same key, and drop everything else."""
+        """Keep the entries of an earlier run with the same key, and discard everything else."""
         self._file.seek(0)
         # str.splitlines would also split at characters that names may contain.
         lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
@@ -97,7 +97,7 @@ class Journal(Generic[Entry]):
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
             )
-        # The rest was cut short by a crash, or belongs to another run.
+        # What follows is truncated by a crash, or belongs to another run.
         self._file.truncate(good)
         if not good:
             self._append(json.dumps({"key": self._key, "parts": self._parts}))
@@ -136,7 +136,7 @@ class Journal(Generic[Entry]):
 
 
 def _header(line: str) -> dict[str, object]:
-    """Return the first line of a journal as a dictionary; empty where it is damaged."""
+    """Return the first line of a journal as a dictionary; empty if it is damaged."""
     try:
         header = parse_json(line)
     except ValueError:
@@ -145,7 +145,7 @@ def _header(line: str) -> dict[str, object]:
 
 
 def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
-    """Return the parts of the data set in a header; None where they are missing or damaged."""
+    """Return the parts of the data set in a header; None if they are missing or damaged."""
     parts = header.get("parts")
     if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
         return None

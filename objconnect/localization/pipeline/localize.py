@@ -56,7 +56,7 @@ def localize(
     centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
     then time, attitude, camera and covariance (``Located.values``, ``Located.covariance``). A
     photograph that cannot be read is a row with status ``failed`` and the reason. A hidden journal
-    keeps finished photographs, so that an interrupted run resumes where it stopped.
+    stores finished photographs, so that an interrupted run resumes where it stopped.
 
     With ``options.sequence``, the motion of the camera gives the prior of the next photograph
     (``Tracker``), the table has the seconds of each, and a JSON file beside the poses records
@@ -126,7 +126,7 @@ def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> st
 
 @dataclass(frozen=True)
 class _Job:
-    """A call of ``localize``; ``sequence`` is None if each photograph is localized by itself."""
+    """A call of ``localize``; ``sequence`` is None if photographs are localized independently."""
 
     localization_map: LocalizationMap
     localizer: Localizer
@@ -164,13 +164,17 @@ class _Job:
         with (
             Journal(journal_path(self.out), self._key(), Answer) as journal,
             # A scratch cache lies beside the output, whose disk is expected to have room for it.
-            cache_or_scratch(self.options.cache, self.out.parent) as kept,
+            cache_or_scratch(self.options.cache, self.out.parent) as cache_folder,
         ):
             prepare = partial(
-                prepare_first, localizer, localization_map.sparse_map, localization_map.images, kept
+                prepare_first,
+                localizer,
+                localization_map.sparse_map,
+                localization_map.images,
+                cache_folder,
             )
             answering = _Answering(self, journal, cache(prepare))
-            images = source.images(answering.ask)
+            images = source.images(answering.localize)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
                 for image in images:
                     located.append(self._to_answer(image, answering(image)))
@@ -237,7 +241,7 @@ class _Answering:
         job: the call of ``localize``.
         journal: answers of the interrupted run and of this one.
         prepare: prepares the method, once. It is called after the first image was read, so that
-            unreadable input is refused before the method takes time.
+            unreadable input is rejected before the method takes time.
     """
 
     def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
@@ -245,8 +249,8 @@ class _Answering:
         self._tracker = None if job.sequence is None else Tracker(job.localizer, job.sequence)
         self._asked = ""
 
-    def ask(self, query: Query) -> Estimate:
-        """Localize a query by itself; with a gimbal's attitude, retry a failure without it."""
+    def localize(self, query: Query) -> Estimate:
+        """Localize a single query; if it fails with a gimbal's attitude, retry without it."""
         self._prepare()
         retries = self._job.options.priors is None
         return (localize_retrying if retries else localize_safely)(self._job.localizer, query)
@@ -254,9 +258,9 @@ class _Answering:
     def __call__(self, image: QueryImage) -> Estimate:
         """Return the estimate of the next image."""
         self._prepare()
-        # In a sequence an estimate depends on all images before.
+        # In a sequence an estimate depends on all earlier images.
         before = "" if self._tracker is None else self._asked
-        self._asked = digest_of(before, image.seconds, *_words(image))
+        self._asked = digest_of(before, image.seconds, *_digest_inputs(image))
         estimate = self._estimate(image)
         if self._tracker is not None and image.seconds is not None:
             self._tracker.take(estimate, image.seconds)
@@ -269,7 +273,7 @@ class _Answering:
         answer = self._journal.done.get(quote_name(image.name))
         if answer is None or answer.asked != self._asked:
             if self._tracker is None or image.seconds is None:
-                estimate = self.ask(image.query)
+                estimate = self.localize(image.query)
             else:
                 estimate = self._tracker.localize(image.query, image.seconds)
             answer = Answer.of(image.name, self._asked, estimate)
@@ -282,7 +286,8 @@ class Answer(Named):
 
     Attributes:
         name: file name, escaped by ``quote_name`` because JSON cannot hold every file name.
-        asked: digest of the image, its camera and its prior, in a sequence with those before it.
+        asked: digest of the image, its camera and its prior; in a sequence also of all earlier
+            images.
         cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
         covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
     """
@@ -331,7 +336,7 @@ class Answer(Named):
         )
 
 
-def _words(image: QueryImage) -> Iterator[object]:
+def _digest_inputs(image: QueryImage) -> Iterator[object]:
     """Yield the inputs of an image that affect its estimate, for a digest."""
     yield image.name
     if image.query is None:

@@ -186,7 +186,7 @@ def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Arra
     total, crossed = covariance[:3, :3] + measured, covariance[:3]
     # NumPy would start LAPACK's threads, which takes 2 ms.
     gain = torch.linalg.solve(torch.from_numpy(total), torch.from_numpy(crossed)).numpy().T
-    kept = np.eye(6) - gain @ np.eye(3, 6)
+    remaining = np.eye(6) - gain @ np.eye(3, 6)
     # Joseph's form stays symmetric and positive.
-    after = kept @ covariance @ kept.T + gain @ measured @ gain.T
+    after = remaining @ covariance @ remaining.T + gain @ measured @ gain.T
     return gain @ innovation, after

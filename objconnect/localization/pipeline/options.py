@@ -28,15 +28,15 @@ class LocalizeOptions:
         rate_hz: of a video, frames to localize per second; None takes 2. Of a sequence of
             photographs, photographs per second in the order of their names; None takes times from
             EXIF.
-        sequence: options of a sequence. None localizes each photograph by itself; a video always is
+        sequence: options of a sequence. None localizes photographs independently; a video is always
             a sequence.
         also: further files to write; the ending selects GeoJSON (.geojson), KML (.kml), MAVLink
             (.tlog) or ROS 2 (.mcap).
         undulation_m: height of the geoid above the ellipsoid at the map, metres. None takes it from
             the grid of PROJ; without the grid, heights above sea level are left out.
         projection: coordinate reference system of further coordinates in the output.
-        cache: folder for what the method prepares per map. None uses a scratch folder beside the
-            poses.
+        cache: folder for the data that the method prepares per map. None uses a scratch folder
+            beside the poses.
     """
 
     camera: Camera | None = None

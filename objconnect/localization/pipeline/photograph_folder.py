@@ -1,4 +1,4 @@
-"""A folder of photographs as queries, each by itself or in the order of their times."""
+"""A folder of photographs as queries, independent or in the order of their times."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class PhotographFolder:
     Attributes:
         rate_hz: photographs per second of a sequence in the order of names; None for EXIF times.
         seconds: time of each from the start of the sequence, without those that cannot be read;
-            None where each is localized by itself.
+            None if they are localized independently.
     """
 
     folder: Path
@@ -99,12 +99,12 @@ class PhotographFolder:
         """Return the description of the source for the record of a sequence."""
         return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
 
-    def images(self, ask: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
+    def images(self, localize: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
         """Yield the photographs in their order.
 
         Args:
-            ask: localizes a query. Outside a sequence, it estimates unknown cameras before the
-                first photograph.
+            localize: function that localizes one query. For unordered photographs it is also
+                called beforehand to estimate unknown intrinsics.
 
         Raises:
             InputError: none of them can be localized.
@@ -112,12 +112,12 @@ class PhotographFolder:
         self._require_one()
         reader = self.reader
         if self.seconds is None:
-            reader = with_estimates(reader, self.paths, ask)
+            reader = with_estimates(reader, self.paths, localize)
         return (self._image(reader, name) for name in self._order())
 
     def warn(self) -> None:
         """Warn of rolling shutter and of uncertain metadata of the photographs that were read."""
-        warn_of_rolling_shutter(self.reader.said.values())
+        warn_of_rolling_shutter(self.reader.metadata.values())
         warn_of_doubts(self.reader)
 
     def _require_one(self) -> None:
@@ -136,7 +136,7 @@ class PhotographFolder:
         raise InputError((several if self.count > 1 else "") + reason)
 
     def _order(self) -> list[str]:
-        """Return the names in the order of their times; those without one come last."""
+        """Return the names in the order of their times; photographs without a time come last."""
         seconds = self.seconds or {}
         return sorted(self.paths, key=lambda name: seconds.get(name, math.inf))
 
@@ -150,13 +150,13 @@ class PhotographFolder:
             reason = str(error)
             if isinstance(error, OSError):
                 reason = f"cannot read {path}: {error.strerror}"
-            exif = None if sequence is None else reader.said.get(path)
+            exif = None if sequence is None else reader.metadata.get(path)
             time = None if exif is None else exif.time
             return QueryImage(name, time=time, seconds=seconds, reason=reason)
         if sequence is None or image.calibration is None or not image.calibration.others:
             return image
-        told = f" ({'; '.join(reader.exif(path).lens_doubts)})" if image.doubts else ""
-        reason = f"the focal length of {path} is unknown{told}: give --camera"
+        doubts = f" ({'; '.join(reader.exif(path).lens_doubts)})" if image.doubts else ""
+        reason = f"the focal length of {path} is unknown{doubts}: give --camera"
         return replace(image, query=None, reason=reason)
 
 
@@ -166,8 +166,8 @@ def _priors(
     """Read the table of priors, by name; None without a table.
 
     Raises:
-        InputError: the table cannot be read, has none of the photographs, or has positions on
-            earth where the map has none.
+        InputError: the table cannot be read, has none of the photographs, or gives
+            geodetic positions although the map is not georeferenced.
     """
     path = options.priors
     if path is None:

@@ -33,11 +33,11 @@ from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rg
 
 log = logging.getLogger(__name__)
 
-# DJI's word for a rolling shutter, and the least speed (m/s) at which it matters.
+# DJI's name of a rolling shutter, and the speed (m/s) from which it biases poses noticeably.
 _ROLLING: Final = "electronic"
 _FAST: Final = 5.0
 # Maximum number of photographs of one lens from which its camera is estimated.
-_ENOUGH: Final = 5
+_MAX_PHOTOGRAPHS: Final = 5
 
 Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
 """Maker, model, 35 mm equivalent focal length (mm), contradicting ones, and size in pixels."""
@@ -53,7 +53,7 @@ class PhotographReader:
         undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
             are above sea level; None if unknown.
         estimated: estimated cameras by lens.
-        said: metadata of the photographs that were read.
+        metadata: metadata of the photographs that were read.
     """
 
     localization_map: LocalizationMap
@@ -61,7 +61,7 @@ class PhotographReader:
     priors: Mapping[str, Prior] | None = None
     undulation_m: float | None = None
     estimated: Mapping[Lens, Camera] = field(default_factory=dict)
-    said: dict[Path, Exif] = field(default_factory=dict)
+    metadata: dict[Path, Exif] = field(default_factory=dict)
 
     def __call__(self, name: str, path: Path) -> QueryImage:
         """Read a photograph.
@@ -88,12 +88,12 @@ class PhotographReader:
         Raises:
             InputError: it cannot be read.
         """
-        if path not in self.said:
-            self.said[path] = above_ellipsoid(read_exif(path), self.undulation_m)
-        return self.said[path]
+        if path not in self.metadata:
+            self.metadata[path] = above_ellipsoid(read_exif(path), self.undulation_m)
+        return self.metadata[path]
 
     def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:
-        """Return the camera of a photograph, or the cameras to try."""
+        """Return the camera of a photograph, or its candidates."""
         if self.options.camera is not None:
             return Calibration(self.options.camera, CameraSource.GIVEN)
         if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
@@ -101,17 +101,20 @@ class PhotographReader:
         return calibration_of(size, exif, self.localization_map.cameras)
 
     def doubts(self, exif: Exif) -> tuple[str, ...]:
-        """Return the metadata that are used though they are uncertain.
+        """Return the uncertain metadata that are used nevertheless.
 
         The user's camera and table of priors replace metadata, which then cause no doubt.
         """
         position: tuple[str, ...] = ()
         if self.priors is None and self.localization_map.origin is not None:
-            position = (*exif.place_doubts, *self._far(exif, self.localization_map.origin))
+            position = (
+                *exif.place_doubts,
+                *self._distance_doubt(exif, self.localization_map.origin),
+            )
         lens = exif.lens_doubts if self.options.camera is None else ()
         return (*position, *lens, *exif.other_doubts)
 
-    def _far(self, exif: Exif, origin: Geodetic) -> list[str]:
+    def _distance_doubt(self, exif: Exif, origin: Geodetic) -> list[str]:
         if exif.position is None:
             return []
         there = exif.position._replace(altitude=origin.altitude)
@@ -121,7 +124,7 @@ class PhotographReader:
     def _read_prior(self, exif: Exif) -> Prior | None:
         """Return the position in EXIF with the sigma and the attitude in XMP.
 
-        It is None if the photograph or the map has no position on earth.
+        It is None if the photograph has no position or the map is not georeferenced.
         """
         origin = self.localization_map.origin
         if exif.position is None or origin is None:
@@ -149,10 +152,10 @@ def with_estimates(
 
     Args:
         reader: reads photographs.
-        paths: photographs by name. A few of each lens are localized with every camera to try.
+        paths: photographs by name. A few of each lens are localized with every candidate camera.
         localize: localizes a query.
     """
-    tried: dict[Lens, tuple[Camera, ...]] = {}
+    candidates: dict[Lens, tuple[Camera, ...]] = {}
     unknown: dict[Lens, dict[str, Path]] = {}
     for name, path in paths.items():
         try:
@@ -161,10 +164,10 @@ def with_estimates(
             continue  # The answer has a row with the reason.
         lens, calibration = lens_of(exif, size), reader.calibration(exif, size)
         if calibration.others:
-            tried[lens] = (calibration.camera, *calibration.others)
+            candidates[lens] = (calibration.camera, *calibration.others)
             unknown.setdefault(lens, {})[name] = path
     estimated = {}
-    for lens, cameras in tried.items():
+    for lens, cameras in candidates.items():
         log.warning(
             "%s the focal length of %d photographs of %d x %d pixels: it is estimated; "
             "give --camera for exact poses",
@@ -172,19 +175,21 @@ def with_estimates(
             len(unknown[lens]),
             *lens[-1],
         )
-        some = _some(unknown[lens])
-        with progress_bar("estimate the focal length", len(some)) as advance:
-            estimated[lens] = estimate_camera(cameras, _read(reader, some, advance), localize)
+        sample = _sample(unknown[lens])
+        with progress_bar("estimate the focal length", len(sample)) as advance:
+            estimated[lens] = estimate_camera(
+                cameras, _read_queries(reader, sample, advance), localize
+            )
     return replace(reader, estimated=estimated)
 
 
-def _some(paths: Mapping[str, Path]) -> dict[str, Path]:
+def _sample(paths: Mapping[str, Path]) -> dict[str, Path]:
     """Return a few photographs spread over a flight."""
-    names, count = list(paths), min(len(paths), _ENOUGH)
+    names, count = list(paths), min(len(paths), _MAX_PHOTOGRAPHS)
     return {name: paths[name] for name in (names[k * len(names) // count] for k in range(count))}
 
 
-def _read(
+def _read_queries(
     reader: PhotographReader, paths: Mapping[str, Path], advance: Callable[[int], None]
 ) -> Iterator[Query]:
     """Yield the photographs that can be read."""
@@ -197,7 +202,7 @@ def _read(
 
 def warn_of_doubts(reader: PhotographReader) -> None:
     """Warn of uncertain metadata of photographs, a line for each kind."""
-    doubts = {path.name: reader.doubts(exif) for path, exif in reader.said.items()}
+    doubts = {path.name: reader.doubts(exif) for path, exif in reader.metadata.items()}
     for line in summarize_doubts(doubts):
         log.warning("%s", line)
 

@@ -15,12 +15,12 @@ class QueryImage:
 
     Attributes:
         name: name in the output.
-        query: the image with its camera and its prior; None where it cannot be localized.
+        query: the image with its camera and its prior; None if it cannot be localized.
         calibration: its camera, or cameras to try; None if unknown.
         time: when it was taken; None if unknown.
-        seconds: from the start of its sequence; None outside one, or if unknown.
+        seconds: time from the start of its sequence; None without a sequence, or if unknown.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: metadata or telemetry that was used though it is uncertain.
+        doubts: uncertain metadata or telemetry that was used nevertheless.
     """
 
     name: str

@@ -1,8 +1,8 @@
 """Localization of a sequence: the predicted motion of the camera is the prior of the next image.
 
 Every image is localized in the map, so that errors do not accumulate; the motion only gives the
-prior. A pose that contradicts the motion is checked by a search without it. After some failures the
-camera counts as lost, and the next image is searched without the motion, too.
+prior. A pose that contradicts the motion is checked by a search without it. After some
+successive failures the camera is lost, and the next image is localized without the motion.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from objconnect.scene.storage.records import Record
 _MIN_SIGMA_M: Final = 1e-3
 # The camera is also lost when the sigma of the predicted attitude exceeds this, degrees per axis.
 _LOST_SIGMA_DEG: Final = 30.0
-# After so many successive poses that agree with the motion, a search that contradicts it fails.
-_SURE_AFTER: Final = 3
+# After this many successive poses that agree with the motion, a search result that contradicts the
+# motion is rejected.
+_CONFIRMED_AFTER: Final = 3
 # Two poses closer than this agree.
 _AGREED_M: Final = 0.5
 _AGREED_DEG: Final = 2.0
@@ -64,16 +65,16 @@ class _Settings(Record):
 
 
 def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
-    """Remove the settings of a sequence, ``sequence.KEY``, from others and return them.
+    """Remove the settings of a sequence, ``sequence.KEY``, from ``settings`` and return them.
 
     Args:
-        settings: values by key; those of the sequence are removed.
+        settings: values by key; the keys of the sequence are removed.
 
     Raises:
         InputError: a key of the sequence is unknown or its value is bad.
     """
-    own = [key for key in settings if key.partition(".")[0] == "sequence"]
-    return load_config(_Settings, None, {key: settings.pop(key) for key in own}).sequence
+    keys = [key for key in settings if key.partition(".")[0] == "sequence"]
+    return load_config(_Settings, None, {key: settings.pop(key) for key in keys}).sequence
 
 
 class Tracker:
@@ -97,22 +98,22 @@ class Tracker:
         """Localize the next image; call ``take`` with the estimate.
 
         Args:
-            query: the image; its prior, if any, is what the aircraft measured.
+            query: the image; its prior, if any, is the measurement of the aircraft.
             seconds: time of the image, later than those before.
         """
-        moving = self._predict(seconds)
-        if moving is None:
+        predicted = self._predict(seconds)
+        if predicted is None:
             return self._search(query)
-        near = self._near(query, moving, tracked=True)
-        if near.is_tracked and not self._believes(near, moving, query.prior):
-            near = self._near(query, moving, tracked=False)
-        if self._believes(near, moving, query.prior):
+        near = self._localize_near(query, predicted, tracked=True)
+        if near.is_tracked and not self._agrees_with_both(near, predicted, query.prior):
+            near = self._localize_near(query, predicted, tracked=False)
+        if self._agrees_with_both(near, predicted, query.prior):
             return near
         found = self._search(query)
         if found.status is not Status.OK:
             return found
-        confirmed = self._same(near, found) or self._agrees(found, moving)
-        if confirmed or self._agreed < _SURE_AFTER:
+        confirmed = self._is_same_pose(near, found) or self._agrees_with_motion(found, predicted)
+        if confirmed or self._agreed < _CONFIRMED_AFTER:
             return found
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
@@ -124,46 +125,47 @@ class Tracker:
             if self._failures >= self._config.lost_after:
                 self._motion, self._agreed = None, 0
             return
-        moving = self._predict(seconds)
+        predicted = self._predict(seconds)
         covariance, options = self._covariance(estimate), self._config.motion
         self._failures = 0
-        if moving is None or not self._agrees(estimate, moving):
+        if predicted is None or not self._agrees_with_motion(estimate, predicted):
             self._motion, self._agreed = Motion.begin(seconds, pose, covariance, options), 1
         else:
-            self._motion = moving.correct(pose, covariance, options)
+            self._motion = predicted.correct(pose, covariance, options)
             self._agreed += 1
 
     def _predict(self, seconds: float) -> Motion | None:
-        """Return the state at a time; None where the camera is lost."""
+        """Return the state at a time; None if the camera is lost."""
         if self._motion is None:
             return None
-        moving = self._motion.after(seconds, self._config.motion)
-        known = moving.sigma_m < self._config.lost_sigma_m
-        return moving if known and moving.sigma_deg < _LOST_SIGMA_DEG else None
+        predicted = self._motion.after(seconds, self._config.motion)
+        known = predicted.sigma_m < self._config.lost_sigma_m
+        return predicted if known and predicted.sigma_deg < _LOST_SIGMA_DEG else None
 
-    def _near(self, query: Query, moving: Motion, tracked: bool) -> Estimate:
-        """Localize an image from the predicted pose, and nowhere else if ``tracked``."""
-        asked = replace(query, prior=moving.prior, tracked=tracked)
-        return localize_safely(self._localizer, asked)
+    def _localize_near(self, query: Query, predicted: Motion, tracked: bool) -> Estimate:
+        """Localize an image near the predicted pose; if ``tracked``, without a search elsewhere."""
+        with_prior = replace(query, prior=predicted.prior, tracked=tracked)
+        return localize_safely(self._localizer, with_prior)
 
-    def _believes(self, estimate: Estimate, moving: Motion, prior: Prior | None) -> bool:
+    def _agrees_with_both(self, estimate: Estimate, predicted: Motion, prior: Prior | None) -> bool:
         """Return whether an estimate agrees with the motion and with the aircraft's prior."""
-        return self._agrees(estimate, moving) and self._fits(estimate, prior)
+        as_predicted = self._agrees_with_motion(estimate, predicted)
+        return as_predicted and self._agrees_with_prior(estimate, prior)
 
     def _search(self, query: Query) -> Estimate:
         """Localize an image without the motion."""
         self.searched += 1
         return localize_retrying(self._localizer, query)
 
-    def _agrees(self, estimate: Estimate, moving: Motion) -> bool:
+    def _agrees_with_motion(self, estimate: Estimate, predicted: Motion) -> bool:
         """Return whether an estimate agrees with the motion."""
         pose = estimate.cam_from_world
         if estimate.status is not Status.OK or pose is None:
             return False
         covariance = self._covariance(estimate)
-        return moving.distance(pose, covariance, self._config.motion) < self._config.gate
+        return predicted.distance(pose, covariance, self._config.motion) < self._config.gate
 
-    def _fits(self, estimate: Estimate, prior: Prior | None) -> bool:
+    def _agrees_with_prior(self, estimate: Estimate, prior: Prior | None) -> bool:
         """Return whether an estimate agrees with the position of the prior, if it has one."""
         pose = estimate.cam_from_world
         if prior is None or prior.position_sigma is None or pose is None:
@@ -172,7 +174,7 @@ class Tracker:
         errors = (pose.centre().numpy() - prior.position) / sigma
         return bool(errors @ errors < self._config.gate)
 
-    def _same(self, estimate: Estimate, other: Estimate) -> bool:
+    def _is_same_pose(self, estimate: Estimate, other: Estimate) -> bool:
         """Return whether two estimates have the same pose."""
         if estimate.status is not Status.OK or other.status is not Status.OK:
             return False

@@ -8,5 +8,5 @@
 - ``supplement``: ``supplement.json``, the points that were added to a map after it was built.
 - ``object_points``: which object each point of the map lies on.
 - ``labels``: the semantic label of every class.
-- ``pictures``: figures of a scene: contact sheet and flight plan.
+- ``pictures``: figures of a scene: contact sheet and top view of the flights.
 """

@@ -1,4 +1,4 @@
-"""Figures of a scene: a contact sheet and a flight plan."""
+"""Figures of a scene: a contact sheet and a top view of the flights."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def draw_pictures(scene: Scene) -> None:
         InputError: a file of the scene is damaged, or the folder cannot be written.
     """
     _save(_contact_sheet(scene), scene.path / "pictures" / "contact-sheet.png")
-    _save(_flight_plan(scene), scene.path / "pictures" / "flights.png")
+    _save(_flight_map(scene), scene.path / "pictures" / "flights.png")
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -76,7 +76,7 @@ def _colour(instance: NDArray[Any]) -> NDArray[Any]:
     return np.where(instance[..., None] > 0, hues, 0.0)
 
 
-def _flight_plan(scene: Scene) -> Figure:
+def _flight_map(scene: Scene) -> Figure:
     """Draw camera positions and headings from above, over the map's points or the objects."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon

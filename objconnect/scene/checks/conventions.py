@@ -1,7 +1,7 @@
 """Common alternative conventions of poses, pixels and depths.
 
-Each reading converts data of another convention into ours. If a scene is inconsistent in our
-reading but consistent in another, that reading names the mistake.
+Each ``Convention`` converts data of another convention into ours. If a scene is inconsistent in our
+convention but consistent in another, that convention names the mistake.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 
 Array = NDArray[np.float64]
 
-EXPLAINS: Final = 0.5
-"""Another reading explains a scene if its residual is below this share of ours."""
+MAX_RESIDUAL_RATIO: Final = 0.5
+"""Another convention explains a scene if its residual is below this share of ours, or if our share
+of agreeing pixels is below this share of the other convention's."""
 
 
 def _same(matrices: Array) -> Array:
@@ -58,11 +59,11 @@ def shift_principal_point(camera: Camera, pixels: float) -> Camera:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Convention:
     """One convention in which a scene may have been written.
 
     Attributes:
-        fault: message for a scene that is consistent only in this reading; empty for our own.
+        fault: message for a scene that is consistent only in this convention; empty for our own.
         poses: converts the written poses to cam_from_world, (N, 4, 4).
         principal_shift: pixels to add to the principal point.
         radial_depth: whether depth is the distance along the ray.
@@ -74,29 +75,31 @@ class Reading:
     radial_depth: bool = False
 
 
-OURS = Reading("")
+OURS = Convention("")
 
-POSE_READINGS = (
-    Reading("poses are inverted: world_from_cam where cam_from_world is expected", _invert),
-    Reading("rotations are transposed: world-from-camera beside a camera translation", _transpose),
-    Reading("translations are camera centres, expected t = -R C", _centre),
-    Reading("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
+POSE_CONVENTIONS = (
+    Convention("poses are inverted: world_from_cam where cam_from_world is expected", _invert),
+    Convention(
+        "rotations are transposed: world-from-camera beside a camera translation", _transpose
+    ),
+    Convention("translations are camera centres, expected t = -R C", _centre),
+    Convention("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
 )
 
-DEPTH_READINGS = (
-    Reading("depth is the distance along the ray, expected planar z", radial_depth=True),
+DEPTH_CONVENTIONS = (
+    Convention("depth is the distance along the ray, expected planar z", radial_depth=True),
 )
 
-PIXEL_READINGS = (
-    Reading(
+PIXEL_CONVENTIONS = (
+    Convention(
         "principal points are half a pixel low: pixels are counted from the centre of the first "
         "pixel (OpenCV), expected from its corner (COLMAP)",
         principal_shift=0.5,
     ),
-    Reading("principal points are half a pixel high", principal_shift=-0.5),
+    Convention("principal points are half a pixel high", principal_shift=-0.5),
 )
 
-READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)
+CONVENTIONS = (*POSE_CONVENTIONS, *DEPTH_CONVENTIONS, *PIXEL_CONVENTIONS)
 
 
 def _reorder(matrices: Array, roll: int) -> Array:
@@ -117,12 +120,12 @@ def _reorder_from_camera(matrices: Array, roll: int) -> Array:
 
 
 @dataclass(frozen=True)
-class PoseReading:
+class PoseConvention:
     """One convention in which the poses of another program may have been written.
 
     Attributes:
         name: identifier in results files.
-        fault: message for poses that agree with their photographs only in this reading.
+        fault: message for poses that agree with their photographs only in this convention.
         poses: converts the stated poses to cam_from_world, (N, 4, 4).
     """
 
@@ -135,26 +138,28 @@ _TURNED_AXES = "camera axes are turned: y up, z backward (OpenGL) is mistaken fo
 _XYZW = "quaternions are x y z w where w x y z is expected"
 _WXYZ = "quaternions are w x y z where x y z w is expected"
 
-FOREIGN_READINGS = (
-    PoseReading("poses-inverted", POSE_READINGS[0].fault, _invert),
-    PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transpose),
-    PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centre),
-    PoseReading("axes-flipped", _TURNED_AXES, _opengl),
+FOREIGN_CONVENTIONS = (
+    PoseConvention("poses-inverted", POSE_CONVENTIONS[0].fault, _invert),
+    PoseConvention("rotations-transposed", POSE_CONVENTIONS[1].fault, _transpose),
+    PoseConvention("translations-are-centres", POSE_CONVENTIONS[2].fault, _centre),
+    PoseConvention("axes-flipped", _TURNED_AXES, _opengl),
     # The matrix on disk is inverted, and a reader of OpenGL's axes has flipped it.
-    PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_invert(_opengl(m)))),
-    PoseReading(
+    PoseConvention(
+        "poses-inverted", POSE_CONVENTIONS[0].fault, lambda m: _opengl(_invert(_opengl(m)))
+    ),
+    PoseConvention(
         "poses-inverted-axes-flipped",
         f"poses are inverted, and {_TURNED_AXES}",
         lambda m: _opengl(_invert(m)),
     ),
-    PoseReading(
+    PoseConvention(
         "poses-inverted-axes-flipped",
         f"poses are inverted, and {_TURNED_AXES}",
         lambda m: _invert(_opengl(m)),
     ),
-    PoseReading("quaternion-order", _XYZW, lambda m: _reorder(m, 1)),
-    PoseReading("quaternion-order", _WXYZ, lambda m: _reorder(m, -1)),
-    PoseReading("quaternion-order", _XYZW, lambda m: _reorder_from_camera(m, 1)),
-    PoseReading("quaternion-order", _WXYZ, lambda m: _reorder_from_camera(m, -1)),
+    PoseConvention("quaternion-order", _XYZW, lambda m: _reorder(m, 1)),
+    PoseConvention("quaternion-order", _WXYZ, lambda m: _reorder(m, -1)),
+    PoseConvention("quaternion-order", _XYZW, lambda m: _reorder_from_camera(m, 1)),
+    PoseConvention("quaternion-order", _WXYZ, lambda m: _reorder_from_camera(m, -1)),
 )
 """Conventions of poses in the files of other programs, and their combinations."""

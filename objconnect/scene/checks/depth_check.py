@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from objconnect.scene.bundle.covisibility import overlap_matrix, surface_points
 from objconnect.scene.checks.conventions import (
-    EXPLAINS,
+    CONVENTIONS,
+    MAX_RESIDUAL_RATIO,
     OURS,
-    READINGS,
-    Reading,
+    Convention,
     shift_principal_point,
 )
 from objconnect.scene.checks.report import Check
@@ -71,7 +71,7 @@ class Agreement:
         return float(np.median(self.residuals)) if len(self.residuals) else float("inf")
 
     @property
-    def mean(self) -> float:
+    def inlier_mean(self) -> float:
         """Return the mean residual below one pixel; larger ones belong to another surface."""
         close = self.residuals[self.residuals < _AGREES_PX]
         return float(close.mean()) if len(close) else float("inf")
@@ -89,21 +89,23 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
     if len(frames.cameras) < 2:
         return Check(name, True, "not checked: there is only one frame")
     ours = measure(frames, OURS)
-    others = [(measure(frames, reading), reading) for reading in READINGS]
-    widest, reading = max(others, key=lambda item: item[0].agreeing_share)
-    if EXPLAINS * widest.agreeing_share > ours.agreeing_share:
-        return Check(name, False, reading.fault, _figures(ours))
+    others = [(measure(frames, convention), convention) for convention in CONVENTIONS]
+    widest, convention = max(others, key=lambda item: item[0].agreeing_share)
+    if MAX_RESIDUAL_RATIO * widest.agreeing_share > ours.agreeing_share:
+        return Check(name, False, convention.fault, _figures(ours))
     if not len(ours.residuals):
         return Check(
             name,
             False,
             "no two frames see the same surface: they do not overlap, or poses or depths are wrong",
         )
-    # A reading that fits only a few pixels explains nothing.
+    # A convention that fits only a few pixels explains nothing.
     candidates = [item for item in others if item[0].agreeing_share > 0.9 * ours.agreeing_share]
-    closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
-    if closest.mean < EXPLAINS * ours.mean:
-        return Check(name, False, reading.fault, _figures(ours))
+    closest, convention = min(
+        candidates, key=lambda item: item[0].inlier_mean, default=(ours, OURS)
+    )
+    if closest.inlier_mean < MAX_RESIDUAL_RATIO * ours.inlier_mean:
+        return Check(name, False, convention.fault, _figures(ours))
     close = ours.residuals[ours.residuals < _AGREES_PX]
     if not len(close):
         detail = f"none of {len(ours.residuals)} pixels returns to within {_AGREES_PX:g} px"
@@ -126,18 +128,20 @@ def _figures(agreement: Agreement) -> dict[str, float]:
         return {"median_px": agreement.median, "agreeing_share": 0.0, "pixels": pixels}
     return {
         "median_px": agreement.median,
-        "mean_px": agreement.mean,
+        "mean_px": agreement.inlier_mean,
         "agreeing_share": agreement.agreeing_share,
         "pixels": pixels,
     }
 
 
-def measure(frames: DepthFrames, reading: Reading) -> Agreement:
-    """Return the cross-frame reprojection of a scene in one reading, on a fixed random sample."""
-    poses = reading.poses(frames.cam_from_world)
-    cameras = [shift_principal_point(camera, reading.principal_shift) for camera in frames.cameras]
+def measure(frames: DepthFrames, convention: Convention) -> Agreement:
+    """Return the cross-frame reprojection in one convention, on a fixed random sample."""
+    poses = convention.poses(frames.cam_from_world)
+    cameras = [
+        shift_principal_point(camera, convention.principal_shift) for camera in frames.cameras
+    ]
     depth = [
-        _planar(d, camera) if reading.radial_depth else d
+        _planar(d, camera) if convention.radial_depth else d
         for d, camera in zip(frames.depth, cameras, strict=True)
     ]
     points = np.stack(

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from objconnect.scene.checks.conventions import (
-    EXPLAINS,
+    MAX_RESIDUAL_RATIO,
     OURS,
-    PIXEL_READINGS,
-    POSE_READINGS,
-    Reading,
+    PIXEL_CONVENTIONS,
+    POSE_CONVENTIONS,
+    Convention,
     shift_principal_point,
 )
 from objconnect.scene.checks.report import Check
@@ -31,28 +31,28 @@ def check_map(sparse_map: SparseMap) -> Check:
     ours = _median_residual(sparse_map, OURS)
     figures = {"median_px": ours, "points": float(len(sparse_map.xyz))}
     others = [
-        (_median_residual(sparse_map, reading), reading)
-        for reading in (*POSE_READINGS, *PIXEL_READINGS)
+        (_median_residual(sparse_map, convention), convention)
+        for convention in (*POSE_CONVENTIONS, *PIXEL_CONVENTIONS)
     ]
-    best, reading = min(others, key=lambda item: item[0])
-    if best < EXPLAINS * ours:
-        return Check(name, False, reading.fault, figures)
+    best, convention = min(others, key=lambda item: item[0])
+    if best < MAX_RESIDUAL_RATIO * ours:
+        return Check(name, False, convention.fault, figures)
     if not ours < _MAX_RESIDUAL_PX:
         detail = f"median {ours:.2f} px, expected under {_MAX_RESIDUAL_PX} px: it is not adjusted"
         return Check(name, False, detail, figures)
     return Check(name, True, f"median {ours:.3f} px over {len(sparse_map.xyz)} points", figures)
 
 
-def _median_residual(sparse_map: SparseMap, reading: Reading) -> float:
+def _median_residual(sparse_map: SparseMap, convention: Convention) -> float:
     """Return the median reprojection error (px); points behind a camera count as infinite."""
-    poses = reading.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
+    poses = convention.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
     read = replace(
         sparse_map,
         images={
             image.name: replace(
                 image,
                 cam_from_world=pose,
-                camera=shift_principal_point(image.camera, reading.principal_shift),
+                camera=shift_principal_point(image.camera, convention.principal_shift),
             )
             for image, pose in zip(sparse_map.images.values(), poses, strict=True)
         },
@@ -73,7 +73,7 @@ def check_principal_points(sparse_map: SparseMap, cameras: Sequence[Camera]) -> 
             if (camera.width, camera.height) != (other.width, other.height):
                 continue
             offset = np.subtract(other.principal, camera.principal)
-            for reading in PIXEL_READINGS:
-                if np.abs(offset - reading.principal_shift).max() < _SAME_PX:
-                    return Check(name, False, reading.fault)
+            for convention in PIXEL_CONVENTIONS:
+                if np.abs(offset - convention.principal_shift).max() < _SAME_PX:
+                    return Check(name, False, convention.fault)
     return Check(name, True, f"{len(set(cameras))} cameras")

@@ -18,7 +18,7 @@ from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geo.grids import Grid
 from objconnect.scene.geo.keys import unit_of_heights
 from objconnect.scene.quantities.bands import ColourBands, colour_bands
-from objconnect.scene.quantities.heights import NO_UNIT, MetresOfBand, metres_of_band
+from objconnect.scene.quantities.heights import NO_UNIT, BandToMetres, metres_of_band
 
 Kind = Literal["orthophoto", "surface model", "class mask"]
 
@@ -47,7 +47,7 @@ class Layout:
     """
 
     bands: ColourBands
-    metres: MetresOfBand = field(default_factory=MetresOfBand)
+    metres: BandToMetres = field(default_factory=BandToMetres)
     table: NDArray[np.float32] | None = None
     inverted: bool = False
     unit: bool = True

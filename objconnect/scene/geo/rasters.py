@@ -200,9 +200,9 @@ class Raster:
     def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
         """Return heights in metres, (1, H, W); NaN for impossible heights and holes."""
         metres = self.layout.metres
-        exact = np.float32 if metres.is_plain else np.float64
+        exact = np.float32 if metres.is_metres else np.float64
         values = source.read(list(self.bands), window=window, out_dtype=exact)
-        if not metres.is_plain:
+        if not metres.is_metres:
             values = (values * metres.factor + metres.offset).astype(np.float32)
         values[~((values >= self.lowest) & (values < self.highest))] = np.nan
         for height in self.holes:

@@ -97,7 +97,7 @@ def topocentric(
     if not _is_sane(shots) or not len(shots.names):
         return shots  # unchanged, because ``check_poses`` reports the error
     if path.name == TOPOCENTRIC:
-        return _alone(path, shots, stated)
+        return _check_without_coords(path, shots, stated)
     if beside is not None and not _is_sane(beside):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if beside is not None:
@@ -107,15 +107,15 @@ def topocentric(
     system = _system_of(path)
     if system is not None:
         return _from_system(path, shots, *system, stated)
-    return _alone(path, shots, stated)
+    return _check_without_coords(path, shots, stated)
 
 
 def _is_sane(shots: Shots) -> bool:
     return bool((np.abs(shots.world_from_cam) <= FARTHEST_M).all())
 
 
-def _near(path: Path, shots: Shots) -> Shots:
-    """Return the shots; refuse cameras too far from the origin."""
+def _require_near_origin(path: Path, shots: Shots) -> Shots:
+    """Return the shots, or raise ``InputError`` if the cameras are too far from the origin."""
     if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
         raise InputError(
             f"{path}: its shots are not in metres from reference_lla but in a projected system, as "
@@ -204,9 +204,9 @@ def _from_system(
     if between < _SAME_M and abs(turn) < _SMALL_TURN:
         return back
     if _frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
-        return _near(path, shots)
+        return _require_near_origin(path, shots)
     log.warning("%s is in %s: its poses are moved back", path, system.projection.name)
-    return _near(path, back)
+    return _require_near_origin(path, back)
 
 
 def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> tuple[Array, Array]:
@@ -232,11 +232,11 @@ def _undo_shift(shots: Shots, linear: Array, shift: Array) -> Shots:
     return replace(shots, world_from_cam=there)
 
 
-def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
-    """Check the frame of a file without ODM's files beside it, or with a telling name."""
-    _near(path, shots)
+def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Shots:
+    """Check the frame of a file without coords.txt beside it, or whose name states the frame."""
+    _require_near_origin(path, shots)
     zone = utm_zone(shots.origin.longitude)
-    grid = f"a UTM grid as of zone {zone}"
+    grid = f"a UTM grid, such as zone {zone}"
     frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
     if frame.value == "projected":
         raise InputError(
@@ -266,7 +266,8 @@ def _frame(
     if axes.value is not None and abs(turn) > _SMALL_TURN:
         seen = _FRAMES[axes.value]
     elif axes.value is not None:
-        why = f"{axes.source} cannot distinguish axes within 0.02 degrees"
+        degrees = math.degrees(_SMALL_TURN)
+        why = f"{axes.source} cannot distinguish axes within {degrees:.2g} degrees"
     frame = _agree(
         path,
         {
@@ -280,7 +281,7 @@ def _frame(
     if not frame.is_known:
         raise InputError(
             f"{path}: whether its poses are topocentric (metres east and north of reference_lla) "
-            f"or projected ({grid}) cannot be told ({why}): {_REMEDY}, or state {_OPTION}"
+            f"or projected ({grid}) cannot be determined ({why}): {_REMEDY}, or state {_OPTION}"
         )
     return frame
 

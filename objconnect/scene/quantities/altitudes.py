@@ -30,7 +30,7 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     """Return the altitude of a photograph, metres.
 
     EXIF takes precedence over XMP. The altitude is unknown if the two differ by more than two
-    height references can. A height above the take-off does not count.
+    height references can. A height above the take-off is not used.
 
     Args:
         gps: fields of EXIF's GPS directory by name.

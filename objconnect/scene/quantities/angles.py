@@ -1,7 +1,7 @@
 """Latitudes and longitudes in the notations of photographs.
 
-EXIF has unsigned degrees, minutes and seconds, and the hemisphere in a tag of its own. XMP has
-text: ``46,50.556N`` in the namespace ``exif``, and signed decimal degrees in those of drones.
+EXIF has unsigned degrees, minutes and seconds, and the hemisphere in a separate tag. XMP has
+text: ``46,50.556N`` in the namespace ``exif``, signed decimal degrees in those of drones.
 """
 
 from __future__ import annotations

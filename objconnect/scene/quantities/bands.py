@@ -46,7 +46,7 @@ def colour_bands(
 
     Args:
         interpretations: GDAL's colour interpretation of each band, such as ``red``.
-        descriptions: description of each band, such as ``Band 1 (Red)``; it counts where the
+        descriptions: description of each band, such as ``Band 1 (Red)``; it is used if the
             interpretation states nothing.
     """
     source = "ColorInterp"

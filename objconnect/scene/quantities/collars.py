@@ -39,7 +39,7 @@ def describe_collar(strips: Iterable[NDArray[np.float32]]) -> str | None:
     for value, name in _COLOURS.items():
         if inside[value] > _SHARE * known and edge[value] > _EDGE_SHARE * around:
             return (
-                f"{100 * inside[value] / known:.0f} % of the pixels are {name}, at the edge too: "
+                f"{100 * inside[value] / known:.0f} % of the pixels are {name}, also at the edge: "
                 f"if they are no data, gdal_edit -a_nodata {value} declares it"
             )
     return None

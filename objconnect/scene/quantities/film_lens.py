@@ -72,13 +72,13 @@ def millimetres_per_unit(
         if any(abs(unit * value / lens - 1) < SAME_LENS for value in numbers for lens in lenses)
     ]
     if len(fitting) == 1:
-        doubt = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, as the map's lens is"
+        doubt = f"focal_len {number:g} is read as {fitting[0] * number:g} mm, like the map's lens"
         return known(fitting[0], source, doubt)
     return unknown(source, f"focal_len {number:g} may be in millimetres or in tenths of them")
 
 
-def focal_on_film(focal_mm: float) -> float | None:
-    """Return an equivalent focal length, mm; None if no lens has it."""
+def plausible_focal(focal_mm: float) -> float | None:
+    """Return an equivalent focal length, mm; None if it is outside the range of drones' lenses."""
     return focal_mm if _SHORTEST_MM <= focal_mm <= _LONGEST_MM else None
 
 

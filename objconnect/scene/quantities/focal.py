@@ -1,11 +1,11 @@
 """The focal length of a photograph from the fields of EXIF and XMP.
 
 Cameras state it in millimetres of the sensor, as a 35 mm equivalent, or in pixels. Programs that
-resize, crop or rotate a photograph update only some of the fields. Each field is therefore a
-source of its own. If sources contradict each other, or nothing shows that they refer to this size
-of the picture, the focal length is unknown and the stated values are candidates.
+resize, crop or rotate a photograph update only some of the fields. Each field is therefore
+a separate source. If sources contradict each other, or no source confirms that they refer to this
+image size, the focal length is unknown and the stated values are candidates.
 
-Focal lengths are in units of the longest side of the picture.
+Focal lengths are ratios f / max(w, h) unless a unit is stated.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SAME: Final = 0.02
 _WIDEST: Final = 2.4
 # Pixels of a sensor are square up to this share.
 _SQUARE: Final = 0.05
-# Focal lengths outside this range (longest sides) are damaged values.
+# Focal ratios outside this range are damaged values.
 _RANGE: Final = (1 / 36, 10_000 / 36)
 # The size of 35 mm film (mm).
 FILM_LENGTH: Final = 36.0
@@ -52,7 +52,7 @@ class FocalLength:
     """The focal length of a photograph.
 
     Attributes:
-        reading: the value in longest sides, or unknown with the reason.
+        reading: the focal ratio f / max(w, h), or unknown with the reason.
         candidates: stated values if the focal length is unknown, the likeliest first.
         agrees: whether a calibration in pixels belongs to the picture.
     """
@@ -67,7 +67,7 @@ class Lens:
     """A calibration in pixels.
 
     Attributes:
-        focal: focal length in longest sides of the calibrated picture.
+        focal: focal ratio f / max(w, h) of the calibrated image.
         sized: whether its optical centre confirms the size of that picture.
     """
 
@@ -82,7 +82,7 @@ class _Source:
     Attributes:
         name: name of the field.
         values: possible focal lengths, one of which is right.
-        alternatives: values that programs write against the standard.
+        alternatives: values of programs that violate the standard.
         sized: whether the field refers to this size of the picture.
     """
 
@@ -97,7 +97,7 @@ class _Source:
 
 
 def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = None) -> FocalLength:
-    """Return the focal length of a photograph in longest sides.
+    """Return the focal ratio f / max(w, h) of a photograph.
 
     Args:
         detail: fields of EXIF by name.
@@ -111,7 +111,8 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
     if crop:
         return FocalLength(unknown(sources[0].name, crop), agrees=False)
     common, zoomed = _common_values(sources), to_number(detail.get("DigitalZoomRatio")) > 1
-    # Fields in pixels depend on the size, which a program may have changed; a zoom looks the same.
+    # Fields in pixels depend on the size, which a program may have changed. A changed size
+    # and a digital zoom have the same effect on them.
     checked = all(one.sized for one in sources) if zoomed else any(one.sized for one in sources)
     if len(common) == 1 and checked:
         agrees = lens is None or _is_near(lens.focal, common[0], _AGREE)
@@ -144,7 +145,7 @@ def read_exif_size(detail: Mapping[str, object]) -> Size | None:
 
 
 def equivalent(focal_35mm: float, size: Size) -> float:
-    """Convert a 35 mm equivalent focal length (mm) to longest sides of the picture.
+    """Convert a 35 mm equivalent focal length (mm) to the focal ratio f / max(w, h).
 
     Equivalents refer to the diagonal (CIPA DCG-001).
     """
@@ -156,22 +157,22 @@ def equivalent(focal_35mm: float, size: Size) -> float:
 def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Iterator[_Source]:
     """Yield the focal length of each field, the most exact field first."""
     zoom = to_number(detail.get("DigitalZoomRatio"))
-    times = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
+    factors = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
     # Programs that resize a picture may write the new size beside the old resolution.
     width = to_number(detail.get("ExifImageWidth"))
     sized = width >= 1 and width not in size
     sized |= lens is not None and lens.sized
     planes = _focal_plane(detail, size)
     if planes:
-        values = tuple(plane * each for plane in planes for each in times)
+        values = tuple(plane * each for plane in planes for each in factors)
         yield _Source("FocalPlaneXResolution", values, sized=sized)
     if lens is not None and _is_plausible(lens.focal):
-        values = tuple(lens.focal * each for each in times)
+        values = tuple(lens.focal * each for each in factors)
         yield _Source("XMP's calibration", values, sized=sized)
     film = to_number(detail.get("FocalLengthIn35mmFilm"))
     if film > 0 and _is_plausible(focal := equivalent(film, size)):
-        values = tuple(focal * each for each in times)
-        wide = tuple(film / FILM_LENGTH * each for each in times)
+        values = tuple(focal * each for each in factors)
+        wide = tuple(film / FILM_LENGTH * each for each in factors)
         yield _Source("FocalLengthIn35mmFilm", values, wide)
 
 
@@ -214,17 +215,17 @@ def _common_values(sources: Sequence[_Source]) -> tuple[float, ...]:
 
 def _distinct(values: Sequence[float]) -> tuple[float, ...]:
     """Return values without repetitions."""
-    kept: list[float] = []
+    distinct: list[float] = []
     for value in values:
-        if not any(_is_near(value, other, _SAME) for other in kept):
-            kept.append(value)
-    return tuple(kept)
+        if not any(_is_near(value, other, _SAME) for other in distinct):
+            distinct.append(value)
+    return tuple(distinct)
 
 
 def _describe_crop(detail: Mapping[str, object], size: Size) -> str:
-    """Return how the fields show that the picture was cropped; empty if they do not."""
+    """Return the evidence that the image was cropped; empty if there is none."""
     if max(size) > _WIDEST * min(size):
-        return f"it is {size[0]} x {size[1]} pixels: a panorama, or a part of a picture"
+        return f"it is {size[0]} x {size[1]} pixels: a panorama or a crop"
     taken = read_exif_size(detail)
     if taken is None:
         return ""
@@ -245,14 +246,14 @@ def _describe_doubt(
     detail: Mapping[str, object],
 ) -> str:
     """Return why the sources do not determine the focal length, with 35 mm equivalents."""
-    said = []
+    stated = []
     for source in sources:
         values = (f"{value * FILM_LENGTH:.0f}" for value in _distinct(source.values))
-        said.append(f"{source.name} {' or '.join(values)} mm")
+        stated.append(f"{source.name} {' or '.join(values)} mm")
     if len(common) == 1 and not zoomed:
-        return f"nothing shows that {said[0]} of film is of a picture of this size"
+        return f"no field confirms that {stated[0]} (35 mm equivalent) applies to this image size"
     if common and zoomed:
-        return f"DigitalZoomRatio may be in it or not: {', '.join(said)} of film"
+        return f"DigitalZoomRatio may be included or not: {', '.join(stated)} (35 mm equivalent)"
     if common:
         missing = [
             name
@@ -260,8 +261,8 @@ def _describe_doubt(
             if detail.get(name) is None
         ]
         why = f"{missing[0]} is missing" if missing else "FocalPlaneYResolution differs"
-        return f"{why}: {', '.join(said)} of film"
-    return f"its fields contradict each other: {', '.join(said)} of film"
+        return f"{why}: {', '.join(stated)} (35 mm equivalent)"
+    return f"its fields contradict each other: {', '.join(stated)} (35 mm equivalent)"
 
 
 def _is_near(first: float, second: float, share: float) -> bool:

@@ -1,4 +1,4 @@
-"""Conversion of a band's numbers to metres, from its scale, offset and unit."""
+"""Conversion of a band's pixel values to metres, from its scale, offset and unit."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 NO_UNIT: Final = "no unit"
 """The doubt about a band whose heights have no unit."""
 
-# Largest relative difference of equal units: it is that of the two kinds of feet.
+# Units whose lengths differ relatively by less than this count as equal; international and US
+# survey feet (2e-6) do.
 _SAME = 1e-5
 
 
 @dataclass(frozen=True)
-class MetresOfBand:
-    """The conversion of a band's numbers to metres: ``factor * number + offset``."""
+class BandToMetres:
+    """Conversion of an elevation raster band's pixel values to metres: ``factor * v + offset``."""
 
     factor: float = 1.0
     offset: float = 0.0
 
     @property
-    def is_plain(self) -> bool:
-        """Return whether the numbers are metres."""
+    def is_metres(self) -> bool:
+        """Return whether the pixel values are metres."""
         return (self.factor, self.offset) == (1.0, 0.0)
 
 
@@ -35,19 +36,20 @@ def metres_of_band(
     offset: float,
     system_unit_m: float | None,
     key: float | str | None = None,
-) -> Reading[MetresOfBand]:
-    """Return the conversion of a band's numbers to metres.
+) -> Reading[BandToMetres]:
+    """Return the conversion of a band's pixel values to metres.
 
     Args:
         unit: the band's unit, such as ``US survey foot``; None or empty if the file names none.
-        scale: the height in the unit is ``scale * number + offset``.
+        scale: the height in the unit is ``scale * value + offset``.
         offset: see ``scale``.
         system_unit_m: length of the reference system's unit of heights, metres, which holds for a
             band without a unit; None if the system has no heights.
-        key: unit of heights in the GeoTIFF keys, metres; its name if the unit is not known.
+        key: length in metres of the unit in VerticalUnitsGeoKey; the key's text if that unit is not
+            recognized.
 
     Returns:
-        The conversion. If nothing names a unit, numbers are taken as metres, with a doubt.
+        The conversion. If no source names a unit, values are taken as metres, with a doubt.
     """
     if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
         return unknown("the height", f"the band's scale is {scale:g}, its offset {offset:g}")
@@ -64,5 +66,5 @@ def metres_of_band(
             return unknown("the band's unit", f"it is {own}, that of {other} {other_m:g} m")
     length = length or key
     if length is None:
-        return known(MetresOfBand(scale, offset), "the band", NO_UNIT)
-    return known(MetresOfBand(scale * length, offset * length), "the band's unit")
+        return known(BandToMetres(scale, offset), "the band", NO_UNIT)
+    return known(BandToMetres(scale * length, offset * length), "the band's unit")

@@ -19,12 +19,12 @@ HIGHEST_M: Final = 9_000.0
 _BINS = round(HIGHEST_M - LOWEST_M)
 # A no-data constant is at least this far below all other heights, metres.
 _STEP_M = 10
-# A no-data constant above all other heights is at least this far above them, metres.
+# Such a constant above all other heights is at least this far above them, metres.
 _CLIFF_M = 100
 # Smallest share of heights of 0, and their distance below all others (m), that is reported.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
-# Heights of 0 between others are reported if at most so many times as many lie within a metre:
-# rasters in steps of a tenth of a metre have more.
+# Heights of 0 between others are reported unless more than this many times as many heights lie
+# within a metre, as in rasters with steps of a tenth of a metre.
 _CROWD = 4
 # Fewest pixels of a no-data constant, and their least share.
 _FEWEST, _LEAST_SHARE = 16, 1e-4
@@ -76,14 +76,14 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Hole:
-    """A height that stands for no data, or may.
+    """A height that means no data, certainly or possibly.
 
     Attributes:
         height: the height, metres.
         share: share of the pixels that have it.
         sure: whether it is no data; otherwise it may be a plain.
         where: its relation to the other heights, a phrase for messages.
-        remark: whether it may be water: it is kept and only reported.
+        remark: whether it may be water; it is then only reported and not removed.
     """
 
     height: float
@@ -96,9 +96,9 @@ class Hole:
 def find_holes(histogram: Histogram) -> list[Hole]:
     """Return the constant heights of many pixels that lie far below or above all others.
 
-    A plain of one height with flat-roofed towers looks the same if most of the raster is plain; it
-    is kept. Holes above 0 that fill most of the raster are not sure. Heights of 0 a little below
-    all others, or between them, may be the sea and are only reported.
+    A flat plain with flat-roofed towers has the same histogram if the plain fills most of the
+    raster; it is not removed. Holes above 0 that fill most of the raster are not sure. Heights of
+    0 a little below all others, or between them, may be the sea and are only reported.
     """
     counts = histogram.counts.copy()
     total = int(counts.sum())
@@ -165,7 +165,7 @@ class Ground:
     Attributes:
         lowest: lower heights are no data, metres.
         highest: higher heights are no data, metres.
-        holes: heights that stand for no data, metres.
+        holes: heights that mean no data, metres.
         doubts: phrases for the user.
     """
 
@@ -185,7 +185,7 @@ def find_ground(
             declared no data or an impossible height.
         declared: whether the file declares a no-data value.
         pixel_m: size of a pixel on the ground, metres.
-        where: words for the raster in messages.
+        where: name of the raster in messages.
 
     Raises:
         InputError: most pixels have one height far from all others: no data or a plain.
@@ -214,7 +214,7 @@ def find_ground(
                 "declares no data; declare another value if it is a plain"
             )
         elif hole.sure:
-            doubts.append(f"{fact}: taken as no data, although the file does not declare it")
+            doubts.append(f"{fact}: treated as no data, although the file does not declare it")
             values.append(hole.height)
     if not (unknown or values):
         return Ground(doubts=tuple(doubts))

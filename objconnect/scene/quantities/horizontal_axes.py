@@ -18,10 +18,11 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 Axes = Literal["east and north", "grid"]
 
 _ZONE_DEG: Final = 6.0
-# The measured rotation decides for one of the axes if the other is so many times as far away,
+# One kind of axes is accepted if the other is at least this many times farther from the measured
+# rotation,
 _CLEARER: Final = 3.0
-# and if the convergence exceeds so many standard deviations of the rotation. Few positions need
-# more, as in Student's distribution.
+# and if the convergence exceeds this many standard deviations of the rotation; with few positions
+# more are needed, as in Student's distribution.
 _SIGMAS, _FEW = 3.0, 5.0
 
 
@@ -71,7 +72,7 @@ def infer_axes(
     from_east, from_grid = abs(turn), abs(turn - grid_turn)
     rotation = f"turned by {math.degrees(turn):.2f} degrees against {source}"
     if _SIGMAS * (1 + _FEW / free) * sigma > abs(grid_turn):
-        return unknown(source, f"{source} scatters too much to tell the axes")
+        return unknown(source, f"{source} scatters too much to determine the axes")
     if from_grid > _CLEARER * from_east:
         return known("east and north", source)
     if from_east > _CLEARER * from_grid:

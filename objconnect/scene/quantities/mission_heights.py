@@ -25,7 +25,7 @@ _FRAMES: Final = {
     10: Above.GROUND,
     11: Above.GROUND,
 }
-# QGroundControl's AltitudeMode and DistanceMode. 0 stands for several modes and 5 for none.
+# QGroundControl's AltitudeMode and DistanceMode. 0 means several modes and 5 none.
 _RELATIVE, _ABSOLUTE, _CALCULATED, _TERRAIN = 1, 2, 3, 4
 _SENT_AS: Final = {
     _RELATIVE: Above.HOME,
@@ -56,7 +56,7 @@ def check_mode(mode: float | None, frame: Above) -> str | None:
     if sent is None:
         return f"AltitudeMode is {mode:g}, which is not known"
     if sent is not frame:
-        return f"AltitudeMode is {mode:g} ({sent.value}), and frame says {frame.value}"
+        return f"AltitudeMode is {mode:g} ({sent.value}), but frame states {frame.value}"
     return None
 
 

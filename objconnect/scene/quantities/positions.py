@@ -42,7 +42,7 @@ _DATUMS: Final = (
 def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[LatLon]:
     """Return the latitude and longitude of a photograph.
 
-    EXIF's position counts if it is complete, else XMP's. It is unknown if they contradict each
+    EXIF's position is used if it is complete, else XMP's. It is unknown if they contradict each
     other.
 
     Args:
@@ -97,7 +97,7 @@ def _read_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
         return unknown(source, f"GPSMapDatum {name!r} is not WGS84")
     # A receiver without satellites repeats its last position.
     void = plain_text(gps.get("GPSStatus")).upper() == "V"
-    doubts = ["GPSStatus V says that the receiver had no fix"] if void else []
+    doubts = ["GPSStatus V means that the receiver had no fix"] if void else []
     return known((latitude.value, longitude.value), source, *doubts)
 
 

@@ -1,7 +1,7 @@
 """The time of a photograph: the camera's clock, checked against GPS time.
 
 ``DateTimeOriginal`` is local time with the offset ``OffsetTimeOriginal``; without the offset, which
-many drones omit, it counts as UTC. ``GPSTimeStamp`` is UTC.
+many drones omit, it is taken as UTC. ``GPSTimeStamp`` is UTC.
 """
 
 from __future__ import annotations

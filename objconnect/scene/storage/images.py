@@ -152,7 +152,7 @@ class Exif:
         place_doubts: phrases about an unknown or contradictory position, with names of fields.
         lens_doubts: phrases about the focal length.
         other_doubts: phrases about time and attitude.
-        focals: candidate focal lengths in longest sides if none of them is reliable.
+        focals: candidate focal ratios (see ``focal_ratio``) if none of them is reliable.
     """
 
     position: Geodetic | None
@@ -195,8 +195,9 @@ class Exif:
         return self.xmp.gimbal
 
     @property
-    def focal_in_longest_sides(self) -> float | None:
-        """Return the focal length in longest sides of the picture; None if unknown."""
+    def focal_ratio(self) -> float | None:
+        """Return the focal length divided by the longer image side (f / max(w, h), as in OpenSfM);
+        None if unknown."""
         return None if self.focal_35mm is None else self.focal_35mm / FILM_LENGTH
 
 
@@ -228,14 +229,14 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
         )
 
 
-def resize_file(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
+def resize_file(source: Path, out: Path, longest: int, *, rotate_180: bool = False) -> None:
     """Copy a photograph with its metadata, at most ``longest`` pixels wide and high.
 
     Args:
         source: photograph to copy.
         out: JPEG to write.
         longest: largest width and height, pixels.
-        over: whether to rotate the image by 180 degrees.
+        rotate_180: whether to rotate the image by 180 degrees.
 
     Raises:
         InputError: the photograph is missing or damaged, or ``out`` cannot be written.
@@ -244,7 +245,7 @@ def resize_file(source: Path, out: Path, longest: int, *, over: bool = False) ->
     height, width = rgb.shape[:2]
     scale = min(1.0, longest / max(width, height))
     with atomic_write(out) as partial:
-        if scale == 1 and not over:
+        if scale == 1 and not rotate_180:
             shutil.copyfile(source, partial)
             return
         size = (round(scale * width), round(scale * height))
@@ -254,7 +255,7 @@ def resize_file(source: Path, out: Path, longest: int, *, over: bool = False) ->
             del kept["xmp"]
         if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails or maker notes
             kept["exif"] = _encode(read_exif(source), size).tobytes()
-        picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
+        picture = Image.fromarray(rgb[::-1, ::-1] if rotate_180 else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
         smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
 
@@ -309,12 +310,13 @@ def read_exif(path: Path) -> Exif:
     drone = parse_xmp(packets, read_exif_size(fields) or size)
     focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
     if drone.panorama:
-        why = f"it is a panorama (ProjectionType {drone.panorama[:40]}), which no lens takes"
+        kind = drone.panorama[:40]
+        why = f"it is a stitched panorama (ProjectionType {kind}) and has no single focal length"
         focal = FocalLength(unknown("ProjectionType", why), agrees=False)
     if not focal.agrees:
         drone = replace(drone, camera=None)
     if drone.gimbal and is_turned(fields, size, tags.get(ExifTags.Base.Orientation)):
-        doubt = "it was turned, and GimbalYawDegree is of the picture as it was taken"
+        doubt = "the image was rotated after capture, so GimbalYawDegree no longer applies to it"
         drone = replace(drone, gimbal=None, doubts=(*drone.doubts, doubt))
     time = read_time(fields, places)
     position = read_position(places, drone.places)

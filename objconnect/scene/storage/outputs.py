@@ -11,7 +11,7 @@ from pathlib import Path
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, require_regular
 
-# A mark lies within so many bytes from the beginning of a file.
+# A mark lies within this many bytes from the beginning of a file.
 _HEAD_BYTES = 4096
 
 

@@ -29,11 +29,11 @@ log = logging.getLogger(__name__)
 # A file of a few bytes may claim any size; 8K has 33 million pixels.
 _MOST_PIXELS: Final = 64_000_000
 _PURPOSE: Final = "a video"
-# A video that ends so many seconds before its stated end is truncated.
+# A video that ends at least this many seconds before its stated end is truncated.
 _CUT_SHORT_S: Final = 1.0
-# Codecs of still pictures; a stream of them is a film only if it has several frames.
+# Codecs of still pictures; such a stream is a video stream only if it has several frames.
 _OF_PICTURES: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
-# The chosen film lasts at least this share of the longest one.
+# The chosen video stream lasts at least this share of the longest one.
 _AS_LONG: Final = 0.9
 # Constant rate factor of H.264, smaller is better; at 17 losses are hardly visible.
 _QUALITY: Final = "17"
@@ -108,8 +108,8 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
 
     Args:
         path: file of the video.
-        rate_hz: frames per second to yield, those nearest to multiples of its inverse; None yields
-            all.
+        rate_hz: frames per second to yield: for each time k / rate_hz the nearest frame. None
+            yields all frames.
 
     Raises:
         InputError: as for ``read_video``.
@@ -179,7 +179,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float)
 
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video and choose its film."""
+    """Open a video and choose its video stream."""
     av = import_extra("av", "video", _PURPOSE)
     require_readable(path, "video")
     try:
@@ -187,32 +187,35 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise InputError(f"{path} is no video that can be read: {_reason(error)}") from None
     with container:
-        stream = _choose_film(container, path)
+        stream = _choose_stream(container, path)
         if stream.width * stream.height > _MOST_PIXELS:
             raise InputError(f"{path} cannot be decoded: its frames are too large")
         yield container, stream
 
 
-def _choose_film(container: Any, path: Path) -> Any:
-    """Return the video stream to read; cover pictures and thumbnails do not count.
+def _choose_stream(container: Any, path: Path) -> Any:
+    """Return the video stream to read; cover pictures and thumbnails are ignored.
 
-    Of several films it prefers the longest, then the largest, then the one that players show, and
-    warns of the choice.
+    Of several video streams it prefers the longest, then the largest, then the one marked as
+    default, and warns of the choice.
 
     Raises:
-        InputError: there is no film.
+        InputError: there is no video stream.
     """
     if not container.streams.video:
         raise InputError(f"{path} has no pictures: it is no video")
-    films = [stream for stream in container.streams.video if not _is_still(container, stream)]
-    if not films:
-        raise InputError(f"{path} has a picture and no film: give the video that the drone wrote")
-    films = [stream for stream in films if stream.codec_context is not None]
-    if not films:
+    streams = [stream for stream in container.streams.video if not _is_still(container, stream)]
+    if not streams:
+        raise InputError(
+            f"{path} has only still pictures and no video stream: give the video that the drone "
+            "wrote"
+        )
+    streams = [stream for stream in streams if stream.codec_context is not None]
+    if not streams:
         raise InputError(f"{path} cannot be decoded: its codec is unknown")
-    longest = max(_seconds(stream) for stream in films)
-    film = max(
-        films,
+    longest = max(_seconds(stream) for stream in streams)
+    chosen = max(
+        streams,
         key=lambda stream: (
             _seconds(stream) >= _AS_LONG * longest,
             stream.width * stream.height,
@@ -221,13 +224,14 @@ def _choose_film(container: Any, path: Path) -> Any:
             -stream.index,
         ),
     )
-    if len(films) > 1:
-        others = ", ".join(str(stream.index) for stream in films if stream is not film)
+    if len(streams) > 1:
+        ignored = ", ".join(str(stream.index) for stream in streams if stream is not chosen)
+        size = f"{chosen.width} x {chosen.height}"
         _warn_once(
-            f"{path} has {len(films)} films: stream {film.index} ({film.width} x {film.height}) is "
-            f"taken, and {others} left out"
+            f"{path} has {len(streams)} video streams: stream {chosen.index} ({size}) is used, "
+            f"stream {ignored} ignored"
         )
-    return film
+    return chosen
 
 
 def _is_still(container: Any, stream: Any) -> bool:
@@ -291,7 +295,7 @@ def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
     turns, rest = divmod(round(frame.rotation or 0), 90)
     if rest:
         raise InputError(
-            f"{path} is shown turned by {frame.rotation} degrees: write it without a rotation"
+            f"{path} is displayed rotated by {frame.rotation} degrees: write it without a rotation"
         )
     # FFmpeg's and numpy's angles are counter-clockwise.
     return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), turns))
@@ -301,7 +305,7 @@ def _rate(stream: Any) -> float:
     """Return the frames per second; 30 if not stated."""
     rate = stream.average_rate or stream.guessed_rate
     if not rate:
-        _warn_once(f"{stream.container.name} does not state its frame rate: taken as 30")
+        _warn_once(f"{stream.container.name} does not state its frame rate: 30 is assumed")
     return float(rate) if rate else 30.0
 
 
@@ -309,7 +313,7 @@ def _unread(container: Any) -> tuple[str, ...]:
     """Return the kinds of the streams that may hold a drone's telemetry."""
     kinds: dict[str, None] = {}
     for stream in container.streams:
-        # The time code of a film is a data stream too.
+        # The time code of a video is also a data stream.
         if stream.type in ("subtitle", "data") and "timecode" not in stream.metadata:
             kinds[str(stream.name or stream.type)] = None
     return tuple(kinds)

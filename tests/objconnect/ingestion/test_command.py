@@ -315,12 +315,12 @@ def test_killed_while_pictures_are_turned_back(
             raise KeyboardInterrupt
         objconnect.scene.bundle.manifest.write_json(path, value)
 
-    def write_resized(source: Path, target: Path, longest: int, *, over: bool) -> None:
+    def write_resized(source: Path, target: Path, longest: int, *, rotate_180: bool) -> None:
         nonlocal turned
-        turned += over
+        turned += rotate_180
         if turned == 2:
             raise KeyboardInterrupt
-        objconnect.scene.storage.images.resize_file(source, target, longest, over=over)
+        objconnect.scene.storage.images.resize_file(source, target, longest, rotate_180=rotate_180)
 
     for module, patched in (
         (objconnect.ingestion.rotated_photographs, write_json),
@@ -337,7 +337,7 @@ def test_killed_while_pictures_are_turned_back(
     # A picture turned twice or not at all would contradict its gimbal, or not be registered.
     assert (report.registered, report.wrong_attitudes) == (10, {})
     objconnect.scene.storage.images.resize_file(
-        folder / over[1], tmp_path / "turned.jpg", 1600, over=True
+        folder / over[1], tmp_path / "turned.jpg", 1600, rotate_180=True
     )
     assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()
     assert not list(out.glob(".*"))

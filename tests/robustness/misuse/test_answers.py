@@ -140,7 +140,7 @@ def test_the_table_does_not_replace_the_poses(
 ) -> None:
     for name in ("poses.csv", "poses.CSV"):
         line = expect_error(tmp_path, *localizing(flight, photographs, tmp_path / name))
-        assert "let it end in .txt" in line
+        assert "a name that ends in .txt" in line
 
 
 @pytest.mark.parametrize("name", ["poses.txt", "poses.csv"])

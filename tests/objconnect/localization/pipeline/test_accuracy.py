@@ -160,7 +160,7 @@ def test_a_map_without_a_known_place_on_earth_says_how_far_gps_is(
     """Caliterra: 12 m from the GPS at sigmas of centimetres, which are those within the map."""
     line = read_warning(caplog, fly((12, 0, 0), (10, 10, 10)), None)
     assert "\n" not in line
-    assert "12.0 m beside the GPS positions" in line and "sigma_m is within the map" in line
+    assert "12.0 m beside the GPS positions" in line and "sigma_m is relative to the map" in line
     assert read_warning(caplog, fly((0, 0, 0), (10, 10, 10)), None) == ""
     assert read_warning(caplog, fly((12, 0, 0), (np.inf, np.inf, np.inf)), None) == ""
     assert read_warning(caplog, fly((12, 0, 0), (10, 10, 10), 4), None) == ""

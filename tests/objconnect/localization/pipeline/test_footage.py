@@ -40,8 +40,8 @@ def make_telemetry(second: int, focal_mm: float | None, zoom: float | None = 1.0
     return Telemetry(second, second + 1, rel_alt=1.0, focal_mm=focal_mm, zoom=zoom)
 
 
-def focals(cameras: FrameCameras, film: Footage) -> list[float | None]:
-    found = [cameras.of(item) for item in film.flight]
+def focals(cameras: FrameCameras, recording: Footage) -> list[float | None]:
+    found = [cameras.of(item) for item in recording.telemetry]
     return [None if item is None else item.camera.focal[0] for item in found]
 
 
@@ -62,23 +62,23 @@ def test_zoom_changes_the_camera_of_a_frame(
     zooms: list[tuple[float | None, float | None]],
     expected: list[float | None],
 ) -> None:
-    film = footage(*(make_telemetry(k, *zoom) for k, zoom in enumerate(zooms)))
-    cameras = cameras_of_frames(film, None, place)
-    assert focals(cameras, film) == pytest.approx(expected)
+    recording = footage(*(make_telemetry(k, *zoom) for k, zoom in enumerate(zooms)))
+    cameras = cameras_of_frames(recording, None, place)
+    assert focals(cameras, recording) == pytest.approx(expected)
     # A frame without subtitles has the camera of all, where they have one.
     after = cameras.of(None)
-    steady = len(set(expected)) == 1
-    assert (after is not None) == steady
+    is_constant = len(set(expected)) == 1
+    assert (after is not None) == is_constant
 
 
 def test_the_map_s_camera_is_zoomed_about_the_middle(place: LocalizationMap) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
     lens = 36 * own.focal[0] / max(own.width, own.height)
-    film = footage(
+    recording = footage(
         make_telemetry(0, lens), make_telemetry(1, lens, 2.0), size=(own.width, own.height)
     )
-    cameras = cameras_of_frames(film, None, place)
-    first, second = (cameras.of(item) for item in film.flight)
+    cameras = cameras_of_frames(recording, None, place)
+    first, second = (cameras.of(item) for item in recording.telemetry)
     assert first is not None and second is not None
     assert (first.camera, first.source) == (own, CameraSource.MAP)
     assert second.source is CameraSource.SCALED
@@ -91,16 +91,16 @@ def test_the_map_s_camera_is_zoomed_about_the_middle(place: LocalizationMap) -> 
     np.testing.assert_allclose(after - middle, 2 * (before - middle), rtol=1e-9)
 
 
-def test_an_unknown_zoom_is_said(place: LocalizationMap, caplog: pytest.LogCaptureFixture) -> None:
-    film = footage(make_telemetry(0, 24.0, None), make_telemetry(1, 24.0, None))
+def test_an_unknown_zoom_warns(place: LocalizationMap, caplog: pytest.LogCaptureFixture) -> None:
+    recording = footage(make_telemetry(0, 24.0, None), make_telemetry(1, 24.0, None))
     with pytest.raises(InputError, match="dzoom_ratio.*--camera"):
-        cameras_of_frames(film, None, place)
+        cameras_of_frames(recording, None, place)
     (own,) = {str(camera): camera for camera in place.cameras}.values()
-    film = footage(
+    recording = footage(
         make_telemetry(0, None, None), make_telemetry(1, None, None), size=(own.width, own.height)
     )
-    cameras = cameras_of_frames(film, None, place)
-    assert focals(cameras, film) == [own.focal[0]] * 2
+    cameras = cameras_of_frames(recording, None, place)
+    assert focals(cameras, recording) == [own.focal[0]] * 2
     assert any("zoom is unknown" in line for line in caplog.messages)
 
 
@@ -108,18 +108,18 @@ def test_a_given_camera_is_that_of_all_frames(
     place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     given = Camera("SIMPLE_PINHOLE", 480, 270, (300.0, 240.0, 135.0))
-    film = footage(make_telemetry(0, 24.0), make_telemetry(1, 48.0))
+    recording = footage(make_telemetry(0, 24.0), make_telemetry(1, 48.0))
     with caplog.at_level(logging.WARNING):
-        assert focals(cameras_of_frames(film, given, place), film) == [300.0, 300.0]
+        assert focals(cameras_of_frames(recording, given, place), recording) == [300.0, 300.0]
     assert any("24.0 to 48.0 mm" in line for line in caplog.messages)
 
 
-def test_another_lens_than_the_map_s_is_said(
+def test_another_lens_than_the_map_s_warns(
     place: LocalizationMap, caplog: pytest.LogCaptureFixture
 ) -> None:
     (own,) = {str(camera): camera for camera in place.cameras}.values()
-    film = footage(make_telemetry(0, 300.0), size=(own.width, own.height))
-    found = cameras_of_frames(film, None, place).of(film.flight[0])
+    recording = footage(make_telemetry(0, 300.0), size=(own.width, own.height))
+    found = cameras_of_frames(recording, None, place).of(recording.telemetry[0])
     assert found is not None and found.source is CameraSource.EXIF
     assert any("focal length of 300.0 mm, which is used" in line for line in caplog.messages)
 
@@ -150,7 +150,7 @@ def test_frames_and_subtitles_belong_together(
     flight = enumerate_lines(120, step_s)
     video = Video(480, 270, rate_hz, duration_s, None)
     frame = VideoFrame(30, 30 / rate_hz + 1e-4, np.zeros((1, 1, 3), np.uint8))
-    found = Timing.of(flight, video).said(flight, frame)
+    found = Timing.of(flight, video).telemetry_of(flight, frame)
     assert (found and found.rel_alt) == height
 
 
@@ -161,9 +161,9 @@ def test_subtitles_without_numbers_hold_by_their_times() -> None:
 
 
 def test_pixels_that_are_not_square_need_a_camera(place: LocalizationMap) -> None:
-    film = footage(make_telemetry(0, 24.0))
-    film = replace(film, video=replace(film.video, pixel_aspect=4 / 3))
+    recording = footage(make_telemetry(0, 24.0))
+    recording = replace(recording, video=replace(recording.video, pixel_aspect=4 / 3))
     with pytest.raises(InputError, match=r"1\.333 times as wide as high: give its calibration"):
-        cameras_of_frames(film, None, place)
+        cameras_of_frames(recording, None, place)
     given = Camera("SIMPLE_PINHOLE", 480, 270, (320.0, 240.0, 135.0))
-    assert cameras_of_frames(film, given, place).is_given
+    assert cameras_of_frames(recording, given, place).is_given

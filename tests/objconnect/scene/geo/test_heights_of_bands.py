@@ -150,7 +150,7 @@ def test_holes_of_whole_numbers_are_no_cliffs(
     read = raster.patch(raster.grid.box).values
     assert np.isnan(read[0, :10]).all()
     np.testing.assert_allclose(read[0, 10:], HILLS[0, 10:], atol=0.6)
-    assert "all others: taken as no data" in raster.doubts[0]
+    assert "all others: treated as no data" in raster.doubts[0]
 
 
 def test_zeros_above_low_ground(tmp_path: Path) -> None:

@@ -101,11 +101,13 @@ def test_without_gps_the_frame_in_a_project_of_odm_is_stated(odm: tuple[Path, Tr
     for shot in document[0]["shots"].values():
         del shot["gps_position"]
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"UTM zone 32N\) cannot be told .* state --poses-frame"):
+    with pytest.raises(
+        InputError, match=r"UTM zone 32N\) cannot be determined .* state --poses-frame"
+    ):
         read_foreign(path)
     assert_true(path, truth, "projected")
     path.write_text(shots_of(truth, truth.world_from_cam, False))
-    with pytest.raises(InputError, match="cannot be told"):
+    with pytest.raises(InputError, match="cannot be determined"):
         read_foreign(path)
     assert_true(path, truth, "topocentric")
 
@@ -141,7 +143,7 @@ def test_the_project_of_plain_opensfm_tells_the_frame(
     path.parent.mkdir(parents=True)
     path.write_text(shots_of(truth, truth.world_from_cam, False))
     with pytest.raises(
-        InputError, match=r"a UTM grid as of zone 32\) cannot be told \(gps_position"
+        InputError, match=r"a UTM grid, such as zone 32\) cannot be determined \(gps_position"
     ):
         read_foreign(path)
     assert_true(path, truth, "topocentric")
@@ -150,7 +152,7 @@ def test_the_project_of_plain_opensfm_tells_the_frame(
     with pytest.raises(InputError, match="by OpenSfM's project around it, but projected by"):
         read_foreign(path, "projected")
     (path.parent / "image_list.txt").write_text("/datasets/project/images/a.jpg\n")
-    with pytest.raises(InputError, match="cannot be told"):
+    with pytest.raises(InputError, match="cannot be determined"):
         read_foreign(path)
 
 

@@ -102,7 +102,7 @@ def test_a_picture_that_was_turned_has_no_attitude(tmp_path: Path) -> None:
         raw.write(tmp_path / "a.jpg", size, raw.exif(fields, {}), said)
         exif = read_exif(tmp_path / "a.jpg")
         assert (exif.gimbal is not None) is known
-        assert known or "turned" in exif.other_doubts[0]
+        assert known or "rotated after capture" in exif.other_doubts[0]
 
 
 def test_a_spherical_panorama_has_no_lens(tmp_path: Path) -> None:
@@ -113,17 +113,17 @@ def test_a_spherical_panorama_has_no_lens(tmp_path: Path) -> None:
     assert exif.focal_35mm is None and "equirectangular" in exif.lens_doubts[0]
 
 
-def test_a_position_without_a_fix_is_said(tmp_path: Path) -> None:
+def test_a_position_without_a_fix_is_reported(tmp_path: Path) -> None:
     exact = {"GPSLatitude": raw.rational(46.8426), "GPSLatitudeRef": raw.text("N")}
     exact |= {"GPSLongitude": raw.rational(91.9944), "GPSLongitudeRef": raw.text("W")}
-    for status, doubts in (("A", []), ("V", ["GPSStatus V says that the receiver had no fix"])):
+    for status, doubts in (("A", []), ("V", ["GPSStatus V means that the receiver had no fix"])):
         gps = {**exact, "GPSStatus": raw.text(status)}
         raw.write(tmp_path / "a.jpg", SIZE, raw.exif({}, gps))
         said = read_exif(tmp_path / "a.jpg").place_doubts
         assert [each for each in said if "Altitude" not in each] == doubts
 
 
-def test_two_blocks_of_exif_are_said(tmp_path: Path) -> None:
+def test_two_blocks_of_exif_are_reported(tmp_path: Path) -> None:
     path, first = tmp_path / "a.jpg", raw.exif({"FocalLengthIn35mmFilm": raw.short(24)}, {})
     for block, doubts in ((first, 0), (raw.exif({"FocalLengthIn35mmFilm": raw.short(50)}, {}), 1)):
         raw.write(path, SIZE, first)

@@ -98,7 +98,7 @@ def test_a_slant_is_refused(tmp_path: Path) -> None:
         stream.set_display_rotation(30)
         container.mux(stream.encode(av.VideoFrame.from_ndarray(pictures(1)[0], format="rgb24")))
         container.mux(stream.encode())
-    with pytest.raises(InputError, match="turned by"):
+    with pytest.raises(InputError, match="rotated by"):
         read_video(path)
 
 
@@ -161,7 +161,7 @@ def test_a_folder_is_no_video(tmp_path: Path) -> None:
         read_video(tmp_path)
 
 
-def film(
+def write_streams(
     path: Path, *streams: tuple[str, int, int, int], covers: int = 0, default: int | None = None
 ) -> Path:
     """A file of several streams: codec, number of frames, width and grey level."""
@@ -188,7 +188,7 @@ def film(
 
 
 def levels(path: Path) -> tuple[int, int]:
-    """Number of frames and grey level of a film."""
+    """Number of frames and grey level of a video."""
     frames = list(decode_frames(path))
     return len(frames), round(float(frames[0].image.mean()) / 10) * 10
 
@@ -210,26 +210,29 @@ COVER, FILM, PREVIEW = ("mjpeg", 1, 32, 200), ("mpeg4", 20, 64, 100), ("mpeg4", 
     ],
 )
 @pytest.mark.parametrize("ending", ["mp4", "mov"])
-def test_the_film_and_not_the_cover(
+def test_the_video_stream_and_not_the_cover(
     tmp_path: Path, streams: list[tuple[str, int, int, int]], covers: int, ending: str
 ) -> None:
-    path = film(tmp_path / f"a.{ending}", *streams, covers=covers)
+    path = write_streams(tmp_path / f"a.{ending}", *streams, covers=covers)
     assert levels(path) == (20, 100)
     assert read_video(path).width == 64
 
 
-def test_of_several_films_the_one_that_players_show(
+def test_of_several_streams_the_one_that_players_show(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = film(tmp_path / "a.mkv", ("mpeg4", 20, 64, 50), FILM, default=1)
+    path = write_streams(tmp_path / "a.mkv", ("mpeg4", 20, 64, 50), FILM, default=1)
     assert levels(path) == (20, 100)
-    (line,) = [line for line in caplog.messages if "2 films" in line]
-    assert "stream 1 (64 x 48) is taken, and 0 left out" in line
+    (line,) = [line for line in caplog.messages if "2 video streams" in line]
+    assert "stream 1 (64 x 48) is used, stream 0 ignored" in line
 
 
 def test_pictures_alone_are_no_video(tmp_path: Path) -> None:
-    for path in (film(tmp_path / "a.mp4", COVER), film(tmp_path / "b.jpg", COVER)):
-        with pytest.raises(InputError, match="a picture and no film"):
+    for path in (
+        write_streams(tmp_path / "a.mp4", COVER),
+        write_streams(tmp_path / "b.jpg", COVER),
+    ):
+        with pytest.raises(InputError, match="only still pictures and no video stream"):
             read_video(path)
 
 
