@@ -45,7 +45,7 @@ class PixlocSearchConfig(SearchingConfig):
     """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
 
     It is the control of comparisons: its gain over ``pixloc`` is that of the search, the corners
-    and more reference images, and the gain of ``objconnect`` over it is that of the network and the objects.
+    and more reference images. The gain of ``objconnect`` over it is that of network and objects.
     """
 
 
