@@ -91,7 +91,7 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     assert (out / "curves.png").stat().st_size > 5000
     card = (out / CARD).read_text()
     assert found.sha256 in card
-    assert ("what blocks add at the end" in card) == (method == "objconnect")
+    assert ("outputs of blocks relative to their input" in card) == (method == "objconnect")
 
 
 @pytest.mark.usefixtures("undrawn")
