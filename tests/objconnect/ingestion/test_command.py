@@ -315,7 +315,7 @@ def test_killed_while_pictures_are_turned_back(
             raise KeyboardInterrupt
         objconnect.scene.bundle.manifest.write_json(path, value)
 
-    def write_resized(source: Path, target: Path, longest: int, *, rotate_180: bool) -> None:
+    def resize_file(source: Path, target: Path, longest: int, *, rotate_180: bool) -> None:
         nonlocal turned
         turned += rotate_180
         if turned == 2:
@@ -324,7 +324,7 @@ def test_killed_while_pictures_are_turned_back(
 
     for module, patched in (
         (objconnect.ingestion.rotated_photographs, write_json),
-        (objconnect.ingestion.photographs, write_resized),
+        (objconnect.ingestion.photographs, resize_file),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(module, patched.__name__, patched)

@@ -236,7 +236,6 @@ from objconnect.localization.align.compiled_loops import descend_compiled
 from objconnect.localization.align.options import Options
 from tests.objconnect.localization.align.test_compiled_loops import level_cost
 from tests.objconnect.localization.align.world import DISTORTED
-from tests.programs import printed
 
 with torch.inference_mode():
     cost, pose = level_cost(DISTORTED, 4, smooth=True)
