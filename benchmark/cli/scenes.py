@@ -200,8 +200,9 @@ def export(
 ) -> None:
     """Write the poses and cameras of a scene in the format of another program.
 
-    Photographs stay in the scene, except with --format cmu and rerun-images. Image names in the
-    files are relative to SCENE/sessions; in transforms.json they are relative to the file itself.
+    Photographs stay in the scene, except with --format cmu, video and rerun-images. Image names in
+    the files are relative to SCENE/sessions; in transforms.json they are relative to the file
+    itself.
     An orthophoto is fused from the map's photographs.
     """
     from objconnect.scene.exports.export import export as run
