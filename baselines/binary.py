@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.matching.features import Extractor
+from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features, unit_bits
 from objconnect.scene.maps.matching import match
@@ -36,9 +37,9 @@ class Binary(Extractor):
         detector = self._detector()
         keypoints, descriptors = detector.detectAndCompute(grey, None)
         if not keypoints:
-            nothing = np.zeros(0, np.float32)
+            empty = np.zeros(0, np.float32)
             no_bits = np.zeros((0, detector.descriptorSize()), np.uint8)
-            return Features(nothing.reshape(0, 2), nothing, no_bits)
+            return Features(empty.reshape(0, 2), empty, no_bits)
         scale = np.array([point.size for point in keypoints], np.float32)
         xy = self._pixels(keypoints, (grey.shape[1], grey.shape[0]))
         return Features(xy.astype(np.float32), scale, np.asarray(descriptors))
@@ -60,9 +61,10 @@ class Binary(Extractor):
         return unit_bits(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Match as ``Extractor.match``; the ratio is of Hamming distances.
+        """Match as ``Extractor.match`` does; ``ratio`` compares Hamming distances.
 
-        These are the squared distances of signs.
+        ``match`` compares Euclidean distances of signs. A Hamming distance is proportional to the
+        square of such a distance, so ``match`` gets the root of the ratio.
         """
         return match(a, b, ratio**0.5)
 
@@ -112,15 +114,23 @@ class AkazeConfig(StructureConfig):
     """Options of the akaze localizer; see ``StructureConfig``."""
 
 
-class OrbLocalizer(StructureLocalizer):
+class BinaryLocalizer(StructureLocalizer):
+    """Localizes images by matches of binary features, and PnP."""
+
+    def __init__(self, config: StructureConfig, binary: Binary) -> None:
+        matcher = NearestNeighbours(binary, config.ratio)
+        super().__init__(config, binary, matcher, interpolate=True)
+
+
+class OrbLocalizer(BinaryLocalizer):
     """The localizer ``orb``: ORB matches with reference images, and PnP."""
 
     def __init__(self, config: OrbConfig) -> None:
-        super().__init__(config, Orb(config.max_features), interpolate=True)
+        super().__init__(config, Orb(config.max_features))
 
 
-class AkazeLocalizer(StructureLocalizer):
+class AkazeLocalizer(BinaryLocalizer):
     """The localizer ``akaze``: AKAZE matches with reference images, and PnP."""
 
     def __init__(self, config: AkazeConfig) -> None:
-        super().__init__(config, Akaze(config.max_features), interpolate=True)
+        super().__init__(config, Akaze(config.max_features))

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import Extractor, map_features
-from objconnect.localization.matching.retrieval import OnDemand, References
+from objconnect.localization.matching.retrieval import LazyDescriptors, References
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.colmap.relative_pose import estimate_relative_pose
 from objconnect.scene.config import Config
@@ -30,15 +30,17 @@ from objconnect.scene.geometry.sampson import Matches, refine
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.lru_cache import LruCache, room
+from objconnect.scene.storage.lru_cache import LruCache, free_cache_bytes
 
-# Least number of inliers of a reference image: a relative pose needs five matches, and fifteen more
-# that agree are no coincidence.
+# Minimum number of inliers of a reference image. A relative pose is computed from five matches. If
+# fifteen more agree with it, this is not by chance.
 _MIN_INLIERS: Final = 20
-# Largest difference between reference images in the query's attitude and direction.
+# Two reference images give a position, at which their rays intersect; the first one also gives an
+# attitude. A third one agrees with them if its ray passes the position by less than this angle and
+# its attitude differs by less than this.
 _AGREE_DEG: Final = 5.0
-# Least angle between two rays that determine the position.
-_LEAST_ANGLE_DEG: Final = 5.0
+# Two rays determine the position only if the angle between them is at least this.
+_MIN_ANGLE_DEG: Final = 5.0
 
 
 class EpipolarConfig(Config):
@@ -62,7 +64,7 @@ class EpipolarConfig(Config):
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _MapFeatures:
     """Keypoints (N, 2) of a photograph of the map with descriptors of unit length."""
 
     xy: NDArray[np.float32]
@@ -87,19 +89,19 @@ class EpipolarLocalizer:
         """Extract the features of the map's photographs."""
         self._map = sparse_map
         unit = self._sift.unit
-        with open_cache(sparse_map, images, cache) as kept:
-            features = map_features(kept, self._sift)
+        with open_cache(sparse_map, images, cache) as map_cache:
+            features = map_features(map_cache, self._sift)
 
-        def extract(name: str) -> _Seen:
+        def extract(name: str) -> _MapFeatures:
             keypoints = features[name]
-            return _Seen(keypoints.xy, unit(keypoints.descriptors))
+            return _MapFeatures(keypoints.xy, unit(keypoints.descriptors))
 
         def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._seen = LruCache(extract, room(self.config.memory_mb))
+        self._map_features = LruCache(extract, free_cache_bytes(self.config.memory_mb))
         count = len(sparse_map.names)
-        self._references = References.build(sparse_map, OnDemand(describe, count))
+        self._references = References.build(sparse_map, LazyDescriptors(describe, count))
 
     def localize(self, query: Query) -> Estimate:
         """Match reference images, estimate relative poses, intersect rays and refine."""
@@ -117,13 +119,15 @@ class EpipolarLocalizer:
             related = [each for each in attempts if each is not None]
         with clock.stage("pose"):
             rays = _rays(related)
-            agreeing = rays.consensus(_AGREE_DEG, _LEAST_ANGLE_DEG)
+            agreeing = rays.consensus(_AGREE_DEG, _MIN_ANGLE_DEG)
             if not len(agreeing):
-                reason = self._why_not(rays, len(references))
+                reason = self._explain_failure(rays, len(references))
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
             chosen = rays[agreeing]
             rotation = chosen.attitude()
-            start = Pose(torch.from_numpy(rotation), torch.from_numpy(-rotation @ chosen.meet()))
+            start = Pose(
+                torch.from_numpy(rotation), torch.from_numpy(-rotation @ chosen.intersect())
+            )
             used = [related[row][0] for row in agreeing]
             focal = float(np.mean(query.camera.focal))
             refined = refine(start, used, focal)
@@ -141,30 +145,38 @@ class EpipolarLocalizer:
         self, query: Query, features: Features, unit: Tensor, image: MapImage
     ) -> tuple[Matches, Pose] | None:
         """Return the matches and ``query_from_reference`` of an image; None if too few agree."""
-        seen = self._seen(image.name)
-        matches = self._sift.match(unit, seen.unit, self.config.ratio)
+        reference = self._map_features(image.name)
+        matches = self._sift.match(unit, reference.unit, self.config.ratio)
         if len(matches) < _MIN_INLIERS:
             return None
-        here = features.xy[matches[:, 0]].astype(np.float64)
-        there = seen.xy[matches[:, 1]].astype(np.float64)
+        query_xy = features.xy[matches[:, 0]].astype(np.float64)
+        reference_xy = reference.xy[matches[:, 1]].astype(np.float64)
         relative = estimate_relative_pose(
-            there, here, image.camera, query.camera, self.config.max_error_px, self.config.seed
+            reference_xy,
+            query_xy,
+            image.camera,
+            query.camera,
+            self.config.max_error_px,
+            self.config.seed,
         )
         if relative is None:
             return None
-        here_rays, here_valid = query.camera.unproject(torch.from_numpy(here))
-        there_rays, there_valid = image.camera.unproject(torch.from_numpy(there))
-        kept = torch.from_numpy(relative.inliers) & here_valid & there_valid
+        query_rays, query_valid = query.camera.unproject(torch.from_numpy(query_xy))
+        reference_rays, reference_valid = image.camera.unproject(torch.from_numpy(reference_xy))
+        kept = torch.from_numpy(relative.inliers) & query_valid & reference_valid
         if int(kept.sum()) < _MIN_INLIERS:
             return None
-        return Matches(image.pose, here_rays[kept], there_rays[kept]), relative.b_from_a
+        return Matches(image.pose, query_rays[kept], reference_rays[kept]), relative.b_from_a
 
-    def _why_not(self, rays: Rays, tried: int) -> str:
+    def _explain_failure(self, rays: Rays, tried: int) -> str:
         if len(rays) < 2:
             return f"{len(rays)} of {tried} references match the query, 2 are needed"
-        if rays.widest_deg() < _LEAST_ANGLE_DEG:
-            return f"the rays of {len(rays)} references are parallel to {rays.widest_deg():.1f}°"
-        return f"no two of {len(rays)} references agree where the query is"
+        if rays.widest_angle_deg() < _MIN_ANGLE_DEG:
+            return (
+                f"the rays of {len(rays)} references differ in direction by at most "
+                f"{rays.widest_angle_deg():.1f}°, {_MIN_ANGLE_DEG:g}° are needed"
+            )
+        return f"no two of {len(rays)} references agree on the pose of the query"
 
 
 def _rays(related: Sequence[tuple[Matches, Pose]]) -> Rays:

@@ -1,4 +1,4 @@
-"""The localizer ``prior``: the starting pose without refinement, to compare methods with."""
+"""The localizer ``prior``: the starting pose without refinement, a baseline for other methods."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from objconnect.localization.matching.retrieval import References
-from objconnect.localization.starts import start_of, starts
+from objconnect.localization.starts import source_of_starts, starts
 from objconnect.scene.config import Config
 from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -18,7 +18,7 @@ class PriorConfig(Config):
 
 
 class PriorLocalizer:
-    """Returns the first start of a query, as methods by alignment use it.
+    """Returns the pose at which methods that align features begin, without aligning any.
 
     Implements ``objconnect.scene.localizer.Localizer``.
     """
@@ -32,8 +32,8 @@ class PriorLocalizer:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Keep the poses of the map's photographs."""
         self._map = sparse_map
-        unseen = [np.empty((0, 1), np.float32)] * len(sparse_map.names)
-        self._references = References.build(sparse_map, unseen)
+        no_descriptors = [np.empty((0, 1), np.float32)] * len(sparse_map.names)
+        self._references = References.build(sparse_map, no_descriptors)
 
     def localize(self, query: Query) -> Estimate:
         """Return the query's starting pose."""
@@ -49,7 +49,11 @@ class PriorLocalizer:
         with clock.stage("retrieval"):
             chosen = self._references.choose(query, 1, lambda: np.empty((0, 1), np.float32))
             if not len(chosen):
-                return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
+                return Estimate(
+                    Status.FAILED,
+                    seconds=clock.seconds,
+                    reason="no map photograph was found for the query",
+                )
             start = starts(query.prior, self._map, chosen)[0]
-        by = start_of(query.prior)
+        by = source_of_starts(query.prior)
         return Estimate(Status.OK, start, seconds=clock.seconds, by=by)

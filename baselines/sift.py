@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.sift import Sift
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 
@@ -14,4 +15,6 @@ class SiftLocalizer(StructureLocalizer):
     """The localizer ``sift``."""
 
     def __init__(self, config: SiftConfig) -> None:
-        super().__init__(config, Sift(config.max_features), interpolate=False)
+        sift = Sift(config.max_features)
+        matcher = NearestNeighbours(sift, config.ratio)
+        super().__init__(config, sift, matcher, interpolate=False)

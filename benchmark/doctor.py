@@ -48,17 +48,19 @@ _MODULES: Final = {
 _EXTRAS: Final = {
     "simulate": ("bpy", "rendering"),
     "cluster": ("ray", "--cluster"),
+    "kornia": ("kornia", "matching by LightGlue"),
     "fast": ("numba", "aligning images and computing depth maps in less time"),
     "geo": ("pyproj", "coordinates by EPSG code and GeoTIFF"),
     "video": ("av", "--video"),
     "robot": ("pymavlink", "writing for autopilots and ROS 2"),
     "rerun": ("rerun-sdk", "export to rerun"),
+    "hub": ("huggingface_hub", "publishing data sets and reading published ones"),
 }
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 # Importing torch takes long on a busy machine.
 _TIMEOUT_S: Final = 300
 # Free bytes below which no scene or result fits on a disk.
-_LEAST_FREE: Final = 1e9
+_MIN_FREE_BYTES: Final = 1e9
 # Program that prints the names of the GPUs that torch can use.
 _TORCH: Final = (
     "import json, torch; print(json.dumps([torch.cuda.get_device_name(k) "
@@ -129,7 +131,7 @@ class _Requirement(NamedTuple):
         return self.package + self.versions
 
     @property
-    def pip(self) -> str:
+    def install_command(self) -> str:
         return f"{sys.executable} -m pip install '{self}'"
 
 
@@ -143,7 +145,7 @@ class _Loaded(NamedTuple):
 def doctor() -> Diagnosis:
     """Check the machine, the packages, the libraries that rendering needs, and the weights.
 
-    A Python that is too old is the only thing checked.
+    If Python is too old, nothing else is checked.
     """
     if sys.version_info < _PYTHON:
         return Diagnosis((_python(),))
@@ -249,8 +251,8 @@ def _machine() -> Iterator[Check]:
     for name, folder in (("disk here", Path.cwd()), ("disk temporary", _temporary())):
         free = shutil.disk_usage(folder).free
         space = f"{free / 1e9:.1f} GB free in {folder}"
-        if free < _LEAST_FREE:
-            fix = "free some, or " + ("set TMPDIR" if "temp" in name else "work elsewhere")
+        if free < _MIN_FREE_BYTES:
+            fix = "free some space, or " + ("set TMPDIR" if "temp" in name else "work elsewhere")
             yield Check(name, "missing", space, fix)
         else:
             yield Check(name, "ok", space)
@@ -300,14 +302,16 @@ def _package(requirement: _Requirement, loaded: _Loaded) -> Check:
     why = f" for {requirement.extra}" if requirement.extra else ""
     name = requirement.package + why
     if version is not None and not _fits(version, wanted):
-        return Check(name, "missing", f"{version} is not {wanted}", requirement.pip)
+        return Check(name, "missing", f"{version} is not {wanted}", requirement.install_command)
     if loaded.error and version is None:
-        return Check(name, "missing", f"not installed, {wanted} is needed", requirement.pip)
+        return Check(
+            name, "missing", f"not installed, {wanted} is needed", requirement.install_command
+        )
     if loaded.error:
         packages = missing_packages() if requirement.package == "bpy" else []
-        fix = _apt(packages) if packages else f"{requirement.pip} --force-reinstall"
+        fix = _apt(packages) if packages else f"{requirement.install_command} --force-reinstall"
         return Check(name, "missing", f"{version} cannot be loaded: {loaded.error}", fix)
-    return Check(name, "ok", version or "of another package")
+    return Check(name, "ok", version or "provided by another package")
 
 
 def _rendering(installed: bool) -> Iterator[Check]:
@@ -316,13 +320,11 @@ def _rendering(installed: bool) -> Iterator[Check]:
     if not installed:
         fix = f"{sys.executable} -m pip install 'objconnect[simulate]'"
         if sys.version_info[:2] != (3, 11):
-            fix = f"with Python 3.11, for which alone it is made: {fix}"
+            fix = f"with Python 3.11, the only version that bpy supports: {fix}"
         yield Check("bpy", "absent", "not installed: rendering is not possible", fix)
     if packages:
-        missing = f"without {', '.join(packages)}"
-        yield Check(
-            "Blender's libraries", "missing" if installed else "absent", missing, _apt(packages)
-        )
+        state: State = "missing" if installed else "absent"
+        yield Check("Blender's libraries", state, f"without {', '.join(packages)}", _apt(packages))
     else:
         yield Check("Blender's libraries", "ok", "all there")
 
@@ -360,16 +362,17 @@ def _apt(packages: list[str]) -> str:
 
 
 def _weights(folders: Sequence[Path]) -> Iterator[Check]:
-    """Check that the weights beside every card in these folders are complete."""
-    cards = sorted(card for folder in folders for card in folder.rglob("*.md"))
-    again = f"install objconnect again, or git checkout {' '.join(_WITH_WEIGHTS)}"
+    """Check that the weights beside every card that names such a file are complete."""
+    found = sorted(card for folder in folders for card in folder.rglob("*.md"))
+    cards = [card for card in found if f"{card.stem}.safetensors" in card.read_text("utf-8")]
+    fix = f"install objconnect again, or git checkout {' '.join(_WITH_WEIGHTS)}"
     if not cards:
         named = " and ".join(str(folder) for folder in folders)
-        yield Check("weights", "missing", f"{named} have none", again)
+        yield Check("weights", "missing", f"{named} have none", fix)
     for card in cards:
-        wrong = _damage(card.with_suffix(".safetensors"))
+        damage = _damage(card.with_suffix(".safetensors"))
         name = f"weights {card.stem}"
-        yield Check(name, "missing", wrong, again) if wrong else Check(name, "ok", "whole")
+        yield Check(name, "missing", damage, fix) if damage else Check(name, "ok", "whole")
 
 
 def _damage(path: Path) -> str:

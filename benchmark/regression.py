@@ -1,19 +1,29 @@
-"""The command ``regress``, which tests whether recall dropped since a baseline was recorded."""
+"""The command ``regress``, which tests whether recall or integrity dropped since a baseline."""
 
 from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from benchmark.report.tables import ALL
+from benchmark.results.query_result import QueryResult
 from benchmark.results.results import Results
 from benchmark.results.results_files import load, method_in, results_files
 from benchmark.scoring.paired import PairedChange, compare
-from benchmark.scoring.score import THRESHOLDS, is_correct
+from benchmark.scoring.score import (
+    FALSE_FIX,
+    THRESHOLDS,
+    WRONG_TEXT,
+    is_correct,
+    is_false_fix,
+    is_worse_than_prior,
+    is_wrong,
+)
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.atomic import atomic_write
@@ -21,24 +31,28 @@ from objconnect.scene.storage.outputs import check_output_folder, check_outputs
 
 log = logging.getLogger(__name__)
 
-# Probability of a false alarm per baseline file, divided among its comparisons (Bonferroni).
+# Probability of a false alarm per baseline file, divided among its comparisons of recall, and once
+# more among those of integrity (Bonferroni).
 _ALPHA: Final = 0.05
+
+_IsGood = Callable[[QueryResult], bool]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The comparison of one method on one data set at one threshold.
+    """The comparison of one method on one data set by one figure.
 
     Attributes:
         method: name of the method.
         track: track of the data set.
         dataset: name of the data set.
         condition: condition of the compared queries, or "all".
-        threshold: key of the threshold, such as "0.5m_5deg".
-        change: change of recall, paired by query.
-        vanished: number of baseline queries that the results lack; they count as wrong.
-        dropped: whether recall fell by more than chance explains, or a query vanished.
-        can_drop: whether losing every correct query would count as a drop.
+        threshold: key of the threshold of recall, such as "0.5m_5deg", or what no answer should
+            be: "not_false_fix", "not_wrong_1m" or "not_worse_than_prior".
+        change: change of the share of queries that are correct, or not so, paired by query.
+        vanished: number of baseline queries that the results lack; they count as losses.
+        dropped: whether the share fell by more than chance explains, or a query vanished.
+        can_drop: whether losing every such query would count as a drop.
     """
 
     method: str
@@ -62,12 +76,12 @@ class Comparison:
             + (f"; {self.vanished} queries vanished" if self.vanished else "")
         )
 
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """Return the warning for a baseline that is too small for any loss to be significant."""
         return for_terminal(
             f"{self.method} on {self.dataset} ({self.track}), {self.condition}, {self.threshold}: "
             "no loss could be significant, because too few of the baseline's "
-            f"{self.change.queries} queries are correct: record more queries, or easier ones"
+            f"{self.change.queries} queries can be lost: record more queries, or easier ones"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,8 +92,8 @@ class Comparison:
 def regress(results: Path, baseline: Path) -> list[Comparison]:
     """Compare every results file of a baseline with the file of the same name in ``results``.
 
-    A query that the new results lack counts as wrong. A warning names each comparison in which so
-    few queries of the baseline are correct that even losing all of them would not be significant.
+    A query that the new results lack counts as lost. A warning names each comparison in which so
+    few queries of the baseline are right that even losing all of them would not be significant.
 
     Args:
         results: folder that ``evaluate`` wrote.
@@ -87,18 +101,22 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
 
     Raises:
         InputError: there is no baseline, it is ``results`` itself, or a results file is missing,
-            damaged, or from other data or another start than the baseline.
+            damaged, from other data or another start than the baseline, or with reference poses
+            that judge no figure.
     """
     if results.resolve() == baseline.resolve():
         raise InputError(f"{results} is compared with itself: name the baseline with --against")
     comparisons: list[Comparison] = []
     for name in _files(baseline):
         if not (results / name).is_file():
-            raise InputError(f"{results} lacks {name}, which the baseline {baseline} has")
+            raise InputError(
+                f"{results} lacks {name}, which the baseline {baseline} has: evaluate this method "
+                "on this data set too"
+            )
         comparisons += _compare(load(baseline / name), load(results / name), str(name))
     for comparison in comparisons:
         if not comparison.can_drop:
-            log.warning("%s", comparison.doubt())
+            log.warning("%s", comparison.warning())
     return comparisons
 
 
@@ -115,7 +133,7 @@ def update(results: Path, baseline: Path) -> list[Path]:
     check_output_folder(baseline, [results])
     check_outputs([baseline / name for name in names], [results / name for name in names])
     for name in names:
-        method_in(baseline / name)
+        method_in(baseline / name)  # another program's file must not be replaced
         load(results / name)  # a damaged file must not become the baseline
     for name in names:
         with atomic_write(baseline / name) as partial:
@@ -129,39 +147,60 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]:
-    """Yield the comparisons of one results file, by condition and threshold."""
+    """Yield the comparisons of one results file, by condition, of recall and then of integrity."""
     if before.dataset.sha256 != after.dataset.sha256:
         raise InputError(
             f"{name}: the results are of data set {after.dataset.sha256[:12]}, the baseline of "
             f"{before.dataset.sha256[:12]}: recall cannot be compared after photographs, map or "
-            "poses changed; if the change is intended, record it again with --update"
+            "poses changed; if the change is intended, record the baseline again with --update"
         )
     if before.start != after.start:
         raise InputError(
             f"{name}: the results are of start {after.start}, the baseline of {before.start}; "
-            "evaluate with the same start, or record it again with --update"
+            "evaluate with the same start, or record the baseline again with --update"
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)
     scopes: Sequence[str] = [ALL, *conditions] if len(conditions) > 1 else [ALL]
-    level = _ALPHA / (len(scopes) * len(THRESHOLDS))
+    families = [figures for figures in _figures(before, after) if figures]
+    if not families:
+        raise InputError(
+            f"{name}: the reference poses are too inexact to judge any figure: state their error "
+            "in reference_error.json, or leave these results out"
+        )
     for scope in scopes:
         queries = [q for q in before.queries if scope in (ALL, q.condition)]
-        for threshold in THRESHOLDS:
-            correct_before = [is_correct(query, threshold) for query in queries]
-            counterparts = [by_name.get(query.name) for query in queries]
-            correct_after = [
-                query is not None and is_correct(query, threshold) for query in counterparts
-            ]
-            change = compare(correct_before, correct_after)
-            yield Comparison(
-                method=before.method.name,
-                track=before.dataset.track,
-                dataset=before.dataset.name,
-                condition=scope,
-                threshold=threshold.key,
-                change=change,
-                vanished=counterparts.count(None),
-                dropped=change.p_drop < level or None in counterparts,
-                can_drop=compare(correct_before, [False] * len(queries)).p_drop < level,
-            )
+        counterparts = [by_name.get(query.name) for query in queries]
+        for figures in families:
+            level = _ALPHA / (len(scopes) * len(figures))
+            for name, is_good in figures.items():
+                good_before = [is_good(query) for query in queries]
+                change = compare(good_before, [q is not None and is_good(q) for q in counterparts])
+                yield Comparison(
+                    method=before.method.name,
+                    track=before.dataset.track,
+                    dataset=before.dataset.name,
+                    condition=scope,
+                    threshold=name,
+                    change=change,
+                    vanished=counterparts.count(None),
+                    dropped=change.p_drop < level or None in counterparts,
+                    can_drop=compare(good_before, [False] * len(queries)).p_drop < level,
+                )
+
+
+def _figures(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
+    """Return whether a query is good by the name of each figure of recall, then of integrity.
+
+    Figures that the reference poses do not judge, or whose prior is unknown, are left out.
+    """
+    unjudged = {*before.dataset.unjudged, *after.dataset.unjudged}
+    recall = {t.key: partial(is_correct, threshold=t) for t in THRESHOLDS if str(t) not in unjudged}
+    integrity: dict[str, _IsGood] = {}
+    if str(FALSE_FIX) not in unjudged:
+        integrity["not_false_fix"] = lambda query: not is_false_fix(query)
+    if WRONG_TEXT not in unjudged:
+        integrity["not_wrong_1m"] = lambda query: not is_wrong(query)
+        if any(query.prior_t_m is not None for query in before.queries):
+            integrity["not_worse_than_prior"] = lambda query: not is_worse_than_prior(query)
+    return recall, integrity

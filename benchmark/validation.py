@@ -16,7 +16,7 @@ from objconnect.methods import create
 from objconnect.scene.bundle.scene import is_scene
 from objconnect.scene.checks.conventions import (
     MAX_RESIDUAL_RATIO,
-    OURS,
+    OUR_CONVENTION,
     POSE_CONVENTIONS,
     Convention,
 )
@@ -72,15 +72,15 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
     if not localized:
         return Check(name, True, "not decided: SIFT localizes none of the queries tried")
     matrices = np.stack(stated)
-    metres, degrees = _difference(localized, matrices, OURS)
+    metres, degrees = _difference(localized, matrices, OUR_CONVENTION)
     figures = {"median_m": metres, "median_deg": degrees, "queries": float(len(localized))}
     # The rotation of a camera that looks straight down is nearly its own transpose, so that several
     # conventions may fit; the best one decides.
-    others = [
+    alternatives = [
         (sum(_difference(localized, matrices, convention)), convention)
         for convention in POSE_CONVENTIONS
     ]
-    best, convention = min(others, key=lambda item: item[0])
+    best, convention = min(alternatives, key=lambda item: item[0])
     if best < MAX_RESIDUAL_RATIO * (metres + degrees):
         return Check(name, False, convention.fault, figures)
     detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(localized)} queries"
@@ -98,7 +98,7 @@ def _difference(
         stated: (N, 4, 4) matrices of the data set.
         convention: convention by which the matrices are read.
     """
-    read = [Pose.from_matrix(matrix) for matrix in convention.poses(stated)]
-    errors = [pose.error_to(other) for pose, other in zip(localized, read, strict=True)]
+    converted = [Pose.from_matrix(matrix) for matrix in convention.poses(stated)]
+    errors = [pose.error_to(other) for pose, other in zip(localized, converted, strict=True)]
     metres, degrees = np.median(np.array([[float(m), float(d)] for m, d in errors]), axis=0)
     return float(metres), float(degrees)

@@ -30,7 +30,7 @@ def main(out: Path = Path("runs/examples/scene")) -> None:
     # A scene knows the truth about every frame.
     for name in scene.sessions:
         frames = scene.frames(name)
-        with scene.dense(name) as layers:
+        with scene.layers(name) as layers:
             depth = layers.read("depth", 0)
         print(f"{name}: {len(frames)} frames, first at {frames.poses.centre()[0].tolist()}")
         print(f"  depth of the first: {depth.shape}, {depth[depth > 0].mean():.1f} m in the mean")

@@ -45,7 +45,8 @@ def main(
     (dataset,) = benchmark.open_datasets(path)
     results = benchmark.evaluate(dataset, Nearest(NearestConfig()), out)
     for threshold, recall in results.summary.recall.items():
-        print(f"{threshold}: {100 * recall.value:.0f} % [{recall.low:.2f}, {recall.high:.2f}]")
+        # None says that the reference poses are too inexact to judge the threshold.
+        print(f"{threshold}: {'–' if recall is None else recall.text()} %")
 
 
 if __name__ == "__main__":

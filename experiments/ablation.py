@@ -26,8 +26,10 @@ from benchmark.report.markdown import escape
 from benchmark.results.query_result import TOTAL, QueryResult
 from benchmark.results.results import Results
 from benchmark.results.results_files import load
-from benchmark.scoring.paired import compare, mcnemar
+from benchmark.scoring.clustered import permutation_p
+from benchmark.scoring.paired import compare
 from benchmark.scoring.score import THRESHOLDS, is_correct, recall
+from benchmark.tracks.description import held_out
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.command import train
 from objconnect.learning.training.config import TrainConfig
@@ -90,8 +92,8 @@ class _Row(NamedTuple):
 
     def queries(self, condition: str | None = None) -> list[QueryResult]:
         """Return the queries of all data sets, or those taken under one condition."""
-        every = [query for run in self.runs for query in run.queries]
-        return [query for query in every if condition in (None, query.condition)]
+        queries = [query for run in self.runs for query in run.queries]
+        return [query for query in queries if condition in (None, query.condition)]
 
 
 def ablate(
@@ -104,7 +106,7 @@ def ablate(
 ) -> str:
     """Train and evaluate every variant of a plan.
 
-    An interrupted call goes on where it stopped.
+    A second call continues an interrupted one.
 
     Args:
         plan: variants to compare.
@@ -135,8 +137,8 @@ def ablate(
         for dataset in datasets:
             path = results_path(folder, dataset, localizer)
             run = load(path) if path.is_file() else None
-            wanted = (Method.of(localizer), dataset.sha256, start.name)
-            if run is None or (run.method, run.dataset.sha256, run.start) != wanted:
+            expected = (Method.of(localizer), dataset.sha256, start.name)
+            if run is None or (run.method, run.dataset.sha256, run.start) != expected:
                 run = evaluate(dataset, localizer, folder, start, cache=out / "cache")
             runs.append(run)
         rows.append(_Row(variant.name, runs))
@@ -156,7 +158,9 @@ def _train(
     config = training.model_copy(
         update={"network": _collect_explicit(variant.network), "weights": weights}
     )
-    return train(METHOD, trainable(METHOD), data, folder / "training", config, validation)
+    return train(
+        METHOD, trainable(METHOD), data, folder / "training", config, validation, held_out()
+    )
 
 
 def _collect_explicit(config: Config) -> dict[str, Any]:
@@ -176,10 +180,12 @@ def _table(rows: Sequence[_Row]) -> Iterator[str]:
     first = [is_correct(query, _THRESHOLD) for query in rows[0].queries()]
     for row in rows:
         recalls = (recall(row.queries(condition), _THRESHOLD) for condition in conditions)
-        cells = [f"{each.value:.1f} [{each.low:.1f}, {each.high:.1f}]" for each in recalls]
-        change = compare(first, [is_correct(query, _THRESHOLD) for query in row.queries()])
-        p = mcnemar(change.lost, change.won)
-        verdict = "" if row is rows[0] else f"{change.won} won, {change.lost} lost, p = {p:.2g}"
+        cells = [each.text() for each in recalls]
+        found = [is_correct(query, _THRESHOLD) for query in row.queries()]
+        change = compare(first, found)
+        p = permutation_p(first, found, [query.cluster for query in row.queries()])
+        chance = "p unknown" if p is None else f"p = {p:.2g}"
+        verdict = "" if row is rows[0] else f"{change.won} won, {change.lost} lost, {chance}"
         seconds = [query.seconds[TOTAL] for query in row.queries()]
         cells += [verdict, f"{sum(seconds) / len(seconds):.2f}"]
         yield "| " + " | ".join([row.name, *cells]) + " |"

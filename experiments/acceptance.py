@@ -39,7 +39,7 @@ from benchmark.cli.arguments import parse_settings
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import Start, parse_start
-from benchmark.scoring.score import wilson
+from benchmark.scoring.intervals import wilson
 from objconnect.localization.featuremetric.acceptance import (
     RIGHT_DEG,
     RIGHT_M,
@@ -62,11 +62,14 @@ Array = NDArray[np.float64]
 
 # A risk at which no pose is accepted, so that a search tries all candidates.
 _NEVER: Final = 1e-30
-# Weights of the squared coefficients that cross-validation chooses from.
+# Ridges from which cross-validation chooses: weights of the squared coefficients, in hundredths.
 _RIDGES: Final = (0.0001, 0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
-# Hardly any pose from matches is wrong, so that cross-validation cannot choose their ridge.
+# Ridge of the model of matches. Hardly any pose from matches is wrong, so cross-validation cannot
+# choose it.
 _MATCHED_RIDGE: Final = 0.01
+# Bounds of the bins of probability.
 _BINS: Final = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
+# A pose is right for the fit within these errors; an exact one is counted if it is refused.
 _NEAR_M, _NEAR_DEG = 1.0, 5.0
 _EXACT_M: Final = 0.5
 
@@ -89,12 +92,12 @@ class AlignedPose(NamedTuple):
     sigma_m: float
 
     @property
-    def right(self) -> bool:
+    def is_near(self) -> bool:
         """Whether the pose is right, and too exact to be right by chance."""
         return self.metres < _NEAR_M and self.degrees < _NEAR_DEG
 
     @property
-    def false(self) -> bool:
+    def is_false_fix(self) -> bool:
         """Whether the pose is a false fix."""
         return self.metres > RIGHT_M or self.degrees > RIGHT_DEG
 
@@ -155,7 +158,7 @@ def _localize_queries(
         tried.append(evaluate(*arguments))
         return tried[-1]
 
-    def is_answer(estimate: Estimate, _: object) -> bool:
+    def is_sure_match(estimate: Estimate, _: object) -> bool:
         matched.append(estimate)
         return False
 
@@ -163,7 +166,7 @@ def _localize_queries(
     queries = dataset.queries[:: args.every]
     with (
         patch.object(refiners, "evaluate_alignment", evaluate_and_keep),
-        patch.object(localizers, "is_answer", is_answer),
+        patch.object(localizers, "is_sure_match", is_sure_match),
         progress_bar(f"{dataset.name} in {mapped.name}", len(queries)) as advance,
     ):
         for done, query in enumerate(queries, 1):
@@ -219,17 +222,17 @@ def read(path: Path) -> list[Record]:
 def _cases(records: Sequence[Record]) -> tuple[Array, Array, Array]:
     """Return terms (N, 3), labels (N,) and weights (N,) of poses; the weights of a query sum to 1.
 
-    Poses with an error of 1 to 5 m are left out: they are inexact, or near by the chance of a near
-    prior.
+    Poses with an error of 1 to 5 m are left out: they are inexact, or near by chance because
+    the prior was near.
     """
     clear = [
         (pose, 1 / len(record.aligned))
         for record in records
         for pose in record.aligned
-        if pose.right or pose.false
+        if pose.is_near or pose.is_false_fix
     ]
     terms = np.array([pose.evidence.terms() for pose, _ in clear]).reshape(-1, 3)
-    labels = np.array([pose.right for pose, _ in clear], float)
+    labels = np.array([pose.is_near for pose, _ in clear], float)
     return terms, labels, np.array([weight for _, weight in clear])
 
 
@@ -244,9 +247,9 @@ def _matches(records: Sequence[Record]) -> tuple[Array, Array, Array]:
 Cases = tuple[Array, Array, Array]
 
 
-def _loss(numbers: Array, cases: Cases) -> float:
+def _loss(coefficients: Array, cases: Cases) -> float:
     terms, labels, weights = cases
-    odds = numbers[0] + terms @ numbers[1:]
+    odds = coefficients[0] + terms @ coefficients[1:]
     each = np.logaddexp(0, odds) - labels * odds
     return float((weights * each).sum() / max(weights.sum(), 1e-9))
 
@@ -256,8 +259,11 @@ def _regression(cases: Cases, ridge: float) -> Array:
     terms, _, _ = cases
     spread = terms.std(0).clip(1e-6)
 
-    def penalize(numbers: Array) -> float:
-        return _loss(numbers, cases) + ridge * float(((numbers[1:] * spread) ** 2).sum()) / 100
+    def penalize(coefficients: Array) -> float:
+        return (
+            _loss(coefficients, cases)
+            + ridge * float(((coefficients[1:] * spread) ** 2).sum()) / 100
+        )
 
     return np.asarray(minimize(penalize, np.zeros(1 + terms.shape[1]), method="BFGS").x)
 
@@ -300,9 +306,9 @@ def fit(args: argparse.Namespace) -> None:
 def _fit_matches(cases: Cases) -> MatchedModel:
     """Return the model of poses from matches; the shipped one if the records have no such pose."""
     if not len(cases[0]):
-        return AcceptanceModel.beside(None).matched
-    numbers = _regression(cases, _MATCHED_RIDGE).round(3)
-    return MatchedModel(**dict(zip(MatchedModel.model_fields, numbers, strict=True)))
+        return AcceptanceModel.load_beside(None).matched
+    coefficients = _regression(cases, _MATCHED_RIDGE).round(3)
+    return MatchedModel(**dict(zip(MatchedModel.model_fields, coefficients, strict=True)))
 
 
 class Answer(NamedTuple):
@@ -325,7 +331,9 @@ class Answer(NamedTuple):
 
 def choose_answer(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
     """Return the first accepted pose, or else the most probable one; None without a pose."""
-    poses = [(pose.cam_from_world, model.of_alignment(pose.evidence)) for pose in record.aligned]
+    poses = [
+        (pose.cam_from_world, model.alignment_log_odds(pose.evidence)) for pose in record.aligned
+    ]
     for tried in range(1, len(poses) + 1):
         best, probability = best_probability(poses[:tried])
         if probability >= 1 - risk or tried == len(poses):
@@ -342,8 +350,8 @@ def check(args: argparse.Namespace) -> None:
     )
     drawn = {}
     for records in args.records:
-        some = [choose_answer(each, model, args.risk) for each in read(records)]
-        answers = [each for each in some if each is not None]
+        chosen = [choose_answer(each, model, args.risk) for each in read(records)]
+        answers = [each for each in chosen if each is not None]
         drawn[records.stem] = answers
         _row(records.stem, answers, args)
     _row("all", [each for answers in drawn.values() for each in answers], args)
@@ -354,8 +362,8 @@ def check(args: argparse.Namespace) -> None:
 def _row(name: str, answers: Sequence[Answer], args: argparse.Namespace) -> None:
     accepted = [a.pose for a in answers if a.is_accepted(args.risk, args.most_sigma)]
     wrong = sum(pose.metres > _NEAR_M or pose.degrees > _NEAR_DEG for pose in accepted)
-    false = sum(pose.false for pose in accepted)
-    exact = [a for a in answers if a.pose.metres < _EXACT_M and a.pose.right]
+    false = sum(pose.is_false_fix for pose in accepted)
+    exact = [a for a in answers if a.pose.metres < _EXACT_M and a.pose.is_near]
     refused = sum(not a.is_accepted(args.risk, args.most_sigma) for a in exact)
     high = 100 * wilson(false, max(len(accepted), 1))[1]
     print(
@@ -367,7 +375,7 @@ def _row(name: str, answers: Sequence[Answer], args: argparse.Namespace) -> None
 def calibration_error(answers: Sequence[Answer]) -> float:
     """Return the expected calibration error (Naeini et al., AAAI 2015) of probabilities.
 
-    Poses that are neither right nor false are left out, as in ``fit``.
+    Poses that are neither near nor false fixes are left out, as in ``fit``.
     """
     bins = list(_bin(answers))
     total = sum(count * abs(share - expected) for _, expected, share, count in bins)
@@ -376,13 +384,18 @@ def calibration_error(answers: Sequence[Answer]) -> float:
 
 def _bin(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
     """Yield lower bound, mean probability, share of right poses, and number, of each bin."""
-    clear = [each for each in answers if each.pose.right or each.pose.false]
+    clear = [each for each in answers if each.pose.is_near or each.pose.is_false_fix]
     probability = np.array([each.probability for each in clear])
-    right = np.array([each.pose.right for each in clear])
+    right = np.array([each.pose.is_near for each in clear])
     for low, high in pairwise(_BINS):
-        own = (probability >= low) & ((probability < high) | (high == 1.0))
-        if own.any():
-            yield low, float(probability[own].mean()), float(right[own].mean()), int(own.sum())
+        in_bin = (probability >= low) & ((probability < high) | (high == 1.0))
+        if in_bin.any():
+            yield (
+                low,
+                float(probability[in_bin].mean()),
+                float(right[in_bin].mean()),
+                int(in_bin.sum()),
+            )
 
 
 def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:

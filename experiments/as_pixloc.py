@@ -1,7 +1,7 @@
 """Convert weights of object-connect to PixLoc, so that both trainings begin with equal weights.
 
-``python -m experiments.as_pixloc WEIGHTS OUT`` writes the features, confidences and damping of
-WEIGHTS, which both networks have, as weights of PixLoc.
+``python -m experiments.as_pixloc WEIGHTS OUT`` writes the layers of WEIGHTS that both networks have
+(features, confidences and damping) as weights of PixLoc.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ def as_pixloc(weights: Path) -> PixlocNet:
     """
     network, _ = read_network(weights)
     if network.config.decoder != "unet":
-        raise InputError(f"{weights} has a feature pyramid, which PixLoc lacks")
-    made = network.config
+        raise InputError(
+            f"{weights} has a feature pyramid, which PixLoc lacks: give weights with decoder unet"
+        )
+    source = network.config
     config = PixlocNetConfig(
-        width=made.width, decoder=made.steps, strides=made.strides, dims=made.dims
+        width=source.width, decoder=source.steps, strides=source.strides, dims=source.dims
     )
     peer = PixlocNet(config)
     shared = network.state_dict()

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+# Bounds of errors (m, deg) within which a pose counts in recall.
 _BOUNDS = ((0.25, 2.0), (0.5, 5.0))
 
 
@@ -31,10 +32,12 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder; each version has one of its own in it")
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--start", default="error=3m,5deg")
-    parser.add_argument("--every", type=int, default=1, help="take every so many queries")
-    parser.add_argument("--threads", type=int, default=1, help="above 1, by the clock")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th query")
+    parser.add_argument(
+        "--threads", type=int, default=1, help="above 1, seconds are wall-clock time"
+    )
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of the configuration")
-    parser.add_argument("--alike", action="store_true", help="all versions take what is set")
+    parser.add_argument("--alike", action="store_true", help="apply --set to all versions")
     parser.add_argument("--prepare", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -111,10 +114,10 @@ def _report_preparation(workers: list[_Worker]) -> None:
 
 def _report_queries(workers: list[_Worker], every: int) -> None:
     """Print seconds and errors of queries, of every version, in each condition and in all."""
-    held = [worker.ask("prepare")["held"] for worker in workers]
+    resident_mb = [worker.ask("prepare")["resident_mb"] for worker in workers]
     names = workers[0].ask("names")
     numbers = range(0, len(names), every)
-    for worker in workers:  # what is made once
+    for worker in workers:  # warm-up
         worker.ask("0")
     found = [
         [worker.ask(str(number)) for worker in (workers if number % 2 else workers[::-1])][
@@ -130,21 +133,27 @@ def _report_queries(workers: list[_Worker], every: int) -> None:
             first = [found[row][0] for row in rows]
             print(f"{condition:24s} {worker.folder.name:16s} {_summary(answers, first)}")
     for worker in workers:
-        most = worker.ask("memory")
-        print(f"{worker.folder.name}: {held.pop(0):.0f} MB resident before, {most:.0f} MB at most")
+        peak_mb = worker.ask("memory")
+        print(
+            f"{worker.folder.name}: {resident_mb.pop(0):.0f} MB resident before, "
+            f"{peak_mb:.0f} MB at most"
+        )
     for column, worker in enumerate(workers[1:], 1):
-        away = [
+        distances = [
             float(np.linalg.norm(np.subtract(row[column]["centre"], row[0]["centre"])))
             for row in found
             if row[column]["centre"] and row[0]["centre"]
         ]
-        print(f"{worker.folder.name}: poses move by {np.median(away):.4f} m, {max(away):.3f} most")
+        print(
+            f"{worker.folder.name}: poses move by {np.median(distances):.4f} m, "
+            f"{max(distances):.3f} most"
+        )
 
 
 def _summary(answers: list[Any], first: list[Any]) -> str:
-    """Return seconds beside the first version's, recall and median errors, in words."""
+    """Return seconds with their ratio to the first version's, recall and median errors."""
     seconds = np.array([each["seconds"] for each in answers])
-    before = np.array([each["seconds"] for each in first])
+    first_seconds = np.array([each["seconds"] for each in first])
     errors = np.array([each["errors"] or (np.inf, np.inf) for each in answers])
     within = (int(((errors < bound).all(1)).sum()) for bound in _BOUNDS)
     recall = ", ".join(
@@ -157,8 +166,8 @@ def _summary(answers: list[Any], first: list[Any]) -> str:
     }
     parts = " ".join(f"{name} {seconds:.3f}" for name, seconds in stages.items())
     return (
-        f"{seconds.mean():.3f} s, {seconds.sum() / before.sum():.2f}, median ratio "
-        f"{np.median(seconds / before):.2f}; {recall} of {len(answers)}; median "
+        f"{seconds.mean():.3f} s, {seconds.sum() / first_seconds.sum():.2f}, median ratio "
+        f"{np.median(seconds / first_seconds):.2f}; {recall} of {len(answers)}; median "
         f"{np.median(errors[:, 0]):.3f} m {np.median(errors[:, 1]):.3f} deg; "
         f"{np.mean([each['faults'] for each in answers]):.0f} faults; clock {parts}"
     )
@@ -186,27 +195,28 @@ def _serve(args: argparse.Namespace) -> None:
     load = parse_start(args.start).loader(dataset, sparse_map, args.cache)
 
     def faults() -> int:
+        """Return the number of page faults so far."""
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 
     for line in sys.stdin:
-        word, before, begin = line.strip(), faults(), seconds()
+        word, faults_before, begin = line.strip(), faults(), seconds()
         answer: Any = None
         if word == "prepare":
             method.prepare(sparse_map, dataset.images, args.cache)
             answer = {"seconds": seconds() - begin, "photographs": len(sparse_map.names)}
-            answer["faults"] = faults() - before
+            answer["faults"] = faults() - faults_before
             trim_heap()
             reset_peak()
-            answer["held"] = resident_bytes() / 1e6
+            answer["resident_mb"] = resident_bytes() / 1e6
         elif word == "memory":
             answer = peak_megabytes()
         elif word == "names":
             answer = [query.condition or "" for query in dataset.queries]
         elif word != "end":
             reference, query = dataset.queries[int(word)], load(dataset.queries[int(word)])
-            before, begin = faults(), seconds()
+            faults_before, begin = faults(), seconds()
             found = method.localize(query)
-            answer = {"seconds": seconds() - begin, "faults": faults() - before}
+            answer = {"seconds": seconds() - begin, "faults": faults() - faults_before}
             pose = found.cam_from_world if found.status.value == "ok" else None
             answer["stages"] = dict(found.seconds)
             answer["centre"] = None if pose is None else pose.centre().tolist()

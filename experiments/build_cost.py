@@ -1,6 +1,6 @@
-"""Cost of building a site: `python -m experiments.build_cost [PRESET:AREA:SEED ...]`.
+"""Cost of building a place: `python -m experiments.build_cost [PRESET:AREA:SEED ...]`.
 
-Each site is built, and one small frame of it rendered, in its own process.
+Each place is built, and one small frame of it rendered, in its own process.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _PLACES = (
 
 
 def main(places: list[str]) -> None:
-    """Print a table with one line per site."""
+    """Print a table with one line per place."""
     columns = ["place (side in m, seed)", "objects", "plan, cpu-s", "scene, cpu-s"]
     columns += ["first frame, cpu-s", "together, s", "peak memory, GB"]
     print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
@@ -33,8 +33,8 @@ def main(places: list[str]) -> None:
         )
 
 
-def alone(place: str) -> None:
-    """Build one site in this process, and print its line."""
+def measure_place(place: str) -> None:
+    """Build one place in this process, and print its line."""
     import numpy as np
 
     from simulate.camera.pinhole import PinholeCamera
@@ -66,7 +66,7 @@ def alone(place: str) -> None:
         _render(down, np.zeros(3), Path(scratch))
     spent.append(time.process_time())
     plan, scene, first = np.diff(spent)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # of kilobytes
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # from kilobytes
     print(
         f"| {name} ({area}, {seed}) | {len(world.objects)} | {plan:.1f} | {scene:.1f} | {first:.1f}"
         f" | {time.monotonic() - began:.0f} | {peak:.1f} |",
@@ -77,6 +77,6 @@ def alone(place: str) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--alone"]:
-        alone(sys.argv[2])
+        measure_place(sys.argv[2])
     else:
         main(sys.argv[1:] or list(_PLACES))

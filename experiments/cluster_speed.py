@@ -1,9 +1,9 @@
 """Speed-up of rendering with two workers over one: `python -m experiments.cluster_speed`.
 
 A Ray cluster on this machine renders the same frames in turn with one worker of one core and with
-two, after every worker has rendered a frame. The site is built again for every share of frames, as
-in a real run. Blender's processor seconds show how much of a core a worker had: on a machine with
-other work, read the second ratio, of the frames that two workers render per second of both cores.
+two, after every worker has rendered a frame. The place is built again for every share of frames,
+as in a real run. Blender's processor seconds show how much of a core a worker had. On a machine
+with other work, read the second ratio, which compares processor seconds.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from simulate.render.job import RenderJob
 from simulate.render.remote import render_files, split_job
 from tests.two_nodes import TwoNodes
 
-# In place of a frame's number: the processor seconds of the share that ends.
-_SPENT = -1
+# Number of the item that holds the processor seconds of a share instead of a frame.
+_SECONDS = -1
 
 
 class Run(NamedTuple):
@@ -34,12 +34,12 @@ class Run(NamedTuple):
 
 def count_seconds(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Yield the frames of a share, then the processor seconds that they took."""
-    before = _children()
+    before = _child_seconds()
     yield from render_files(share)
-    yield _SPENT, repr(_children() - before).encode()
+    yield _SECONDS, repr(_child_seconds() - before).encode()
 
 
-def _children() -> float:
+def _child_seconds() -> float:
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -53,7 +53,7 @@ def measure(address: str, workers: int, job: RenderJob) -> Run:
             pass
         began, cpu, frames = time.perf_counter(), 0.0, 0
         for frame, data in team.map(split_job(job, sorted(job.poses), workers)):
-            if frame == _SPENT:
+            if frame == _SECONDS:
                 cpu += float(data)
             else:
                 frames += 1
@@ -63,18 +63,18 @@ def measure(address: str, workers: int, job: RenderJob) -> Run:
 
 def main() -> None:
     """Print every run, then the ratios."""
-    words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("--area", type=float, default=160)
-    words.add_argument("--size", type=int, default=512)
-    words.add_argument("--frames", type=int, default=48)
-    words.add_argument("--turns", type=int, default=1)
-    chosen = words.parse_args()
-    wanted = {"seed": 7, "area": chosen.area, "size": chosen.size}
-    job = nadir_job(SimulateConfig.model_validate(wanted), chosen.frames)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--area", type=float, default=160)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--frames", type=int, default=48)
+    parser.add_argument("--turns", type=int, default=1)
+    args = parser.parse_args()
+    options = {"seed": 7, "area": args.area, "size": args.size}
+    job = nadir_job(SimulateConfig.model_validate(options), args.frames)
     nodes = TwoNodes()
     runs: dict[int, list[Run]] = {1: [], 2: []}
     try:
-        for _ in range(chosen.turns):
+        for _ in range(args.turns):
             for workers in (1, 2):
                 nodes.have(workers)
                 run = measure(nodes.address, workers, job)

@@ -3,7 +3,8 @@
     python -m experiments.compact_results [RESULTS...] [--files N]
 
 The first line is an artificial data set of 320 queries with random numbers, which compress worst.
-The others are results files. The last lines read N files of 320 queries, compact and plain in turn.
+The others are results files. The last line holds the time to read N files of 320 queries, compact
+and plain in turn.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=150)
     args = parser.parse_args()
     rng = random.Random(0)
-    whole = run_of([make(f"s{k // 40}/images/{k % 40:06d}.jpg", rng) for k in range(320)])
-    runs = {"random numbers": whole}
+    random_run = run_of([make(f"s{k // 40}/images/{k % 40:06d}.jpg", rng) for k in range(320)])
+    runs = {"random numbers": random_run}
     runs |= {str(file): load(file) for path in args.results for file in results_files(path)}
     with tempfile.TemporaryDirectory() as folder:
         print("| results | queries | bytes a query | compact |\n|---|--:|--:|--:|")
@@ -38,7 +39,7 @@ def main() -> None:
             plain, compact = _write(run, Path(folder))
             sizes = [path.stat().st_size / len(run.queries) for path in (plain, compact)]
             print(f"| {name} | {len(run.queries)} | {sizes[0]:.0f} | {sizes[1]:.0f} |")
-        files = _write(whole, Path(folder))
+        files = _write(random_run, Path(folder))
         spent = [0.0, 0.0]
         for _ in range(args.files):
             for k, path in enumerate(files):

@@ -22,7 +22,7 @@ def main() -> None:
     """Print one line per photograph, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--every", type=int, default=6, help="take every so many photographs")
+    parser.add_argument("--every", type=int, default=6, help="take every n-th photograph")
     parser.add_argument("--sweep", default="{}", help="options of the sweep, as JSON")
     args = parser.parse_args()
     options = CornerOptions.model_validate_json(args.sweep)
@@ -31,28 +31,28 @@ def main() -> None:
     sparse_map = dataset.load_map()
     find = CornerFinder(sparse_map, dataset.images, 1024, options)
     names = sparse_map.names[args.every // 2 :: args.every]
-    find(names[0])  # what is made once
-    off, seconds = [], []
+    find(names[0])  # warm-up
+    errors, seconds = [], []
     for name in names:
         began = time.process_time()
         found = find(name)
         seconds.append(time.process_time() - began)
         session = name.split("/")[0]
-        with scene.dense(session) as layers:
+        with scene.layers(session) as layers:
             depth = layers.read("depth", list(scene.frames(session).names).index(name))
         columns, rows = found.xy.astype(int).T
         in_camera = sparse_map.images[name].pose.transform(torch.from_numpy(found.xyz))
-        off.append(np.abs(in_camera[:, 2].numpy() - depth[rows, columns]))
-        print(f"{name}: {_summary(off[-1:], seconds[-1:])}")
-    print(f"all: {_summary(off, seconds)}")
+        errors.append(np.abs(in_camera[:, 2].numpy() - depth[rows, columns]))
+        print(f"{name}: {_summary(errors[-1:], seconds[-1:])}")
+    print(f"all: {_summary(errors, seconds)}")
 
 
-def _summary(off: list[np.ndarray], seconds: list[float]) -> str:
+def _summary(errors: list[np.ndarray], seconds: list[float]) -> str:
     """Return a line with the number of corners with a depth, their errors and the time."""
-    every = np.concatenate(off)
+    all_errors = np.concatenate(errors)
     return (
-        f"{len(every) / len(off):.0f} corners placed, off by {np.median(every):.4f} m "
-        f"(median), {np.mean(every < 0.5):.1%} within 0.5 m, {np.mean(seconds):.3f} s"
+        f"{len(all_errors) / len(errors):.0f} corners placed, off by {np.median(all_errors):.4f} m "
+        f"(median), {np.mean(all_errors < 0.5):.1%} within 0.5 m, {np.mean(seconds):.3f} s"
     )
 
 

@@ -48,26 +48,27 @@ from objconnect.scene.localizer import Estimate, Localizer, Status
 from objconnect.scene.runtime.progress import progress_bar
 
 # Degrees of freedom of the Student distribution of the errors, which has heavier tails than normal.
-_TAIL: Final = 8.0
+_STUDENT_DOF: Final = 8.0
 # Mean and variance of the NEES of such errors.
-_MEAN: Final = 6.0
-_VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
-# A larger NEES counts as this in the mean of its condition, because the covariances of right poses
-# cannot make up for a false one with a small covariance.
-_SURE_AND_WRONG: Final = 100.0
-_INSIDE: Final = 0.95
+_NEES_MEAN: Final = 6.0
+_NEES_VARIANCE: Final = 2 * _NEES_MEAN * (_STUDENT_DOF + 4) / (_STUDENT_DOF - 4)
+# A larger NEES counts as this value in the mean of its condition, because the covariances of right
+# poses cannot make up for a false one with a small covariance.
+_MAX_NEES: Final = 100.0
+# Share of poses that a 95 % ellipsoid should hold.
+_INSIDE_SHARE: Final = 0.95
 # Width of the logistic function of log NEES by which a pose counts as inside, because a hard count
 # has no gradient.
-_SOFT: Final = 0.05
+_LOGISTIC_WIDTH: Final = 0.05
 # Weight of the means and shares of the conditions against the likelihood, which alone makes the
 # covariances too large under conditions with fewer large errors than Student's.
-_OF_CONDITIONS: Final = 4.0
+_CONDITION_WEIGHT: Final = 4.0
+# Runs of the simplex from each initial value, and their options.
 _RESTARTS: Final = 2
 _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
-
-# Initial values of the search, because there are several minima.
-_BEGIN: Final = (
+# Initial values of the search; there are several, because there are several minima.
+_INITIAL_VALUES: Final = (
     (1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
     (2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
 )
@@ -78,36 +79,36 @@ class Answers:
     """Accepted poses, N in all.
 
     Attributes:
-        scenes: of their queries.
-        conditions: of their queries.
+        scenes: (N,) names of the scenes of their queries.
+        conditions: (N,) conditions of their queries.
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
-        around: how far the poses may be off, as the alignments measure it.
-        fit: (N,) cost as a share of the cost by chance.
+        spread: covariances (N, 6, 6) of the alignments, and the figures that calibrate them.
+        fit: (N,) cost of the alignment as a share of the cost by chance.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
     """
 
     scenes: NDArray[np.str_]
     conditions: NDArray[np.str_]
     errors: NDArray[np.float64]
-    around: Spread
+    spread: Spread
     fit: NDArray[np.float64]
     false: NDArray[np.bool_]
 
     def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
-        """Return some of the poses."""
+        """Return the poses of a mask (N,)."""
         rows = torch.from_numpy(which)
-        around = Spread(*(getattr(self.around, each.name)[rows] for each in fields(Spread)))
+        spread = Spread(*(getattr(self.spread, each.name)[rows] for each in fields(Spread)))
         columns = (self.scenes, self.conditions, self.errors, self.fit, self.false)
         scenes, conditions, errors, fit, false = (column[which] for column in columns)
-        return Answers(scenes, conditions, errors, around, fit, false)
+        return Answers(scenes, conditions, errors, spread, fit, false)
 
-    def calibrated(self, numbers: CovarianceModel) -> NDArray[np.float64]:
-        """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
-        return calibrate_covariance(self.around, self.fit, numbers)
+    def covariances(self, constants: CovarianceModel) -> NDArray[np.float64]:
+        """Return the covariances (N, 6, 6) that the method would answer with these constants."""
+        return calibrate_covariance(self.spread, self.fit, constants)
 
-    def nees(self, numbers: CovarianceModel) -> NDArray[np.float64]:
-        """Return the normalised errors squared (N,) with these numbers."""
-        return _nees(self.errors, self.calibrated(numbers))
+    def nees(self, constants: CovarianceModel) -> NDArray[np.float64]:
+        """Return the normalised squared errors (N,) with these constants."""
+        return _nees(self.errors, self.covariances(constants))
 
 
 def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,40 +123,49 @@ def calibrate(answers: Answers) -> CovarianceModel:
     groups = [answers.conditions == condition for condition in np.unique(answers.conditions)]
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
-        numbers = CovarianceModel.of(np.exp(logarithms).tolist())
-        factor, added = compute_scales(answers.around, answers.fit, numbers)
+        constants = CovarianceModel.from_values(np.exp(logarithms).tolist())
+        factor, added = compute_scales(answers.spread, answers.fit, constants)
         variances = factor[:, None] * measured + added[:, :1]
         volume = np.log(variances).sum() / 2
         nees = (squares / variances).sum(1)
-        tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
-        bounded, inside = np.minimum(nees, _SURE_AND_WRONG), expit(np.log(_CHI2_95 / nees) / _SOFT)
-        off = 0.0
-        for own in groups:
-            off += own.sum() * (bounded[own].mean() - _MEAN) ** 2 / (2 * _VARIANCE)
-            off += own.sum() * (inside[own].mean() - _INSIDE) ** 2 / (2 * _INSIDE * (1 - _INSIDE))
-        return float(volume + tail + _OF_CONDITIONS * off)
+        tail = np.log1p(nees / (_STUDENT_DOF - 2)).sum() * (_STUDENT_DOF + 6) / 2
+        bounded, inside = (
+            np.minimum(nees, _MAX_NEES),
+            expit(np.log(_CHI2_95 / nees) / _LOGISTIC_WIDTH),
+        )
+        penalty = 0.0
+        for group in groups:
+            penalty += (
+                group.sum() * (bounded[group].mean() - _NEES_MEAN) ** 2 / (2 * _NEES_VARIANCE)
+            )
+            penalty += (
+                group.sum()
+                * (inside[group].mean() - _INSIDE_SHARE) ** 2
+                / (2 * _INSIDE_SHARE * (1 - _INSIDE_SHARE))
+            )
+        return float(volume + tail + _CONDITION_WEIGHT * penalty)
 
     tried = []
-    for begin in _BEGIN:
-        at = np.log(begin)
-        for _ in range(_RESTARTS):  # the simplex of eight numbers shrinks before it is at the least
-            found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
-            at = found.x
+    for begin in _INITIAL_VALUES:
+        logarithms = np.log(begin)
+        for _ in range(_RESTARTS):  # the simplex may shrink before it reaches the minimum
+            found = minimize(unlikeliness, logarithms, method="Nelder-Mead", options=_SIMPLEX)
+            logarithms = found.x
         tried.append(found)
     best = np.exp(min(tried, key=lambda found: float(found.fun)).x)
-    return CovarianceModel.of([float(f"{number:.3g}") for number in best])
+    return CovarianceModel.from_values([float(f"{number:.3g}") for number in best])
 
 
 def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return measured variances (N, 6) and squared errors (N, 6) along axes that numbers leave.
+    """Return measured variances (N, 6) and squared errors (N, 6) along axes that calibration keeps.
 
     In units of radians, and of metres per metre of depth, a calibrated covariance is a multiple of
     the measured one and a multiple of the identity, so that both have the same axes.
     """
-    depth = answers.around.depth.double().numpy()
+    depth = answers.spread.depth.double().numpy()
     units = np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
     measured, axes = np.linalg.eigh(
-        answers.around.covariance.numpy() / (units[:, :, None] * units[:, None])
+        answers.spread.covariance.numpy() / (units[:, :, None] * units[:, None])
     )
     along = ((answers.errors / units)[:, None] @ axes)[:, 0]
     return measured, along**2
@@ -176,31 +186,31 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--start", default="error=3m,5deg", type=parse_start)
-    parser.add_argument("--weights", type=Path, help="of your own")
+    parser.add_argument("--weights", type=Path, help="your own weights")
     parser.add_argument("--cache", type=Path)
-    parser.add_argument("--out", type=Path, help="file of the numbers to write")
+    parser.add_argument("--out", type=Path, help="file in which the constants are written")
     args = parser.parse_args()
     settings = {} if args.weights is None else {"weights": args.weights}
     cache = args.cache or Path(tempfile.mkdtemp())
-    answers = _together(
+    answers = _stack(
         answer
         for scene in args.scenes
         for dataset in open_datasets(scene)
         for answer in _answers(dataset, create(args.method, settings), args.start, cache)
     )
-    found, now = calibrate(answers), CovarianceModel.beside(args.weights)
+    found, present = calibrate(answers), CovarianceModel.load_beside(args.weights)
     print(found)
     if args.out:
         found.write(args.out, "python -m experiments.covariance")
     _table("found", answers, answers.nees(found))
-    _table("now", answers, answers.nees(now))
-    _table("measured", answers, _nees(answers.errors, answers.around.covariance.numpy()))
+    _table("of the method", answers, answers.nees(present))
+    _table("measured", answers, _nees(answers.errors, answers.spread.covariance.numpy()))
     if len(np.unique(answers.scenes)) > 1:
         _table("found on the other scenes", answers, unseen_nees(answers))
 
 
 _Answer = tuple[str, str, Estimate, Attempt, Pose]
-"""Scene, condition, estimate, what it is of, and the true pose."""
+"""Scene, condition, estimate, the attempt that it comes from, and the true pose."""
 
 
 def _answers(
@@ -230,20 +240,20 @@ def _answers(
             advance(done)
 
 
-def _together(answers: Iterable[_Answer]) -> Answers:
-    scenes, conditions, errors, around, fit, false = [], [], [], [], [], []
+def _stack(answers: Iterable[_Answer]) -> Answers:
+    scenes, conditions, errors, spread, fit, false = [], [], [], [], [], []
     for scene, condition, estimate, attempt, truth in answers:
         assert estimate.cam_from_world is not None and attempt.spread is not None
         assert estimate.covariance is not None
         scenes.append(scene)
         conditions.append(condition)
         errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
-        of_photograph = torch.from_numpy(estimate.covariance)[None]
-        around.append(replace(attempt.spread, covariance=of_photograph))
+        covariance = torch.from_numpy(estimate.covariance)[None]
+        spread.append(replace(attempt.spread, covariance=covariance))
         fit.append(attempt.fit)
         metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
         false.append(metres > 5 or degrees > 10)
-    parts = [torch.cat([getattr(each, field.name) for each in around]) for field in fields(Spread)]
+    parts = [torch.cat([getattr(each, field.name) for each in spread]) for field in fields(Spread)]
     columns = (np.array(scenes), np.array(conditions), np.array(errors))
     return Answers(*columns, Spread(*parts), np.array(fit), np.array(false))
 

@@ -26,8 +26,10 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.storage.images import read_rgb
 
+# Longest side of a depth map (px), and its maximum number of sources.
 _SIZE = 512
 _SOURCES = 6
+# Minimum number of sources that confirm a depth.
 _CONFIRMED = 2
 
 
@@ -36,7 +38,7 @@ def main() -> None:
     """Print one line per photograph, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--every", type=int, default=12, help="take every so many photographs")
+    parser.add_argument("--every", type=int, default=12, help="take every n-th photograph")
     args = parser.parse_args()
     torch.set_num_threads(1)
     scene = Scene.open(args.scene)
@@ -44,7 +46,7 @@ def main() -> None:
     cameras = {image.camera: pinhole_of(image.camera, _SIZE) for image in original.images.values()}
     sparse_map = undistort_map(original, cameras)
     truth = read_truth(scene, sparse_map)
-    pairs = choose_all(sparse_map, _SOURCES, _CONFIRMED)
+    sources_of = choose_all(sparse_map, _SOURCES, _CONFIRMED)
     views = {
         name: _view(scene.images_root / name, image, cameras[image.camera])
         for name, image in original.images.items()
@@ -52,10 +54,10 @@ def main() -> None:
     first: dict[str, torch.Tensor] = {}
     seconds: dict[str, float] = {}
 
-    def of_first(name: str) -> torch.Tensor:
+    def estimate_alone(name: str) -> torch.Tensor:
         """Return the planes of a photograph by itself, computed once."""
         if name not in first:
-            sources = [views[other] for other in pairs[name]]
+            sources = [views[other] for other in sources_of[name]]
             began = time.process_time()
             generator = torch.Generator().manual_seed(0)
             seeds = seeds_in(sparse_map, name)
@@ -64,20 +66,22 @@ def main() -> None:
         return first[name]
 
     costs: list[tuple[float, float]] = []
-    every_off: list[NDArray[np.float64]] = []
-    for name in list(pairs)[args.every // 2 :: args.every]:
-        sources = [views[other] for other in pairs[name]]
-        planes, inverse = of_first(name), [of_first(other)[0] for other in pairs[name]]
+    errors: list[NDArray[np.float64]] = []
+    for name in list(sources_of)[args.every // 2 :: args.every]:
+        sources = [views[other] for other in sources_of[name]]
+        planes, inverse = (
+            estimate_alone(name),
+            [estimate_alone(other)[0] for other in sources_of[name]],
+        )
         began = time.process_time()
         generator = torch.Generator().manual_seed(0)
         last = consistent_estimate(views[name], sources, planes, inverse, generator).planes[0]
-        sure = count_agreeing(views[name], sources, last, inverse) >= _CONFIRMED
+        confirmed = count_agreeing(views[name], sources, last, inverse) >= _CONFIRMED
         costs.append((seconds[name], time.process_time() - began))
-        judged = truth[name].evaluable
-        off = np.where(sure, np.abs(1 / last.numpy() / truth[name].depth - 1), np.inf)[judged]
-        every_off.append(off)
-        print(f"{name}: {_summary(costs[-1:], every_off[-1:])}")
-    print(f"all: {_summary(costs, every_off)}")
+        error = np.where(confirmed, np.abs(1 / last.numpy() / truth[name].depth - 1), np.inf)
+        errors.append(error[truth[name].evaluable])
+        print(f"{name}: {_summary(costs[-1:], errors[-1:])}")
+    print(f"all: {_summary(costs, errors)}")
 
 
 def _view(photograph: Path, image: MapImage, pinhole: Camera) -> StereoView:
@@ -90,14 +94,15 @@ def _view(photograph: Path, image: MapImage, pinhole: Camera) -> StereoView:
     return StereoView(torch.from_numpy(grey), pinhole, image.cam_from_world)
 
 
-def _summary(costs: list[tuple[float, float]], off: list[NDArray[np.float64]]) -> str:
+def _summary(costs: list[tuple[float, float]], errors: list[NDArray[np.float64]]) -> str:
     """Return a line with the cost and the errors of depth maps."""
     alone, compared = np.mean(costs, 0)
-    every = np.concatenate(off)
+    all_errors = np.concatenate(errors)
     return (
-        f"{alone:.2f} s by itself and {compared:.2f} s compared, {np.isfinite(every).mean():.1%} "
-        f"of pixels have a depth, {np.mean(every < 0.005):.1%} within 0.5 %, median error "
-        f"{np.median(every[np.isfinite(every)]):.3%}"
+        f"{alone:.2f} s by itself and {compared:.2f} s compared, "
+        f"{np.isfinite(all_errors).mean():.1%} of pixels have a depth, "
+        f"{np.mean(all_errors < 0.005):.1%} within 0.5 %, median error "
+        f"{np.median(all_errors[np.isfinite(all_errors)]):.3%}"
     )
 
 

@@ -19,10 +19,10 @@ import torch
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import parse_start
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 
-SCENE: Final = Path(__file__).parents[1] / "tests" / "data" / "gate-snow"
 METHODS: Final = ("objconnect", "pixloc", "pixloc-search", "place", "d2net")
 STARTS: Final = ("error=3m,5deg", "none")
 
@@ -42,10 +42,10 @@ class Answers(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line per method and start."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", type=Path, nargs="?", default=SCENE)
+    parser.add_argument("scene", type=Path, nargs="?", default=GATE_SCENES["gate-snow"])
     parser.add_argument("--methods", nargs="+", default=METHODS)
     parser.add_argument("--device", default="cuda", help="compared with cpu")
-    parser.add_argument("--every", type=int, default=1, help="take every so many queries")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th query")
     args = parser.parse_args(arguments)
     if args.device != "cpu" and not torch.cuda.is_available():
         print("torch finds no CUDA device here: there is nothing to compare")
@@ -53,11 +53,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     (dataset,) = open_datasets(args.scene)
     for method in args.methods:
         for start in STARTS:
-            both = [answers(dataset, method, d, start, args.every) for d in ("cpu", args.device)]
+            both = [
+                localize_queries(dataset, method, d, start, args.every)
+                for d in ("cpu", args.device)
+            ]
             print(f"{method}, {start}: {compare(*both)}", flush=True)
 
 
-def answers(dataset: Dataset, method: str, device: str, start: str, every: int = 1) -> Answers:
+def localize_queries(
+    dataset: Dataset, method: str, device: str, start: str, every: int = 1
+) -> Answers:
     """Localize every n-th query of a data set on a device."""
     settings = (
         {"device": device} if method == "d2net" else {"device": device, "precision": "float32"}
@@ -67,7 +72,7 @@ def answers(dataset: Dataset, method: str, device: str, start: str, every: int =
         load = parse_start(start).loader(dataset, sparse_map, Path(folder))
         localizer.prepare(sparse_map, dataset.images, Path(folder))
         queries = [load(query) for query in dataset.queries[::every]]
-        localizer.localize(queries[0])  # what is made once
+        localizer.localize(queries[0])  # warm-up
         begin = time.perf_counter()
         poses = {query.name: localizer.localize(query).cam_from_world for query in queries}
         return Answers(poses, time.perf_counter() - begin)
@@ -75,18 +80,22 @@ def answers(dataset: Dataset, method: str, device: str, start: str, every: int =
 
 def compare(first: Answers, second: Answers) -> str:
     """Return a line with the differences of poses of two devices and the ratio of seconds."""
-    apart = [
+    differences = [
         tuple(map(float, pose.error_to(other)))
         for name, pose in first.poses.items()
         if pose is not None and (other := second.poses[name]) is not None
     ]
     metres, degrees = (
-        (max(each, default=0.0) for each in zip(*apart, strict=True)) if apart else (0.0, 0.0)
+        (max(each, default=0.0) for each in zip(*differences, strict=True))
+        if differences
+        else (0.0, 0.0)
     )
-    one = sum((pose is None) != (second.poses[name] is None) for name, pose in first.poses.items())
+    on_one_device = sum(
+        (pose is None) != (second.poses[name] is None) for name, pose in first.poses.items()
+    )
     return (
-        f"{len(apart)} poses, at most {metres:.2g} m and {degrees:.2g} deg apart, {one} of one "
-        f"device alone; {second.seconds / first.seconds:.2f} of the seconds"
+        f"{len(differences)} poses, at most {metres:.2g} m and {degrees:.2g} deg apart, "
+        f"{on_one_device} of one device alone; {second.seconds / first.seconds:.2f} of the seconds"
     )
 
 

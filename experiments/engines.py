@@ -44,12 +44,13 @@ ENGINES: Final = {
     "onnxruntime": ("float32", "integers"),
     "openvino": ("float32", "bfloat16", "integers"),
 }
+# Sides of the pictures (px), passes per side, and number of sizes between.
 _SIDES: Final = (512, 720)
 _REPEATS: Final = 9
 _SIZES: Final = 24
 
 
-class Whole(nn.Module):
+class ExportableNet(nn.Module):
     """The network without parts that engines do not support: tiled and on-demand maps."""
 
     def __init__(self, network: ObjConnectNet) -> None:
@@ -58,7 +59,7 @@ class Whole(nn.Module):
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Return features and confidences of each level, coarse to fine."""
-        network, made = self.network, list[Tensor]()
+        network, outputs = self.network, list[Tensor]()
         strides = network.config.strides
         *skips, maps = encode(network.encoder, image, strides[-1])
         steps = [None, *network.decoder.children()]
@@ -66,17 +67,18 @@ class Whole(nn.Module):
             if step is not None:
                 up = functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
                 maps = step(torch.cat([up, skips.pop()], 1))
+            # The encoder's last stride is 16; each step of the decoder halves it.
             if (stride := 16 >> number) in strides:
                 level = strides.index(stride)
-                made += [network.features[level](maps), network.confidence[level](maps).neg()]
-        return made
+                outputs += [network.features[level](maps), network.confidence[level](maps).neg()]
+        return outputs
 
 
-def of_torch(numbers: str) -> Pass:
+def torch_pass(number_format: str) -> Pass:
     """Return a pass of the network as the localizer runs it."""
     network, _ = read_network(SHIPPED)
-    fuse_layers(network, "float32" if numbers == "float32" else "bfloat16")
-    if numbers == "integers":
+    fuse_layers(network, "float32" if number_format == "float32" else "bfloat16")
+    if number_format == "integers":
         with torch.inference_mode(), torch.autocast("cpu"), largest_values(network) as largest:
             network(torch.rand(1, 3, 256, 256))
         scales = {name: values.clamp(min=1e-3) / 255 for name, values in largest.items()}
@@ -85,28 +87,33 @@ def of_torch(numbers: str) -> Pass:
     @torch.inference_mode()
     def run(picture: NDArray[np.float32]) -> object:
         image = torch.from_numpy(picture).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", enabled=numbers != "float32"):
+        with torch.autocast("cpu", enabled=number_format != "float32"):
             return network(image)
 
     return run
 
 
-def of_engine(engine: str, numbers: str, threads: int, folder: Path) -> Pass:
+def engine_pass(engine: str, number_format: str, threads: int, folder: Path) -> Pass:
     """Return a pass of the exported network in an engine."""
     file = folder / "network.onnx"
     network, _ = read_network(SHIPPED)
     axes = {"image": {2: "height", 3: "width"}}
     example = (torch.rand(1, 3, 256, 256),)
     torch.onnx.export(
-        Whole(network), example, file, input_names=["image"], dynamic_axes=axes, dynamo=False
+        ExportableNet(network),
+        example,
+        file,
+        input_names=["image"],
+        dynamic_axes=axes,
+        dynamo=False,
     )
-    if numbers == "integers":
-        file = _in_integers(file)
+    if number_format == "integers":
+        file = _quantize(file)
     if engine == "openvino":
         import openvino
 
         settings = {
-            "INFERENCE_PRECISION_HINT": "f32" if numbers == "float32" else "bf16",
+            "INFERENCE_PRECISION_HINT": "f32" if number_format == "float32" else "bf16",
             "INFERENCE_NUM_THREADS": threads,
             "PERFORMANCE_HINT": "LATENCY",
         }
@@ -120,7 +127,7 @@ def of_engine(engine: str, numbers: str, threads: int, folder: Path) -> Pass:
     return lambda picture: session.run(None, {"image": picture})
 
 
-def _in_integers(file: Path) -> Path:
+def _quantize(file: Path) -> Path:
     """Quantize an exported network by the values that it has in two random pictures."""
     from onnxruntime import quantization as onnx
 
@@ -150,8 +157,8 @@ def measure(run: Pass) -> list[float]:
         return perf_counter() - begin
 
     fixed = [median([seconds(_picture(side)) for _ in range(_REPEATS)]) for side in _SIDES]
-    anew = [seconds(_picture(int(side))) for side in sizes]
-    return [1e3 * each for each in (*fixed, sum(anew) / _SIZES)]
+    each_once = [seconds(_picture(int(side))) for side in sizes]
+    return [1e3 * each for each in (*fixed, sum(each_once) / _SIZES)]
 
 
 def main() -> None:
@@ -163,21 +170,25 @@ def main() -> None:
     if args.one is None:
         print(f"{'':24} {'512':>6} {'720':>6} {'any':>6} ms {'held':>6} MB")
         for engine, formats in ENGINES.items():
-            for numbers in formats:
-                words = ["--threads", str(args.threads), "--one", engine, numbers]
-                subprocess.run([sys.executable, "-m", __spec__.name, *words], check=True)
+            for number_format in formats:
+                arguments = ["--threads", str(args.threads), "--one", engine, number_format]
+                subprocess.run([sys.executable, "-m", __spec__.name, *arguments], check=True)
         return
     torch.set_num_threads(args.threads)
-    engine, numbers = args.one
+    engine, number_format = args.one
     before = resident_bytes()
     with tempfile.TemporaryDirectory() as folder:
         if engine == "torch":
-            run = of_torch(numbers)
+            run = torch_pass(number_format)
         else:
-            run = of_engine(engine, numbers, args.threads, Path(folder))
+            run = engine_pass(engine, number_format, args.threads, Path(folder))
         cost = measure(run)
-        held = (resident_bytes() - before) / 1e6
-    print(f"{engine + ' ' + numbers:24}", *(f"{each:6.1f}" for each in cost), f"   {held:6.0f}")
+        growth_mb = (resident_bytes() - before) / 1e6
+    print(
+        f"{engine + ' ' + number_format:24}",
+        *(f"{each:6.1f}" for each in cost),
+        f"   {growth_mb:6.0f}",
+    )
 
 
 if __name__ == "__main__":

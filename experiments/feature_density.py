@@ -34,14 +34,14 @@ _KINDS = GROUPS[1:]
 _SMALL = _KINDS.index("small")
 
 
-class _Places(NamedTuple):
+class _WeightedPoints(NamedTuple):
     """World points (N, 3) of the features of a photograph, and their weights (N,)."""
 
     xyz: NDArray[np.float64]
     weight: NDArray[np.float64]
 
 
-def _make(method: str) -> Localizer:
+def _create_localizer(method: str) -> Localizer:
     if method == "objects":
         return create(
             "objconnect", {"weights": SHIPPED.with_name("objconnect-objects.safetensors")}
@@ -49,15 +49,15 @@ def _make(method: str) -> Localizer:
     return create(method, {})
 
 
-def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
+def _feature_points(localizer: Localizer, row: int) -> Iterator[_WeightedPoints]:
     """Yield the features with equal weights, then with their confidences."""
     if isinstance(localizer, StructureLocalizer):
         xyz = localizer._lifted(row).xyz
-        yield _Places(xyz, np.ones(len(xyz)))
+        yield _WeightedPoints(xyz, np.ones(len(xyz)))
     elif isinstance(localizer, FeaturemetricLocalizer):
-        seen = localizer.map_state.refine.problems.observations[row]
-        yield _Places(seen.xyz, np.ones(len(seen.xyz)))
-        yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
+        observations = localizer.map_state.refine.problems.observations[row]
+        yield _WeightedPoints(observations.xyz, np.ones(len(observations.xyz)))
+        yield _WeightedPoints(observations.xyz, observations.confidence.astype(np.float64).prod(1))
 
 
 def _identify(
@@ -80,31 +80,31 @@ def main(path: Path, cache: Path) -> None:
         for image, layers in scene.layers_of_map(sparse_map, "instance")
     }
     pixels = np.bincount(groups.of(np.stack(list(instances.values()))).ravel(), minlength=4)
-    print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
-          + "  small to all  small things with one")  # fmt: skip
+    print("features per 1000 px   all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
+          + "  small to all  small objects with one")  # fmt: skip
     for method in _METHODS:
-        localizer = _make(method)
+        localizer = _create_localizer(method)
         localizer.prepare(sparse_map, dataset.images, cache)
         totals: list[NDArray[np.float64]] = []
-        shown = met = 0
+        shown = with_feature = 0
         for row, name in enumerate(sparse_map.names):
             image, instance = sparse_map.images[name], instances[name]
-            seen = np.unique(instance)
-            things = set(seen[groups.of(seen) == _SMALL].tolist())
-            for turn, places in enumerate(_places(localizer, row)):
-                on = _identify(image, places.xyz, instance)
-                counted = np.bincount(groups.of(on), places.weight, minlength=4)
-                if turn == len(totals):
+            ids = np.unique(instance)
+            small_ids = set(ids[groups.of(ids) == _SMALL].tolist())
+            for weighting, features in enumerate(_feature_points(localizer, row)):
+                ids_at_features = _identify(image, features.xyz, instance)
+                counted = np.bincount(groups.of(ids_at_features), features.weight, minlength=4)
+                if weighting == len(totals):
                     totals.append(np.zeros(4))
-                totals[turn] += counted
-                if turn == 0:
-                    shown += len(things)
-                    met += len(things.intersection(on.tolist()))
-        for turn, total in enumerate(totals):
+                totals[weighting] += counted
+                if weighting == 0:
+                    shown += len(small_ids)
+                    with_feature += len(small_ids.intersection(ids_at_features.tolist()))
+        for weighting, total in enumerate(totals):
             each, overall = 1000 * total / pixels, 1000 * total.sum() / pixels.sum()
-            end = f"  {met / shown:.0%} of {shown}" if turn == 0 else ""
+            end = f"  {with_feature / shown:.0%} of {shown}" if weighting == 0 else ""
             print(
-                f"{method + ('', ', weighed')[turn]:20s}{overall:7.2f}  "
+                f"{method + ('', ', weighed')[weighting]:20s}{overall:7.2f}  "
                 + "  ".join(f"{value:7.2f}" for value in each)
                 + f"  {each[_SMALL] / overall:12.2f}{end}",
                 flush=True,

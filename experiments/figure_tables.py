@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from math import sqrt
-from statistics import stdev
 from typing import Final
 
 import numpy as np
@@ -14,29 +12,36 @@ from benchmark.report.board.cells import conditions, parts
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.markdown import line
 from benchmark.results.query_result import QueryResult
-from benchmark.scoring.score import Interval, false_fixes, recall
+from benchmark.scoring.intervals import Interval
+from benchmark.scoring.score import false_fixes, recall, worse_than_prior, wrong_answers
 from benchmark.scoring.uncertainty import consistency
 from experiments.figure_values import (
     FOUND,
-    ask,
-    known,
+    asked_by_all,
+    look_up,
     percent,
     select,
     track_of,
-    wrong_count,
 )
 from objconnect.scene.errors import InputError
-from objconnect.scene.localizer import Status
 
 Boards = Mapping[str, TrackBoard]
 
-# The columns of the table of methods: starts, and the prior that each gives a method.
+# The columns of the table of methods: each start, and the prior that it gives to a method.
 _PRIORS: Final = {
     "error=3m,5deg": "prior off by 3 m, 5°",
     "gps=50m": "position off by 50 m, no heading",
     "none": "no prior",
 }
 _TRACK: Final = "uav-seasons"
+
+_Share = Callable[[Sequence[QueryResult]], Interval | None]
+# The figures of integrity; all queries of a stored run have a prior, or none has.
+_INTEGRITY: Final[Mapping[str, _Share]] = {
+    "false fixes": false_fixes,
+    "> 1 m": wrong_answers,
+    "worse than prior": worse_than_prior,
+}
 
 
 def methods(boards: Boards) -> str:
@@ -48,18 +53,21 @@ def methods(boards: Boards) -> str:
     """
     board = track_of(boards, _TRACK)
     rows = {start: _shared(board, start) for start in _PRIORS}
-    head = [f"{prior} ({len(rows[start])})" for start, prior in _PRIORS.items()]
-    lines = [["method", *head, "false fixes"]]
+    head = [f"{prior} ({_size(board, rows[start])})" for start, prior in _PRIORS.items()]
+    lines = [["method", *head, *_INTEGRITY]]
     for method in board.track.methods:
         runs = {run.start: run for run in board.runs if run.method == method}
-        answers = [runs[s].of(rows[s]) if s in runs else None for s in _PRIORS]
-        recalls = ["–" if a is None else _cell(recall(a, FOUND)) for a in answers]
-        wrong = ["–" if a is None else str(wrong_count(a)) for a in answers]
-        lines.append([f"`{method}`", *recalls, ", ".join(wrong)])
+        answers = [runs[s].answers_at(rows[s]) if s in runs else None for s in _PRIORS]
+        recalls = ["–" if a is None else recall(a, FOUND).text() for a in answers]
+        counts = [
+            ", ".join("–" if a is None else _count(share(a), a) for a in answers)
+            for share in _INTEGRITY.values()
+        ]
+        lines.append([f"`{method}`", *recalls, *counts])
     return _markdown(lines)
 
 
-def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "changed") -> str:
+def recall_by(boards: Boards, track: str, start: str, by: str, queries: str = "changed") -> str:
     """Return recall at 0.5 m and 5 degrees: a column for each method, intervals in the last row.
 
     Args:
@@ -67,7 +75,7 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
         track: name of the track.
         start: name of the start.
         by: what has a row of its own: ``part`` or ``condition``.
-        season: words that choose the queries.
+        queries: words that choose the queries, see ``figure_values.QUERIES_HELP``.
 
     Raises:
         InputError: a name is unknown.
@@ -75,18 +83,23 @@ def recall_by(boards: Boards, track: str, start: str, by: str, season: str = "ch
     board = track_of(boards, track)
     runs = _runs(board, start)
     lines = [["", *(f"`{run.method}`" for run in runs)]]
-    for name in _row_names(board, by, season):
-        lines.append(_row(name, runs, select(board, f"{season}+{name}"), _short))
-    everything = select(board, season)
-    lines.append(_row("all", runs, everything, _cell))
-    lines.append(["false fixes", *(_wrong_of(run, everything) for run in runs)])
+    for name in _row_names(board, by, queries):
+        lines.append(_row(board, name, runs, select(board, f"{queries}+{name}"), _short))
+    everything = select(board, queries)
+    lines.append(_row(board, "all", runs, everything, Interval.text))
+    lines += [
+        [name, *(_count_with_share(share, run, everything) for run in runs)]
+        for name, share in _INTEGRITY.items()
+        if any(share(run.answers_at(everything)) for run in runs)
+    ]
     return _markdown(lines)
 
 
 def covariances(boards: Boards, track: str, method: str) -> str:
     """Return how a method's errors compare with its covariances, by condition and start.
 
-    Cells hold the mean NEES with its standard error, and the percentage in the 95 % ellipsoid.
+    Cells hold the mean NEES and the percentage in the 95 % ellipsoid; those of all queries hold
+    their intervals by course too, which few courses of a condition would leave meaningless.
 
     Raises:
         InputError: a name is unknown.
@@ -96,7 +109,8 @@ def covariances(boards: Boards, track: str, method: str) -> str:
     lines = [["", *(f"`{run.start}`" for run in runs)]]
     for name in ("all", *conditions(board.queries)):
         rows = select(board, name)
-        lines.append([name, *(_consistency(run.of(rows)) for run in runs)])
+        text = _consistency_with_intervals if name == "all" else _consistency
+        lines.append([name, *(text(run.answers_at(rows)) for run in runs)])
     return _markdown(lines)
 
 
@@ -115,7 +129,7 @@ def table(boards: Boards, words: str) -> str:
         InputError: a word is unknown, or there are too many or too few.
     """
     name, *arguments = words.split()
-    make = known(TABLES, name, "table")
+    make = look_up(TABLES, name, "table")
     try:
         return make(boards, *arguments)
     except TypeError as error:
@@ -123,13 +137,13 @@ def table(boards: Boards, words: str) -> str:
 
 
 def _asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of some queries that at least one method was asked."""
+    """Return those of the queries ``rows`` that at least one method was asked."""
     return rows[np.array([run.has[rows] for run in runs]).any(axis=0)]
 
 
 def _shared(board: TrackBoard, start: str) -> NDArray[np.int64]:
     """Return the changed queries that all methods with results from a start were asked."""
-    return ask(*_runs(board, start), rows=select(board, "changed"))
+    return asked_by_all(*_runs(board, start), rows=select(board, "changed"))
 
 
 def _runs(board: TrackBoard, start: str) -> list[BoardRun]:
@@ -139,51 +153,67 @@ def _runs(board: TrackBoard, start: str) -> list[BoardRun]:
     return found
 
 
-def _row_names(board: TrackBoard, by: str, season: str) -> tuple[str, ...]:
+def _row_names(board: TrackBoard, by: str, queries: str) -> tuple[str, ...]:
     names = {
         "part": parts(board.queries),
-        "condition": conditions([board.queries[row] for row in select(board, season)]),
+        "condition": conditions([board.queries[row] for row in select(board, queries)]),
     }
-    return known(names, by, "kind of row")
+    return look_up(names, by, "kind of row")
+
+
+def _size(board: TrackBoard, rows: NDArray[np.int64]) -> str:
+    """Return the numbers of queries and of their courses, such as ``1680, 14 courses``."""
+    courses = len(np.unique(board.courses[rows]))
+    return f"{len(rows)}, {courses} {'course' if courses == 1 else 'courses'}"
 
 
 def _row(
-    name: str, runs: Sequence[BoardRun], rows: NDArray[np.int64], text: Callable[[Interval], str]
+    board: TrackBoard,
+    name: str,
+    runs: Sequence[BoardRun],
+    rows: NDArray[np.int64],
+    text: Callable[[Interval], str],
 ) -> list[str]:
     """Return a row of recalls. A method that was asked fewer queries than others says how many."""
-    shown = len(_asked_by_any(runs, rows))
-    cells = [f"{name} ({shown})"]
-    for answers in (run.of(rows) for run in runs):
+    asked = _asked_by_any(runs, rows)
+    shown = len(asked)
+    cells = [f"{name} ({_size(board, asked)})"]
+    for answers in (run.answers_at(rows) for run in runs):
         cell = text(recall(answers, FOUND)) if answers else "–"
-        cells.append(cell if len(answers) in (0, shown) else f"{cell} of {len(answers)}")
+        cells.append(cell if len(answers) in (0, shown) else f"{cell} ({len(answers)})")
     return cells
 
 
-def _wrong_of(run: BoardRun, rows: NDArray[np.int64]) -> str:
-    answers = run.of(rows)
-    return f"{wrong_count(answers)} ({percent(false_fixes(answers))})"
+def _count_with_share(share: _Share, run: BoardRun, rows: NDArray[np.int64]) -> str:
+    answers = run.answers_at(rows)
+    found = share(answers)
+    return "–" if found is None else f"{_count(found, answers)} ({percent(found)})"
+
+
+def _count(share: Interval | None, answers: Sequence[QueryResult]) -> str:
+    """Return how many of the answers a share counts; a dash where it is unknown."""
+    return "–" if share is None else str(round(share.value * len(answers) / 100))
 
 
 def _consistency(answers: Sequence[QueryResult]) -> str:
     found = consistency(answers)
-    if found is None or found.queries < 2:
+    return "–" if found is None else f"{found.mean:.2f}, {found.within_95.value:.1f}"
+
+
+def _consistency_with_intervals(answers: Sequence[QueryResult]) -> str:
+    found = consistency(answers)
+    if found is None:
         return "–"
-    values = [a.nees for a in answers if a.status is Status.OK and a.nees is not None]
-    error = stdev(values) / sqrt(len(values))
-    return f"{found.mean:.2f}±{error:.2f}, {found.within_95.value:.1f}"
+    ends = "–" if found.ends is None else f"{found.ends[0]:.2f}, {found.ends[1]:.2f}"
+    return f"{found.mean:.2f} [{ends}], {found.within_95.text()}"
 
 
 def _short(share: Interval) -> str:
     return f"{share.value:.1f}"
 
 
-def _cell(share: Interval) -> str:
-    """Return a share and its interval in percent, without the sign."""
-    return f"{_short(share)} [{share.low:.1f}, {share.high:.1f}]"
-
-
 def _markdown(lines: Sequence[Sequence[str]]) -> str:
     """Return lines as a table whose first column is aligned left."""
     head, *body = lines
-    marks = ["---"] + ["--:"] * (len(head) - 1)
-    return "\n".join(line(cells) for cells in (head, marks, *body)) + "\n"
+    marks = "|---" + "|--:" * (len(head) - 1) + "|"
+    return "\n".join([line(head), marks, *map(line, body)]) + "\n"

@@ -1,4 +1,4 @@
-"""Figures of some queries of a track, from the results that ``benchmark/tracks/`` keeps.
+"""Figures of chosen queries of a track, from the results that ``benchmark/tracks/`` keeps.
 
 ``uav-seasons/none/objconnect/changed`` names one: the track, the start, the method and the queries.
 Words of ``QUERIES_HELP`` choose the queries, joined by ``+``; a fifth part names another figure
@@ -13,26 +13,39 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.report.board.pairing import reason_against
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.markdown import nees_text
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.clustered import permutation_p
-from benchmark.scoring.paired import mcnemar
-from benchmark.scoring.score import FALSE_FIX, THRESHOLDS, Interval, false_fixes, is_correct, recall
+from benchmark.scoring.intervals import Interval
+from benchmark.scoring.score import (
+    FALSE_FIX,
+    THRESHOLDS,
+    false_fixes,
+    is_correct,
+    is_worse_than_prior,
+    is_wrong,
+    recall,
+    worse_than_prior,
+    wrong_answers,
+)
 from benchmark.scoring.uncertainty import consistency
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Status
 
 FINE, FOUND = THRESHOLDS[0], THRESHOLDS[1]
+"""Thresholds of recall: 0.25 m and 2 degrees, 0.5 m and 5 degrees."""
 
 _Named = TypeVar("_Named")
 
 QUERIES_HELP: Final = (
-    "same, changed or all; snow; a condition, a part or a data set of the track; with:METHOD for "
-    "the queries that another method was asked too"
+    "same, changed or all; seen, unseen-condition, unseen-place or unseen-both; snow; a condition, "
+    "a part or a data set of the track; with:METHOD for the queries that another method was asked "
+    "too"
 )
-# Least p value that is written as a number; below it the sums of a binomial underflow.
-_LEAST_P: Final = 1e-300
+# Smallest p value that is written as a number; below it the sums of a binomial underflow.
+_MIN_P: Final = 1e-300
 
 
 def percent(share: Interval) -> str:
@@ -41,30 +54,35 @@ def percent(share: Interval) -> str:
 
 
 def with_interval(share: Interval) -> str:
-    """Return a share with its interval, such as ``96.4 % [95.2, 97.2]``."""
-    return f"{percent(share)} [{share.low:.1f}, {share.high:.1f}]"
+    """Return a share with its interval by course, such as ``96.4 % [95.2, 97.2]``."""
+    return share.text().replace(" [", " % [")
 
 
 def p_text(p: float | None) -> str:
     """Return a p value with one digit, such as ``0.02`` or ``6e-14``; a dash for None."""
     if p is None:
         return "–"
-    if p < _LEAST_P:
-        return f"< {_LEAST_P:.0e}"
+    if p < _MIN_P:
+        return f"< {_MIN_P:.0e}"
     if p >= 0.0001:
         return f"{p:.1g}"
     digit, power = f"{p:.0e}".split("e")
     return f"{digit}e{int(power)}"
 
 
-def wrong_count(answers: Sequence[QueryResult]) -> int:
+def count_false_fixes(answers: Sequence[QueryResult]) -> int:
     """Return the number of false fixes."""
     return round(false_fixes(answers).value * len(answers) / 100)
 
 
-def wrong_by(answers: Sequence[QueryResult], metres: float) -> int:
-    """Return how many answers of status ``ok`` are wrong by more than so many metres."""
-    return sum(a.status is Status.OK and (a.t_err_m or 0.0) > metres for a in answers)
+def count_courses(answers: Sequence[QueryResult]) -> int:
+    """Return the number of courses of the queries."""
+    return len({answer.cluster for answer in answers})
+
+
+def _worse(answers: Sequence[QueryResult]) -> str:
+    found = worse_than_prior(answers)
+    return "–" if found is None else percent(found)
 
 
 def _nees(answers: Sequence[QueryResult]) -> str:
@@ -85,17 +103,21 @@ FIGURES: Final[Mapping[str, Callable[[Sequence[QueryResult]], str]]] = {
     "found": lambda answers: str(sum(is_correct(a, FOUND) for a in answers)),
     "missed": lambda answers: str(sum(not is_correct(a, FOUND) for a in answers)),
     "queries": lambda answers: str(len(answers)),
+    "courses": lambda answers: str(count_courses(answers)),
     "unanswered": lambda answers: str(sum(a.status is not Status.OK for a in answers)),
-    "false": lambda answers: str(wrong_count(answers)),
+    "false": lambda answers: str(count_false_fixes(answers)),
     "false-share": lambda answers: percent(false_fixes(answers)),
-    "wrong-1m": lambda answers: str(wrong_by(answers, 1.0)),
+    "wrong-1m": lambda answers: str(sum(is_wrong(a) for a in answers)),
+    "wrong-1m-share": lambda answers: percent(wrong_answers(answers)),
+    "worse": lambda answers: str(sum(is_worse_than_prior(a) for a in answers)),
+    "worse-share": _worse,
     "nees": _nees,
     "within": _within,
 }
 """Figures of a method: recall within 0.5 m and 5 degrees alone, with its interval, within 0.25 m
-and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, without an answer; false
-fixes as a count and a share; answers wrong by more than 1 m; mean NEES; share of errors in the
-95 % ellipsoid."""
+and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, their courses, queries
+without an answer; false fixes, answers wrong by more than 1 m, and answers worse than their prior,
+each as a count and a share; mean NEES; share of errors in the 95 % ellipsoid."""
 
 
 class Pair:
@@ -108,19 +130,18 @@ class Pair:
     """
 
     def __init__(self, board: TrackBoard, first: BoardRun, second: BoardRun, words: str) -> None:
-        self.rows = ask(first, second, rows=select(board, words))
-        before, after = (run.correct[1, self.rows] for run in (second, first))
-        self.won, self.lost = int((after & ~before).sum()), int((before & ~after).sum())
-        self._samples = before.tolist(), after.tolist(), board.flights[self.rows].tolist()
+        self.rows = asked_by_all(first, second, rows=select(board, words))
+        datasets = {board.queries[row].dataset for row in self.rows}
+        if reason := reason_against(board.track.controls, first, second, sorted(datasets)):
+            raise InputError(f"{first.method} and {second.method} are not compared: {reason}")
+        by_first, by_second = (run.correct[1, self.rows] for run in (first, second))
+        self.won = int((by_first & ~by_second).sum())
+        self.lost = int((by_second & ~by_first).sum())
+        self._samples = by_second.tolist(), by_first.tolist(), board.courses[self.rows].tolist()
 
     @property
-    def p(self) -> float:
-        """Return p of McNemar's exact test, two-sided, as if queries were independent."""
-        return mcnemar(self.lost, self.won)
-
-    @property
-    def flight_p(self) -> float | None:
-        """Return p of the test that exchanges the methods flight by flight."""
+    def p(self) -> float | None:
+        """Return p of the test that exchanges the methods course by course."""
         return permutation_p(*self._samples)
 
 
@@ -128,7 +149,6 @@ PAIRED: Final[Mapping[str, Callable[[Pair], str]]] = {
     "won": lambda pair: str(pair.won),
     "lost": lambda pair: str(pair.lost),
     "p": lambda pair: p_text(pair.p),
-    "flight-p": lambda pair: p_text(pair.flight_p),
 }
 """Figures of a method against another one, named as ``won=sift``."""
 
@@ -151,21 +171,21 @@ def value(boards: Mapping[str, TrackBoard], name: str) -> str:
     board = track_of(boards, track)
     run = run_of(board, start, method)
     if other:
-        of_pair = known(PAIRED, figure, "paired figure")
+        of_pair = look_up(PAIRED, figure, "paired figure")
         return of_pair(Pair(board, run, run_of(board, start, other), words))
-    of_answers = known(FIGURES, figure, "figure")
-    return of_answers(run.of(ask(run, rows=select(board, words))))
+    of_answers = look_up(FIGURES, figure, "figure")
+    return of_answers(run.answers_at(asked_by_all(run, rows=select(board, words))))
 
 
-def known(of: Mapping[str, _Named], name: str, what: str) -> _Named:
-    """Return what has a name.
+def look_up(entries: Mapping[str, _Named], name: str, kind: str) -> _Named:
+    """Return the entry of a name.
 
     Raises:
-        InputError: nothing has it.
+        InputError: there is none.
     """
-    if name not in of:
-        raise InputError(f"there is no {what} {name!r}; there are {', '.join(of)}")
-    return of[name]
+    if name not in entries:
+        raise InputError(f"there is no {kind} {name!r}; there are {', '.join(entries)}")
+    return entries[name]
 
 
 def track_of(boards: Mapping[str, TrackBoard], name: str) -> TrackBoard:
@@ -174,7 +194,7 @@ def track_of(boards: Mapping[str, TrackBoard], name: str) -> TrackBoard:
     Raises:
         InputError: there is none.
     """
-    return known(boards, name, "track")
+    return look_up(boards, name, "track")
 
 
 def run_of(board: TrackBoard, start: str, method: str) -> BoardRun:
@@ -184,11 +204,11 @@ def run_of(board: TrackBoard, start: str, method: str) -> BoardRun:
         InputError: the track keeps none.
     """
     runs = {f"{run.start}/{run.method}": run for run in board.runs}
-    return known(runs, f"{start}/{method}", f"run of {board.track.name}")
+    return look_up(runs, f"{start}/{method}", f"run of {board.track.name}")
 
 
-def ask(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of some queries that every method was asked.
+def asked_by_all(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return those of the queries ``rows`` that every method was asked.
 
     Raises:
         InputError: there is none.
@@ -224,7 +244,7 @@ def _chosen_by(board: TrackBoard, word: str) -> NDArray[np.bool_]:
         return np.array([run.has for run in runs]).any(axis=0)
     flags = []
     for query in board.queries:
-        names = {"all", "same" if query.same else "changed", query.dataset}
+        names = {"all", "same" if query.same else "changed", query.dataset, query.novelty}
         names |= {query.row.condition, query.row.part}
         if query.row.condition.startswith("snow"):
             names.add("snow")

@@ -1,6 +1,6 @@
 """Insert figures of the stored results into README.md and docs/.
 
-``python -m experiments.figures`` fails where a document says something else than the results in
+``python -m experiments.figures`` fails where a document differs from the results in
 ``benchmark/tracks/*/results``; with ``--write`` it mends the documents.
 
 A table stands between two comments, each on a line of its own. The first one names the table and
@@ -23,7 +23,7 @@ queries, and another figure than the recall where that is asked for, see
 
 The part between the comments may be anything; ``--write`` fills it. Such a comment must not begin a
 line, since Markdown takes that for a block (the second line above is wrong). Tables of a command,
-such as ``<!-- figures: make demo -->``, belong to others and stay as they are.
+such as ``<!-- figures: make demo -->``, are written by that command and stay as they are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.report.board.runs import TrackBoard, read_boards
-from benchmark.tracks.description import BOARD
+from benchmark.tracks.description import TRACKS_FOLDER
 from experiments.figure_tables import table
 from experiments.figure_values import value
 from objconnect.scene.errors import InputError
@@ -52,7 +52,7 @@ _FIGURE: Final = re.compile(
     r"(?P<begin><!--figure:(?P<words>[^\s>]+)-->)(?P<text>[^\n]*?)(?P<end><!--end-->)"
 )
 _AT_LINE_START: Final = re.compile(r"^[ >*-]*<!--figure:(\S+?)-->", re.MULTILINE)
-# Tables that a command measures anew; tests of their own hold them.
+# Beginnings of the names of tables that a command writes; other tests check these tables.
 _OF_COMMANDS: Final = ("make ", "python ")
 
 
@@ -61,7 +61,7 @@ def documents() -> list[Path]:
     return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
-def inserted(boards: Mapping[str, TrackBoard], text: str) -> str:
+def insert_figures(boards: Mapping[str, TrackBoard], text: str) -> str:
     """Return a document with the figures of the stored results.
 
     Raises:
@@ -82,25 +82,25 @@ def _replacement(make: Callable[[str], str]) -> Callable[[re.Match[str]], str]:
     return replace
 
 
-def stale(boards: Mapping[str, TrackBoard], text: str) -> Iterator[str]:
+def list_stale(boards: Mapping[str, TrackBoard], text: str) -> Iterator[str]:
     """Yield each line of a document that differs from the stored results, and what it has to be.
 
     Raises:
-        InputError: for the reasons of ``inserted``.
+        InputError: for the reasons of ``insert_figures``.
     """
-    made = inserted(boards, text).splitlines()
+    stored = insert_figures(boards, text).splitlines()
     stated = text.splitlines()
-    if len(made) != len(stated):
-        yield f"{len(stated)} lines, with the stored results {len(made)}"
+    if len(stored) != len(stated):
+        yield f"{len(stated)} lines, with the stored results {len(stored)}"
         return
-    for number, (said, is_) in enumerate(zip(stated, made, strict=True), 1):
-        if said != is_:
-            yield f"line {number}: {said}\n  stored: {is_}"
+    for number, (stated_line, stored_line) in enumerate(zip(stated, stored, strict=True), 1):
+        if stated_line != stored_line:
+            yield f"line {number}: {stated_line}\n  stored: {stored_line}"
 
 
 def stored_results() -> dict[str, TrackBoard]:
     """Return the tracks that come with the project with their results, by name."""
-    return {board.track.name: board for board in read_boards(BOARD)}
+    return {board.track.name: board for board in read_boards(TRACKS_FOLDER)}
 
 
 def main() -> None:
@@ -108,20 +108,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Insert figures of the stored results.")
     parser.add_argument("--write", action="store_true", help="mend the documents")
     write = parser.parse_args().write
-    logging.getLogger("benchmark").setLevel(logging.ERROR)  # not of results that are missing
+    logging.getLogger("benchmark").setLevel(logging.ERROR)  # no warnings of missing results
     boards = stored_results()
     wrong = 0
     for path in documents():
         name, text = path.relative_to(ROOT), path.read_text(encoding="utf-8")
         try:
-            differing = list(stale(boards, text))
+            differing = list(list_stale(boards, text))
         except InputError as error:
             sys.exit(f"error: {name}: {error}")
         for each in differing:
             print(f"{name}: {each}")
         wrong += len(differing)
         if write and differing:
-            path.write_text(inserted(boards, text), encoding="utf-8")
+            path.write_text(insert_figures(boards, text), encoding="utf-8")
     if wrong and not write:
         sys.exit("error: figures are stale: python -m experiments.figures --write mends them")
 

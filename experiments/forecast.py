@@ -34,33 +34,38 @@ from benchmark.forecasting.outlook import evidence_by_season
 from benchmark.forecasting.report import Forecast
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results_files import load
-from benchmark.scoring.score import Threshold, is_correct, is_false_fix, wilson
+from benchmark.scoring.intervals import wilson
+from benchmark.scoring.score import Threshold, is_correct, is_false_fix
 from objconnect.scene.bundle.manifest import read_json
 
 Array = NDArray[np.float64]
 _BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-_RESAMPLED = 2000
+# Number of resamples of an interval.
+_RESAMPLES = 2000
 
 
-def write_plan(path: Path, each: int) -> None:
-    """Write a plan of four lines of ``each`` waypoints over 132 m around 47 N, 8 E.
+def write_plan(path: Path, per_line: int) -> None:
+    """Write a plan of four lines of ``per_line`` waypoints over 132 m around 47 N, 8 E.
 
     The lines lie 70, 45, 60 and 75 m above home; on the last two, the gimbal is at -65 degrees.
     """
+    # MAVLink: command 1000 sets pitch and yaw of the gimbal (frame 2: mission), 16 is a waypoint
+    # (frame 3: height above home).
     items: list[dict[str, object]] = []
 
     def add(command: int, params: list[float | None], frame: int) -> None:
         item = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
         items.append({"type": "SimpleItem", "autoContinue": True, **item})
 
-    east = 111320 * np.cos(np.radians(47.0)) * 1.0027
+    # Metres in a degree of longitude and of latitude at 47 degrees north.
+    east, north = 111320 * np.cos(np.radians(47.0)) * 1.0027, 111180.0
     for line, (north_m, height_m) in enumerate(
         zip((-66, -22, 22, 66), (70, 45, 60, 75), strict=True)
     ):
         if line in (0, 2):
             add(1000, [-90 if line == 0 else -65, 0, 0, 0, 0, 0, 0], 2)
-        for x in np.linspace(-66, 66, each) * (1 if line % 2 == 0 else -1):
-            add(16, [0, 0, 0, None, 47.0 + north_m / 111180.0, 8.0 + x / east, height_m], 3)
+        for x in np.linspace(-66, 66, per_line) * (1 if line % 2 == 0 else -1):
+            add(16, [0, 0, 0, None, 47.0 + north_m / north, 8.0 + x / east, height_m], 3)
     mission = {"hoverSpeed": 6, "items": items, "plannedHomePosition": [47.0, 8.0, 450.0]}
     plan = {"fileType": "Plan", "version": 1, "mission": mission}
     path.write_text(json.dumps(plan, indent=1))
@@ -70,16 +75,16 @@ class Town(NamedTuple):
     """The forecast of a town and the true outcome, one row for each true query.
 
     Attributes:
-        name: of the town's scene.
-        method: that was run.
+        name: name of the town's scene.
+        method: name of the method.
         season: condition of each query.
-        rows: features (M, 4).
+        rows: features (M, 4) of the calibration.
         raw: whether the first view of the waypoint was found, (M,).
         chance: calibrated probability, (M,).
         plain: probability without a calibration, (M,).
         happened: whether the query was a fix, (M,).
-        false: whether it was a false fix, (M,).
-        ratios: horizontal and vertical error of true fixes over the predicted sigmas, (K, 2).
+        false: whether the query was a false fix, (M,).
+        ratios: error of true fixes over their predicted standard deviation, (K,).
     """
 
     name: str
@@ -96,31 +101,31 @@ class Town(NamedTuple):
 
 def read(folder: Path) -> Town:
     """Read the forecast and the truth of a town."""
-    made = read_json(folder / "forecast.json", Forecast, "forecast")
+    forecast = read_json(folder / "forecast.json", Forecast, "forecast")
     truth = load(folder / "truth.json")
-    config, method = made.config, made.method.name
+    config, method = forecast.config, forecast.method.name
     assert truth.method.name == method
-    observations = [Observation.model_validate(view) for view in made.views]
-    centres = np.array([waypoint.enu_m for waypoint in made.waypoints])
+    observations = [Observation.model_validate(view) for view in forecast.views]
+    centres = np.array([waypoint.enu_m for waypoint in forecast.waypoints])
     evidence = evidence_by_season(observations, centres, config)
     calibration = calibration_of(method)
     threshold = Threshold(config.fix_m, config.fix_deg)
     found = {(o.season, o.waypoint): o for o in reversed(observations)}
     queries = [query for query in truth.queries if query.condition in config.seasons]
-    at = [(query.condition, int(Path(query.name).stem)) for query in queries]
+    keys = [(query.condition, int(Path(query.name).stem)) for query in queries]
 
     def each(values: dict[str, Array]) -> Array:
-        return np.array([values[season][k] for season, k in at])
+        return np.array([values[season][k] for season, k in keys])
 
     def chances(by: Calibration) -> Array:
-        return each({name: probability(own, by) for name, own in evidence.items()})
+        return each({name: probability(observed, by) for name, observed in evidence.items()})
 
     return Town(
-        name=made.scene,
+        name=forecast.scene,
         method=method,
-        season=[season for season, _ in at],
-        rows=each({name: features(own) for name, own in evidence.items()}),
-        raw=np.array([found[key].is_fix(config.fix_m, config.fix_deg) for key in at], float),
+        season=[season for season, _ in keys],
+        rows=each({name: features(observed) for name, observed in evidence.items()}),
+        raw=np.array([found[key].is_fix(config.fix_m, config.fix_deg) for key in keys], float),
         chance=chances(calibration),
         plain=chances(UNCALIBRATED),
         happened=np.array([is_correct(query, threshold) for query in queries]),
@@ -172,17 +177,17 @@ def measure(towns: Sequence[Town], base: float, out: Path | None) -> None:
         low, high = _interval(chance, happened)
         print(f"{name}: Brier {brier(chance, happened):.3f} [{low:.3f}, {high:.3f}]")
     for town in towns:
-        own = town.happened
-        base_rate = own.mean() * (1 - own.mean())
-        print(f"{town.name}: Brier {brier(town.chance, own):.3f}, base rate {base_rate:.3f}")
+        of_group = town.happened
+        base_rate = of_group.mean() * (1 - of_group.mean())
+        print(f"{town.name}: Brier {brier(town.chance, of_group):.3f}, base rate {base_rate:.3f}")
     season = np.concatenate([town.season for town in towns])
     for name in dict.fromkeys(season.tolist()):
         mask = season == name
-        chance, own = columns["forecast"][mask], happened[mask]
+        chance, of_group = columns["forecast"][mask], happened[mask]
         print(
             f"{name}: {mask.sum()} queries, forecast {100 * chance.mean():.0f} %, happened "
-            f"{100 * own.mean():.0f} %, Brier {brier(chance, own):.3f}, its own base rate "
-            f"{own.mean() * (1 - own.mean()):.3f}"
+            f"{100 * of_group.mean():.0f} %, Brier {brier(chance, of_group):.3f}, its own base "
+            f"rate {of_group.mean() * (1 - of_group.mean()):.3f}"
         )
     _reliability(columns["forecast"], happened, out)
 
@@ -191,7 +196,7 @@ def _interval(chance: Array, happened: NDArray[np.bool_]) -> tuple[float, float]
     """Return the 95 % interval of a Brier score, by resampling queries."""
     rng = np.random.default_rng(0)
     square = np.square(chance - happened)
-    means = [rng.choice(square, len(square)).mean() for _ in range(_RESAMPLED)]
+    means = [rng.choice(square, len(square)).mean() for _ in range(_RESAMPLES)]
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 
@@ -239,8 +244,8 @@ def main() -> None:
         return
     towns = [read(folder) for folder in args.folders]
     if args.what == "fit":
-        made = fit_all(towns)
-        print(json.dumps({towns[0].method: made.model_dump(mode="json")}, indent=1))
+        calibration = fit_all(towns)
+        print(json.dumps({towns[0].method: calibration.model_dump(mode="json")}, indent=1))
         happened = np.concatenate([town.happened for town in towns])
         print(f"base rate {happened.mean():.4f}")
     else:

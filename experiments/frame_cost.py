@@ -18,6 +18,7 @@ from simulate.command import _frames, _pack
 from simulate.config import SimulateConfig
 
 _FRAMES = 5
+# Kinds of renders, see ``experiments.render_frames``.
 _KINDS = ("still", "flat", "raw", "bare", "ours")
 
 
@@ -33,7 +34,7 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
         try:
             spent = {}
             for kind in _KINDS:
-                renderer.ask(kind, 0, *settings)  # reads the settings that differ
+                renderer.ask(kind, 0, *settings)  # Blender reads the changed settings
                 seconds = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
                 spent[kind] = float(np.median(seconds))
         finally:
@@ -81,39 +82,39 @@ def try_settings(
 
         rows: dict[str, list[tuple[float, float, float]]] = {}
         try:
-            picture(0)  # takes the scene in
+            picture(0)  # Blender reads the scene
             for frame in range(_FRAMES):
                 many = (f"cycles.samples={paths}", "cycles.seed=1")
-                _, usual = picture(frame, *many, kind="raw") if paths else picture(frame)
+                _, reference = picture(frame, *many, kind="raw") if paths else picture(frame)
                 for setting in ("", *settings):
                     took, other = picture(frame, *setting.split())
-                    off = other - usual
-                    row = (took, float(np.abs(off).mean()), float((off**2).mean()))
+                    difference = other - reference
+                    row = (took, float(np.abs(difference).mean()), float((difference**2).mean()))
                     rows.setdefault(setting, []).append(row)
         finally:
             renderer.stop()
     for setting, found in rows.items():
-        took, off, square = np.median(found, 0)
-        psnr = (
+        took, mean, square = np.median(found, 0)
+        difference = (
             "none"
             if square == 0
-            else f"{off:.2f} grey levels, {20 * np.log10(255 / square**0.5):.1f} dB"
+            else f"{mean:.2f} grey levels, {20 * np.log10(255 / square**0.5):.1f} dB"
         )
-        yield f"| {setting or 'as it is'} | {took:.2f} | {psnr} |"
+        yield f"| {setting or 'as it is'} | {took:.2f} | {difference} |"
 
 
 def main() -> None:
     """Print the table."""
-    words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("--preset", default="town")
-    words.add_argument("--condition", default="summer-noon")
-    words.add_argument("--area", type=float, default=400)
-    words.add_argument("--size", type=int, default=512)
-    words.add_argument("--spp", type=int, default=4)
-    words.add_argument("--with", action="append", default=[], help="settings of all parts")
-    words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
-    words.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
-    options = vars(words.parse_args())
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--preset", default="town")
+    parser.add_argument("--condition", default="summer-noon")
+    parser.add_argument("--area", type=float, default=400)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--spp", type=int, default=4)
+    parser.add_argument("--with", action="append", default=[], help="settings of all parts")
+    parser.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
+    parser.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
+    options = vars(parser.parse_args())
     settings, always, paths = options.pop("try"), options.pop("with"), options.pop("paths")
     session = {
         "condition": options.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,

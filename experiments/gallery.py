@@ -1,7 +1,7 @@
-"""Write a page of pictures of all kinds of sites and all conditions.
+"""Write a page of pictures of all kinds of places and all conditions.
 
-``python -m experiments.gallery --out docs --preset town --condition summer-noon``; an interrupted
-run goes on where it stopped.
+``python -m experiments.gallery --out docs --preset town --condition summer-noon``; a
+second run continues an interrupted one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.config import NadirFlight, ObliqueFlight, StreetFlight
-from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
+from simulate.look.conditions import LIGHTS, WEATHER, condition
+from simulate.look.seasons import SEASONS
 from simulate.place.presets import PRESETS, preset
 from simulate.place.world import World
 from simulate.planner import plan_session
@@ -37,24 +38,24 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
-_LIGHT, _WEATHER = "light", "weather"
+_SEASON, _LIGHT, _WEATHER = "season", "light", "weather"
 _RENDERED = f"{TEMPORARY_PREFIX}gallery"
 # Every page has this text near its beginning, by which it is recognised.
 _MARK = b"Every kind of place and every condition, as the simulator renders them."
 # The views of a place, each with the number of exposures from which one is chosen.
 _VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
 _AHEAD_M = 40.0  # distance of the point at which a picture from the street is aimed
+_COLUMNS = 3  # photographs side by side
 _INCH = 100  # pixels per inch of a picture
 _JPEG_QUALITY = 82
 
 
 @dataclass(frozen=True)
 class _Picture:
-    """A table of photographs, each of which is a frame of a render job."""
+    """Photographs with their titles, each of which is a frame of a render job."""
 
     name: str
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
+    titles: tuple[str, ...]
     shots: tuple[tuple[RenderJob, int], ...]
 
 
@@ -62,11 +63,11 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     """Write a page of pictures, or continue an interrupted run.
 
     The page shows every preset from an orbit, from above and from the street. Then it shows
-    ``config.preset`` from the orbit in every season with every light and with every weather. The
-    entries are those of the registries.
+    ``config.preset`` from the orbit in every season, in every light and in every weather; the
+    other parts of the condition are those of ``shown_in``. The entries are those of the registries.
 
     Args:
-        config: seed, least area, camera and samples of all pictures, and the place that is shown
+        config: seed, minimum area, camera and samples of all pictures, and the place that is shown
             under every condition; its sessions are not used.
         out: folder of ``gallery.md`` and of the folder ``gallery/`` of its pictures.
         shown_in: condition of the pictures of every place.
@@ -79,16 +80,16 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
             ``out`` cannot be written.
     """
     shown_in = condition(shown_in, config.origin).name
-    _claim(out)
+    _refuse_foreign_files(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
         for name, plan in PRESETS.items()
     }
-    places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
-    kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
-    light, weather = _of_conditions(configs[config.preset], places[config.preset])
-    pictures = [*kinds, light, weather]
+    places = {name: preset(name)(config.seed, each.area) for name, each in configs.items()}
+    kinds = [_picture_of_place(configs[name], world, shown_in) for name, world in places.items()]
+    whole = _pictures_of_conditions(configs[config.preset], places[config.preset], shown_in)
+    pictures = [*kinds, *whole]
     rendered = out / _RENDERED
     jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
     try:
@@ -109,38 +110,48 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     return out / PAGE
 
 
-def _claim(out: Path) -> None:
+def _refuse_foreign_files(out: Path) -> None:
     """Refuse to replace files of another program."""
     page = OutputFile(out / PAGE, _MARK)
-    # Pictures beside a page of ours are ours.
+    # If this command wrote the page, it also wrote the pictures beside it.
     mark = b"" if page.path.is_file() else JPEG_MARK
-    names = (*PRESETS, _LIGHT, _WEATHER)
+    names = (*PRESETS, _SEASON, _LIGHT, _WEATHER)
     check_outputs(
         [page, *(OutputFile(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out
     )
 
 
-def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
-    """Return the picture of a site from every view."""
+def _picture_of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
+    """Return the picture of a place from every view."""
     name = config.preset
     job = _job(config, shown_in, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
-    return _Picture(name, (name,), tuple(view.kind for view, _ in _VIEWS), shots)
+    return _Picture(name, tuple(view.kind for view, _ in _VIEWS), shots)
 
 
-def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Picture]:
-    """Return two pictures of a site: all seasons in all lights, and in all weathers at noon."""
+def _pictures_of_conditions(
+    config: SimulateConfig, world: World, shown_in: str
+) -> tuple[_Picture, ...]:
+    """Return pictures of a place in every season, in every light and in every weather.
 
-    def picture(name: str, columns: Iterable[str], after_season: str) -> _Picture:
-        names = [f"{season}-{after_season.format(word)}" for season in SEASONS for word in columns]
-        shots = tuple((_job(config, text, world, 1), 0) for text in names)
-        return _Picture(name, tuple(SEASONS), tuple(columns), shots)
+    The other two parts of the conditions are those of ``shown_in``.
+    """
+    season, light, *_ = shown_in.split("-")
 
-    return picture(_LIGHT, LIGHTS, "{}"), picture(_WEATHER, WEATHER, "noon-{}")
+    def picture(name: str, parts: Iterable[str], text: str) -> _Picture:
+        names = [condition(text.format(part), config.origin).name for part in parts]
+        shots = tuple((_job(config, each, world, 1), 0) for each in names)
+        return _Picture(name, tuple(parts), shots)
+
+    return (
+        picture(_SEASON, SEASONS, shown_in.replace(season, "{}", 1)),
+        picture(_LIGHT, LIGHTS, shown_in.replace(f"-{light}", "-{}", 1)),
+        picture(_WEATHER, WEATHER, f"{season}-{light}-{{}}"),
+    )
 
 
 def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
-    """Return the job of the first ``views`` views of a site under a condition."""
+    """Return the job of the first ``views`` views of a place under a condition."""
     camera = config.photo_camera()
     poses = []
     for view, frames in _VIEWS[:views]:
@@ -163,21 +174,17 @@ def _folder(job: RenderJob) -> str:
 def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path) -> None:
     camera = config.photo_camera()
     width, height = camera.width / _INCH, camera.height / _INCH
-    rows, columns = len(picture.rows), len(picture.columns)
-    left, top, gap = (0.22 if rows > 1 else 0.0), 0.22, 0.04
-    size = (left + columns * (width + gap), top + rows * (height + gap))
+    rows, columns = -(-len(picture.shots) // _COLUMNS), min(len(picture.shots), _COLUMNS)
+    top, gap = 0.22, 0.04
+    size = (columns * (width + gap), rows * (top + height + gap))
     figure = Figure(figsize=size, facecolor="white")
     for k, (job, frame) in enumerate(picture.shots):
         row, column = divmod(k, columns)
-        x, y = left + column * (width + gap), size[1] - top - (row + 1) * (height + gap) + gap
+        x, y = column * (width + gap), size[1] - (row + 1) * (top + height + gap) + gap
         ax = figure.add_axes((x / size[0], y / size[1], width / size[0], height / size[1]))
         ax.set_axis_off()
         ax.imshow(_photograph(rendered / _folder(job), frame), aspect="auto")
-        if row == 0:
-            ax.set_title(picture.columns[column], fontsize=9, pad=3)
-        if column == 0 and rows > 1:
-            ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
-                    va="center", transform=ax.transAxes)  # fmt: skip
+        ax.set_title(picture.titles[k], fontsize=9, pad=3)
     with atomic_write(path) as partial:
         figure.savefig(partial, format="jpeg", dpi=_INCH,
                        pil_kwargs={"quality": _JPEG_QUALITY, "comment": JPEG_MARK})  # fmt: skip
@@ -218,13 +225,20 @@ place allows. Each is shown from an orbit, from above and from the street.
 ## Conditions over {config.preset}
 
 No object moves between conditions. In seasons without leaves, broadleaved trees are bare, which
-sessions declare as a change. This picture shows every light under a clear sky:
+sessions declare as a change. Every season, light and weather can be combined. The pictures show one
+part after another, with the other two of {shown_in}.
 
-![{config.preset} in every season and light]({PICTURES}/light.jpg)
+### Seasons
 
-This picture shows every weather at noon:
+![{config.preset} in every season]({PICTURES}/{_SEASON}.jpg)
 
-![{config.preset} in every season and weather]({PICTURES}/weather.jpg)
+### Lights
+
+![{config.preset} in every light]({PICTURES}/{_LIGHT}.jpg)
+
+### Weathers
+
+![{config.preset} in every weather]({PICTURES}/{_WEATHER}.jpg)
 """
 
 

@@ -25,7 +25,7 @@ from objconnect.scene.bundle.scene import Scene
 
 
 def main() -> None:
-    """Print the seconds of all three, and the number of photographs from the cache."""
+    """Print the seconds of the three preparations, and the number of photographs from the cache."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
@@ -36,6 +36,7 @@ def main() -> None:
         old, old_seconds = _prepare(args.old, args.method, caches[0])
         new, grown = _prepare(args.new, args.method, caches[0])
         _, alone = _prepare(args.new, args.method, caches[1])
+        # The names of the files end in 16 digits of a digest and ".h5".
         (fresh,) = caches[1].glob(f"{args.method}-*.h5")
         (before,) = set(caches[0].glob(fresh.name[:-19] + "*.h5")) - {caches[0] / fresh.name}
         _require_same(fresh, caches[0] / fresh.name)

@@ -39,14 +39,17 @@ from objconnect.scene.maps.features import Features
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
 from objconnect.scene.runtime.tuning import ProcessTuning
 
-# Metres: between photographs, between repetitions, above the ground, of a pixel of the ground.
-SPACING, APART, HEIGHT, TEXEL = 20.0, 400.0, 80.0, 0.5
+# Distances between photographs and between repetitions, height above the ground, side of a texel.
+SPACING_M, REPEAT_M, HEIGHT_M, TEXEL_M = 20.0, 400.0, 80.0, 0.5
+# Photographs along each side of a flight.
 SIDE: Final = 10
 CAMERA: Final = Camera("SIMPLE_PINHOLE", 128, 128, (128.0, 64.0, 64.0))
-# Keypoints on the same piece of ground of this side (m) show one point.
-_SAME: Final = 0.5
+# Keypoints in the same square cell of the ground, of this side, show one point.
+_CELL_M: Final = 0.5
+# Rotation of a camera that looks down with its top to the north.
 _DOWN: Final = np.diag([1.0, -1.0, -1.0])
-_MARGIN: Final = 60.0
+# Texture beyond the outermost cameras.
+_MARGIN_M: Final = 60.0
 QUERIES: Final = 50
 
 
@@ -61,7 +64,7 @@ class Flight(NamedTuple):
 def ground() -> NDArray[np.uint8]:
     """Return a texture with details of every size."""
     rng = np.random.default_rng(0)
-    side = round((SIDE * SPACING + 2 * _MARGIN) / TEXEL)
+    side = round((SIDE * SPACING_M + 2 * _MARGIN_M) / TEXEL_M)
     total = np.zeros((side, side, 3), np.float32)
     for cells in (10, 40, 160, 320):
         noise = rng.uniform(-1, 1, (cells, cells, 3)).astype(np.float32)
@@ -71,10 +74,10 @@ def ground() -> NDArray[np.uint8]:
 
 def photograph(texture: NDArray[np.uint8], place: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return a nadir photograph of the plane; north is up, at the texture's first row."""
-    metres = HEIGHT / CAMERA.params[0]
-    north = SIDE * SPACING + _MARGIN
-    column, row = (place[0] + _MARGIN) / TEXEL, (north - place[1]) / TEXEL
-    scale = metres / TEXEL
+    metres = HEIGHT_M / CAMERA.params[0]
+    north = SIDE * SPACING_M + _MARGIN_M
+    column, row = (place[0] + _MARGIN_M) / TEXEL_M, (north - place[1]) / TEXEL_M
+    scale = metres / TEXEL_M
     shift = np.array([column, row]) - scale * CAMERA.width / 2 - 0.5 + scale / 2
     inverse = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -82,8 +85,9 @@ def photograph(texture: NDArray[np.uint8], place: NDArray[np.float64]) -> NDArra
 
 
 def fly(texture: NDArray[np.uint8]) -> Flight:
+    """Photograph the plane on a grid, and extract features."""
     rows, columns = np.divmod(np.arange(SIDE**2), SIDE)
-    places = SPACING * np.stack([columns, rows], -1).astype(float)
+    places = SPACING_M * np.stack([columns, rows], -1).astype(float)
     pictures = [photograph(texture, place) for place in places]
     extract = Sift(8192)
     return Flight(places, pictures, [extract(picture) for picture in pictures])
@@ -92,42 +96,42 @@ def fly(texture: NDArray[np.uint8]) -> Flight:
 def write_map(folder: Path, flight: Flight, repetitions: int) -> None:
     """Write COLMAP's three files, and photographs that are links to the first hundred."""
     per_row = int(np.ceil(repetitions**0.5))
-    metres = HEIGHT / CAMERA.params[0]
-    # Of one flight: the cell of ground of every keypoint, and points that stand for cells.
-    seen = []
+    metres = HEIGHT_M / CAMERA.params[0]
+    # In one flight: the ground position of every keypoint, and a point for every cell, their mean.
+    on_ground = []
     for place, found in zip(flight.places, flight.features, strict=True):
         offset = (found.xy.astype(float) - CAMERA.width / 2) * [metres, -metres]
-        seen.append(place + offset)
-    every = np.concatenate(seen)
+        on_ground.append(place + offset)
+    all_xy = np.concatenate(on_ground)
     _, point, track = np.unique(
-        np.floor(every / _SAME).astype(int), axis=0, return_inverse=True, return_counts=True
+        np.floor(all_xy / _CELL_M).astype(int), axis=0, return_inverse=True, return_counts=True
     )
     point = point.ravel()
-    xy = np.stack([np.bincount(point, every[:, k]) / track for k in range(2)], -1)
-    ends = np.cumsum([len(each) for each in seen])
+    xy = np.stack([np.bincount(point, all_xy[:, k]) / track for k in range(2)], -1)
+    ends = np.cumsum([len(each) for each in on_ground])
     model, images = folder / "sparse" / "map", folder / "images"
     model.mkdir(parents=True)
     camera = struct.pack("<QIiQQ3d", 1, 1, 0, CAMERA.width, CAMERA.height, *CAMERA.params)
     (model / "cameras.bin").write_bytes(camera)
     with (model / "images.bin").open("wb") as file:
-        file.write(struct.pack("<Q", repetitions * len(seen)))
+        file.write(struct.pack("<Q", repetitions * len(on_ground)))
         for block in range(repetitions):
-            away = APART * np.array(divmod(block, per_row))
+            block_offset = REPEAT_M * np.array(divmod(block, per_row))
             (images / f"{block:03d}").mkdir(parents=True)
-            for k, own in enumerate(np.split(point, ends[:-1])):
+            for k, points in enumerate(np.split(point, ends[:-1])):
                 name = f"{block:03d}/{k:02d}.png"
                 first = images / "000" / f"{k:02d}.png"
                 if block:
                     os.link(first, images / name)
                 else:
                     Image.fromarray(flight.pictures[k]).save(first)
-                t = -_DOWN @ np.array([*(flight.places[k] + away), HEIGHT])
-                number = block * len(seen) + k + 1
+                t = -_DOWN @ np.array([*(flight.places[k] + block_offset), HEIGHT_M])
+                number = block * len(on_ground) + k + 1
                 file.write(struct.pack("<I4d3dI", number, 0, 1, 0, 0, *t, 1))
-                file.write(name.encode() + b"\0" + struct.pack("<Q", len(own)))
-                table = np.zeros(len(own), [("xy", "<f8", 2), ("point", "<u8")])
+                file.write(name.encode() + b"\0" + struct.pack("<Q", len(points)))
+                table = np.zeros(len(points), [("xy", "<f8", 2), ("point", "<u8")])
                 table["xy"] = flight.features[k].xy
-                table["point"] = own + block * len(xy) + 1
+                table["point"] = points + block * len(xy) + 1
                 file.write(table.tobytes())
     layout = [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("n", "<u8")]
     with (model / "points3D.bin").open("wb") as file:
@@ -135,7 +139,7 @@ def write_map(folder: Path, flight: Flight, repetitions: int) -> None:
         for block in range(repetitions):
             table = np.zeros(len(xy), layout)
             table["id"] = np.arange(len(xy)) + block * len(xy) + 1
-            table["xyz"][:, :2] = xy + APART * np.array(divmod(block, per_row))
+            table["xyz"][:, :2] = xy + REPEAT_M * np.array(divmod(block, per_row))
             table["n"] = track
             for row, length in zip(table, track, strict=True):
                 file.write(row.tobytes() + bytes(8 * int(length)))
@@ -145,13 +149,15 @@ def queries(texture: NDArray[np.uint8], repetitions: int, count: int) -> list[Qu
     """Return queries all over the map, with priors that are wrong by a metre."""
     rng = np.random.default_rng(1)
     per_row = int(np.ceil(repetitions**0.5))
-    made = []
+    found = []
     for number in range(count):
-        place = rng.uniform(0, SPACING * (SIDE - 1), 2)
-        away = APART * np.array(divmod(int(rng.integers(repetitions)), per_row))
-        prior = Prior(np.array([*(place + away + [1, 0]), HEIGHT]), np.full(3, 3.0), _DOWN, 1.0)
-        made.append(Query(f"{number}", photograph(texture, place), CAMERA, prior))
-    return made
+        place = rng.uniform(0, SPACING_M * (SIDE - 1), 2)
+        block_offset = REPEAT_M * np.array(divmod(int(rng.integers(repetitions)), per_row))
+        prior = Prior(
+            np.array([*(place + block_offset + [1, 0]), HEIGHT_M]), np.full(3, 3.0), _DOWN, 1.0
+        )
+        found.append(Query(f"{number}", photograph(texture, place), CAMERA, prior))
+    return found
 
 
 def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, Any]) -> Localizer:
@@ -163,12 +169,12 @@ def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, A
             lambda _, names, *__: {name: known[name.split("/")[1]] for name in names}
         )
     if isinstance(localizer, FeaturemetricLocalizer):
-        localizer._extract = _Once(localizer._extract)  # type: ignore[assignment]
+        localizer._extract = _CachingExtractor(localizer._extract)  # type: ignore[assignment]
     localizer.prepare(read_model(folder / "sparse" / "map"), folder / "images", folder / "cache")
     return localizer
 
 
-class _Once:
+class _CachingExtractor:
     """An extractor that caches the first hundred views."""
 
     def __init__(self, extract: MapExtractor) -> None:
@@ -233,13 +239,13 @@ def main() -> None:
         print(json.dumps(measure(folder, count // SIDE**2, args.method, options)), flush=True)
         return
     for count in args.photographs:
-        # Twice: the second finds in the cache what the first has prepared.
+        # The second run finds in the cache what the first one prepared.
         for _ in range(2):
-            words = ["--method", args.method, "--photographs", str(count), "--one"]
+            arguments = ["--method", args.method, "--photographs", str(count), "--one"]
             command = [sys.executable, "-m", "experiments.large_map", str(args.folder)]
             for setting in settings:
-                words += ["--set", setting]
-            subprocess.run([*command, *words], check=True)
+                arguments += ["--set", setting]
+            subprocess.run([*command, *arguments], check=True)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.images import read_rgb
 
 Lift = Callable[[NDArray[np.float32], MapImage, NDArray[np.float64]], NDArray[np.float64]]
+# Every n-th photograph of the map is taken.
 EVERY = 4
 
 
@@ -58,10 +59,10 @@ def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray
         image = sparse_map.images[name]
         xy = extract(read_rgb(scene / "sessions" / name)).xy
         points = lift(xy, image, sparse_map.xyz)
-        args = np.isfinite(points).all(1)
-        row, column = np.floor(xy[args, ::-1]).astype(int).T
+        has_point = np.isfinite(points).all(1)
+        row, column = np.floor(xy[has_point, ::-1]).astype(int).T
         truth = depth[row.clip(max=depth.shape[0] - 1), column.clip(max=depth.shape[1] - 1)]
-        local = image.pose.transform(torch.from_numpy(points[args]))[:, 2].numpy()
+        local = image.pose.transform(torch.from_numpy(points[has_point]))[:, 2].numpy()
         errors.append(np.where(truth > 0, np.abs(local - truth), np.inf))
         keypoints += len(xy)
     stacked = np.concatenate(errors)
@@ -71,7 +72,7 @@ def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray
 if __name__ == "__main__":
     for extractor in (Orb(8192), Akaze(8192, 0.001)):
         for how in (nearest, interpolate_points):
-            share, off = measure(Path(sys.argv[1]), extractor, how)
-            median, most = np.quantile(off, [0.5, 0.9])
-            figures = f"lifted {share:.1f} %, off {median:.2f} m (median), {most:.2f} m (90 %)"
+            share, errors = measure(Path(sys.argv[1]), extractor, how)
+            median, p90 = np.quantile(errors, [0.5, 0.9])
+            figures = f"lifted {share:.1f} %, off {median:.2f} m (median), {p90:.2f} m (90 %)"
             print(f"{extractor.name} {how.__name__}: {figures}")

@@ -24,14 +24,14 @@ from experiments.objects import finder_of, rank_of_right, ranks_of
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
 from objconnect.network.constellation_training import (
-    LONGEST,
+    LONGER_SIDE_PX,
     ConstellationTraining,
     TrainingScene,
     build_training_scene,
     train_graph,
 )
 from objconnect.network.detector import Detections, DetectorMaps
-from objconnect.network.finder import headings_around
+from objconnect.network.finder import allowed_poses
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -42,8 +42,9 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
 
+# Kinds of objects, and numbers of layers of the graph; 0 layers pass no messages.
 VARIANTS = [("learned", 2), ("learned", 0), ("slic", 2), ("felzenszwalb", 2), ("grid", 2)]
-# As many segments as the detector has objects at most.
+# The number of segments is the maximum number of the detector's objects.
 SEGMENTS = {"segments": 256, "segment_side": 24.0}
 
 
@@ -52,7 +53,7 @@ class SegmentFinder(ObjectFinder):
 
     def __init__(self, network: ObjConnectNet, kind: str) -> None:
         assert network.detector is not None
-        extract = MapExtractor(network, LONGEST, "float32")
+        extract = MapExtractor(network, LONGER_SIDE_PX, "float32")
         super().__init__(extract, network.detector)
         self._stride = network.detector.config.stride
         self._config = ObjConnectNetConfig.model_validate({"segmentation": kind, **SEGMENTS})
@@ -62,15 +63,15 @@ class SegmentFinder(ObjectFinder):
         image = torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         labels = at_level(segment(image, self._config), image, maps.centre, self._stride)
         objects = occupancy(labels, self._config.segments)
-        there = objects.present[0]
+        present = objects.present[0]
         rows = maps.vector.permute(0, 2, 3, 1).flatten(1, 2)
-        side = objects.area[0, there].sqrt() * self._stride
+        side = objects.area[0, present].sqrt() * self._stride
         return Detections(
-            centres(objects)[0, there] * self._stride,
+            centres(objects)[0, present] * self._stride,
             torch.ones_like(side),
             side,
             torch.zeros_like(side),
-            torch.nn.functional.normalize(objects.mean(rows)[0, there], dim=1),
+            torch.nn.functional.normalize(objects.mean(rows)[0, present], dim=1),
         )
 
 
@@ -87,7 +88,7 @@ def main() -> None:
     network, _ = read_network(args.weights)
     for kind in args.kinds:
         finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
-        taught = [build_training_scene(Scene.open(path), finder) for path in args.scenes]
+        training_scenes = [build_training_scene(Scene.open(path), finder) for path in args.scenes]
         scenes = [Scene.open(path) for path in args.report]
         tested = [build_training_scene(scene, finder) for scene in scenes]
         for layers in (each for name, each in VARIANTS if name == kind):
@@ -95,40 +96,41 @@ def main() -> None:
                 assert network.detector is not None
                 config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
                 graph = train_graph(
-                    taught, config, ConstellationTraining(seed=seed), torch.device("cpu")
+                    training_scenes, config, ConstellationTraining(seed=seed), torch.device("cpu")
                 ).eval()
-                ranks = np.concatenate([ranks_of(graph, of, args.session) for of in tested])
+                ranks = np.concatenate([ranks_of(graph, each, args.session) for each in tested])
                 starts = [
                     rank
-                    for scene, of in zip(scenes, tested, strict=True)
-                    for rank in _starts(finder, graph, scene, of, args.session)
+                    for scene, each in zip(scenes, tested, strict=True)
+                    for rank in _rank_starts(finder, graph, scene, each, args.session)
                 ]
-                total, place = ranks[:, 0].sum(), np.array(starts)
+                total, start_ranks = ranks[:, 0].sum(), np.array(starts)
                 print(
                     f"{kind}, {layers} layers, seed {seed}: top-1 {ranks[:, 1].sum() / total:.3f}, "
                     f"top-5 {ranks[:, 2].sum() / total:.3f} of {total} objects; start first "
-                    f"{(place == 0).sum()}, among five {(place < 5).sum()} of {len(place)}",
+                    f"{(start_ranks == 0).sum()}, among five "
+                    f"{(start_ranks < 5).sum()} of {len(start_ranks)}",
                     flush=True,
                 )
 
 
-def _starts(
+def _rank_starts(
     finder: ObjectFinder,
     graph: torch.nn.Module,
     scene: Scene,
-    of: TrainingScene,
+    tested: TrainingScene,
     session: str,
 ) -> Sequence[int]:
     """Return the rank of the first correct start of each query, 99 for none."""
     sparse_map = scene.sparse_map()
-    connect = Connector(graph, of.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
+    connect = Connector(graph, tested.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
     frames, ranks = scene.frames(session), []
     for row, name in enumerate(frames.names):
         camera, true = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
         found = finder(read_rgb(scene.images_root / name), camera)
-        places = connect(found, camera, *headings_around(None, heights))
-        ranks.append(rank_of_right(places, true))
+        candidates = connect(found, camera, *allowed_poses(None, heights))
+        ranks.append(rank_of_right(candidates, true))
     return ranks
 
 

@@ -23,8 +23,8 @@ from PIL import Image
 
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.network.constellation_training import LONGEST
-from objconnect.network.finder import headings_around
+from objconnect.network.constellation_training import LONGER_SIDE_PX
+from objconnect.network.finder import allowed_poses
 from objconnect.network.landmarks import merge, place_on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
@@ -34,6 +34,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
 
+# Maximum horizontal distance of an object from the landmark on which it lies.
 SAME_M = 3.0
 
 
@@ -42,41 +43,48 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     """Draw the picture."""
     network, _ = read_network(SHIPPED)
     assert network.detector is not None and network.constellation is not None
-    extract = MapExtractor(network, LONGEST, "float32")
+    extract = MapExtractor(network, LONGER_SIDE_PX, "float32")
     finder = ObjectFinder(extract, network.detector)
     scene = Scene.open(path)
     sparse_map, frames = scene.sparse_map(), scene.frames(session)
     ground = map_ground(sparse_map)
-    with open_cache(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merge(finder.views(kept))
+    with open_cache(sparse_map, scene.images_root, None) as map_cache:
+        landmarks, tracks = merge(finder.views(map_cache))
     name, camera = frames.names[row], frames.cameras[row]
     rgb = read_rgb(scene.images_root / name)
     found = finder(rgb, camera)
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
     connect = Connector(network.constellation, landmarks, ground)
-    place = connect(found, camera, *headings_around(None, heights))[0]
+    candidate = connect(found, camera, *allowed_poses(None, heights))[0]
     true = Pose.from_matrix(frames.cam_from_world[row])
-    apart = float(torch.linalg.norm(place.pose.centre() - true.centre()))
-    placed = place_on_ground(found, camera, place.pose, ground).xyz
-    away = np.linalg.norm(placed[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
-    away = np.where(np.isfinite(away), away, np.inf)
-    nearest = away.argmin(1)
-    mutual = away.argmin(0)[nearest] == np.arange(len(away))
-    same = np.where(mutual & (away.min(1) < SAME_M), nearest, -1)
+    error_m = float(torch.linalg.norm(candidate.pose.centre() - true.centre()))
+    placed = place_on_ground(found, camera, candidate.pose, ground).xyz
+    distance = np.linalg.norm(placed[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    nearest = distance.argmin(1)
+    mutual = distance.argmin(0)[nearest] == np.arange(len(distance))
+    same = np.where(mutual & (distance.min(1) < SAME_M), nearest, -1)
 
     overlap = scene.covisibility.select([name, *scene.splits.map]).mutual[0, 1:]
     mapped = scene.splits.map[int(overlap.argmax())]
-    mine = np.array([each == mapped for each in tracks.name])
+    is_in_photograph = np.array([each == mapped for each in tracks.name])
     figure = Figure(figsize=(14, 7), dpi=80, layout="constrained")
     left, right = figure.subplots(1, 2)
     of_map = read_rgb(scene.images_root / mapped)
-    shared = set(same.tolist()) & set(tracks.landmark[mine].tolist())
-    _draw(left, network, of_map, tracks.xy[mine], tracks.landmark[mine], shared)
+    shared = set(same.tolist()) & set(tracks.landmark[is_in_photograph].tolist())
+    _draw(
+        left,
+        network,
+        of_map,
+        tracks.xy[is_in_photograph],
+        tracks.landmark[is_in_photograph],
+        shared,
+    )
     _draw(right, network, rgb, found.xy.numpy(), same, shared)
     left.set_title(f"a photograph of the map, {scene.sessions[mapped.split('/')[0]].condition}")
     right.set_title(
         f"a query, {scene.sessions[session].condition}, placed by its objects "
-        f"{apart:.1f} m from the truth:\n"
+        f"{error_m:.1f} m from the truth:\n"
         f"{(same >= 0).sum()} of its {len(same)} objects lie on landmarks of the map"
     )
     figure.canvas.draw()  # type: ignore[no-untyped-call]
@@ -99,12 +107,12 @@ def _draw(
     axis.imshow(rgb)
     height, width = rgb.shape[:2]
     rows, columns = (np.linspace(0, n, k) for n, k in zip(rgb.shape, labels.shape, strict=False))
-    for number in range(int(labels.max()) + 1):
-        axis.contour(columns, rows, labels == number, levels=[0.5], colors="white", linewidths=0.8)
-    for place, own in zip(xy, landmark.tolist(), strict=True):
-        if own in shared:
-            colour = colormaps["hsv"]((own * 0.618034) % 1)
-            axis.plot(*place, "o", markersize=9, markerfacecolor="none", markeredgecolor=colour,
+    for label in range(int(labels.max()) + 1):
+        axis.contour(columns, rows, labels == label, levels=[0.5], colors="white", linewidths=0.8)
+    for position, number in zip(xy, landmark.tolist(), strict=True):
+        if number in shared:
+            colour = colormaps["hsv"]((number * 0.618034) % 1)
+            axis.plot(*position, "o", markersize=9, markerfacecolor="none", markeredgecolor=colour,
                       markeredgewidth=2.5)  # fmt: skip
     axis.set(xticks=[], yticks=[], xlim=(0, width), ylim=(height, 0))
 

@@ -24,19 +24,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.learning.training.instances import LARGEST_M, LINES
+from objconnect.learning.training.instances import LINE_CLASSES, MAX_SIDE_M
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig, ObjConnectNetConfig
 from objconnect.network.constellation_training import (
-    LONGEST,
+    LONGER_SIDE_PX,
     ConstellationTraining,
     TrainingScene,
     build_training_scene,
     describe_query,
     train_graph,
 )
-from objconnect.network.finder import headings_around
+from objconnect.network.finder import allowed_poses
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
@@ -46,9 +46,11 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
 
+# Maximum relative difference of the depths of one point in two photographs.
 SAME_DEPTH = 0.02
 # An object is found if a centre lies within half its side, or within this many pixels.
 NEAR_PX = 4.0
+# Maximum horizontal distance of a matched landmark from the object.
 FOUND_M = 2.0
 
 
@@ -65,25 +67,25 @@ def main() -> None:
     network, _ = read_network(args.weights)
     scenes = [Scene.open(path) for path in args.scenes]
     if args.what == "segments":
-        segments(network, scenes, args.session)
+        measure_segments(network, scenes, args.session)
     elif args.what == "matching":
         report = [Scene.open(path) for path in args.report]
-        matching(network, scenes, report, args.session, args.seeds)
+        measure_matching(network, scenes, report, args.session, args.seeds)
     else:
-        starts(network, scenes, args.session)
+        measure_starts(network, scenes, args.session)
 
 
 def finder_of(network: ObjConnectNet) -> ObjectFinder:
     """Return the object finder of a network."""
     assert network.detector is not None, "these weights have no detector"
-    extract = MapExtractor(network, LONGEST, "float32")
+    extract = MapExtractor(network, LONGER_SIDE_PX, "float32")
     return ObjectFinder(extract, network.detector)
 
 
 # ---- segments
 
 
-def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
+def measure_segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
     """Print the overlap of segments, and the share of objects found in both seasons."""
     kinds: dict[str, list[float]] = {}
     sizes: dict[str, list[bool]] = {}
@@ -115,7 +117,7 @@ def best_overlaps(
 
     Args:
         in_a: (P,) segment of each common pixel in image a, negative for none.
-        in_b: (P,) the same in image b. Pixels of a segment that are none there count as missed.
+        in_b: (P,) the same in image b. Pixels in a segment of a but in none of b count as missed.
         least: segments with fewer common pixels are left out.
     """
     names_a, a = np.unique(np.where(in_a < 0, -1, in_a), return_inverse=True)
@@ -138,10 +140,10 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
     """Return pixels (P, 2) of a frame and those of another that show the same points."""
     (session_a, row_a), (session_b, row_b) = _frame(scene, one), _frame(scene, other)
     frames_a, frames_b = scene.frames(session_a), scene.frames(session_b)
-    with scene.dense(session_a) as dense:
-        depth_a = dense.read("depth", row_a)
-    with scene.dense(session_b) as dense:
-        depth_b = dense.read("depth", row_b)
+    with scene.layers(session_a) as layers:
+        depth_a = layers.read("depth", row_a)
+    with scene.layers(session_b) as layers:
+        depth_b = layers.read("depth", row_b)
     camera = frames_a.cameras[row_a]
     y, x = np.mgrid[0 : camera.height : 2, 0 : camera.width : 2]
     xy = torch.from_numpy(np.stack([x.ravel(), y.ravel()], -1) + 0.5)
@@ -168,8 +170,8 @@ def segment_learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
 def true_objects(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
     """Return the true label map."""
     session, row = _frame(scene, name)
-    with scene.dense(session) as dense:
-        ids = dense.read("instance", row).astype(np.int64)
+    with scene.layers(session) as layers:
+        ids = layers.read("instance", row).astype(np.int64)
     centred = [item.id for item in scene.objects.objects if _has_centre(item.class_name, item.size)]
     number = np.full(int(max(ids.max(), *centred)) + 1, -1)
     number[centred] = np.arange(len(centred))
@@ -177,7 +179,7 @@ def true_objects(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
 
 
 def _has_centre(class_name: str, size: tuple[float, float, float]) -> bool:
-    return class_name not in LINES and max(size[:2]) <= LARGEST_M
+    return class_name not in LINE_CLASSES and max(size[:2]) <= MAX_SIDE_M
 
 
 def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
@@ -211,8 +213,8 @@ def find_in_both(
     for name in (one, other):
         session, row = _frame(scene, name)
         frames = scene.frames(session)
-        with scene.dense(session) as dense:
-            ids, count = np.unique(dense.read("instance", row), return_counts=True)
+        with scene.layers(session) as layers:
+            ids, count = np.unique(layers.read("instance", row), return_counts=True)
         camera, pose = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
         found = finder(read_rgb(scene.images_root / name), camera).xy.numpy()
         shown = {}
@@ -224,23 +226,23 @@ def find_in_both(
             xy = camera.project(middle)
             if bool(xy.valid) and bool(camera.contains(xy.xy)):
                 side = max(item.size[:2]) * float(np.mean(camera.focal)) / float(middle[0, 2])
-                away = np.linalg.norm(found - xy.xy.numpy(), axis=1).min(initial=np.inf)
-                shown[number] = bool(away <= max(NEAR_PX, side / 2))
+                distance_px = np.linalg.norm(found - xy.xy.numpy(), axis=1).min(initial=np.inf)
+                shown[number] = bool(distance_px <= max(NEAR_PX, side / 2))
         seen.append(shown)
-    both = sorted(set(seen[0]) & set(seen[1]))
-    return [(by_id[n].size_class, seen[0][n] and seen[1][n]) for n in both]
+    in_both = sorted(set(seen[0]) & set(seen[1]))
+    return [(by_id[n].size_class, seen[0][n] and seen[1][n]) for n in in_both]
 
 
 # ---- matching
 
 
-def lessons_of(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[TrainingScene]:
-    """Find the objects of scenes."""
+def build_scenes(network: ObjConnectNet, scenes: Sequence[Scene]) -> list[TrainingScene]:
+    """Find the objects of scenes, for training or for tests."""
     finder = finder_of(network)
     return [build_training_scene(scene, finder) for scene in scenes]
 
 
-def matching(
+def measure_matching(
     network: ObjConnectNet,
     scenes: Sequence[Scene],
     report: Sequence[Scene],
@@ -249,38 +251,40 @@ def matching(
 ) -> None:
     """Print top-1 and top-5 of objects with and without neighbours, seed by seed, paired."""
     assert network.detector is not None
-    trained, tested = lessons_of(network, scenes), lessons_of(network, report)
+    training_scenes, tested = build_scenes(network, scenes), build_scenes(network, report)
     for seed in range(seeds):
-        shares = {}
+        ranks_by_layers = {}
         for layers in (0, 2):
             config = ConstellationConfig(vector=network.detector.config.vector, layers=layers)
             graph = train_graph(
-                trained, config, ConstellationTraining(seed=seed), torch.device("cpu")
+                training_scenes, config, ConstellationTraining(seed=seed), torch.device("cpu")
             )
-            ranks = np.concatenate([ranks_of(graph, of, session) for of in tested])
-            shares[layers] = ranks
-        without, with_ = shares[0], shares[2]
-        for layers, ranks in shares.items():
+            ranks = np.concatenate([ranks_of(graph, each, session) for each in tested])
+            ranks_by_layers[layers] = ranks
+        without, with_neighbours = ranks_by_layers[0], ranks_by_layers[2]
+        for layers, ranks in ranks_by_layers.items():
             total = ranks[:, 0].sum()
             print(
                 f"seed {seed}, {layers} layers: top-1 {ranks[:, 1].sum() / total:.3f}, "
                 f"top-5 {ranks[:, 2].sum() / total:.3f} of {total} objects, {len(ranks)} queries"
             )
-        print(f"seed {seed}: p = {paired_p(with_[:, 1] - without[:, 1]):.2g} over queries")
+        print(
+            f"seed {seed}: p = {paired_p(with_neighbours[:, 1] - without[:, 1]):.2g} over queries"
+        )
 
 
-def ranks_of(graph: torch.nn.Module, of: TrainingScene, session: str) -> NDArray[np.int64]:
+def ranks_of(graph: torch.nn.Module, scene: TrainingScene, session: str) -> NDArray[np.int64]:
     """Return for each query its number of known objects, and how many match at top-1 and top-5."""
     rows = []
     with torch.inference_mode():
-        theirs = describe_landmarks(graph, of.landmarks)  # type: ignore[arg-type]
-        for query in of.queries:
+        of_landmarks = describe_landmarks(graph, scene.landmarks)  # type: ignore[arg-type]
+        for query in scene.queries:
             known = query.landmark >= 0
             if query.session != session or not known.any():
                 continue
-            own = describe_query(graph, query, np.arange(len(query.laid)))  # type: ignore[arg-type]
-            best = (own @ theirs.T).topk(5, 1).indices.numpy()
-            away = of.landmarks.xyz[best][..., :2] - query.xyz[:, None, :2]
+            of_query = describe_query(graph, query, np.arange(len(query.layout)))  # type: ignore[arg-type]
+            best = (of_query @ of_landmarks.T).topk(5, 1).indices.numpy()
+            away = scene.landmarks.xyz[best][..., :2] - query.xyz[:, None, :2]
             hit = (np.linalg.norm(away, axis=-1) < FOUND_M)[known]
             rows.append((known.sum(), hit[:, 0].sum(), hit.any(1).sum()))
     return np.array(rows, np.int64).reshape(-1, 3)
@@ -296,7 +300,7 @@ def paired_p(differences: NDArray[np.int64], rounds: int = 20_000) -> float:
 # ---- starts
 
 
-def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
+def measure_starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
     """Print how often objects alone find the true pose, the time, and the size of the map."""
     assert network.constellation is not None, "these weights have no graph over objects"
     finder = finder_of(network)
@@ -312,18 +316,18 @@ def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> Non
         megabytes = landmarks_bytes(landmarks) / 1e6
         area = rows * columns * ground.cell**2 / 1e6
         frames = scene.frames(session)
-        here = []
+        ranks_in_scene = []
         for row, name in enumerate(frames.names):
             began = time.perf_counter()
             rgb, camera = read_rgb(scene.images_root / name), frames.cameras[row]
-            found = connect(finder(rgb, camera), camera, *headings_around(None, heights))
+            found = connect(finder(rgb, camera), camera, *allowed_poses(None, heights))
             seconds.append(time.perf_counter() - began)
             true = Pose.from_matrix(frames.cam_from_world[row])
-            here.append(rank_of_right(found, true))
-        ranks += here
+            ranks_in_scene.append(rank_of_right(found, true))
+        ranks += ranks_in_scene
         print(
-            f"{scene.name}: first {np.mean(np.array(here) == 0):.3f}, among five "
-            f"{np.mean(np.array(here) < 5):.3f}; {len(landmarks)} landmarks, "
+            f"{scene.name}: first {np.mean(np.array(ranks_in_scene) == 0):.3f}, among five "
+            f"{np.mean(np.array(ranks_in_scene) < 5):.3f}; {len(landmarks)} landmarks, "
             f"{megabytes / area:.2f} MB per square km",
             flush=True,
         )
@@ -340,17 +344,17 @@ def landmarks_bytes(landmarks: object) -> int:
     return sum(a.nbytes // 2 if a.dtype == np.float32 else a.nbytes for a in arrays)
 
 
-def rank_of_right(places: Sequence[Candidate], true: Pose) -> int:
+def rank_of_right(candidates: Sequence[Candidate], true: Pose) -> int:
     """Return the rank of the first correct start, from 0 on; 99 for none."""
-    right = [is_right(place.pose, true) for place in places]
+    right = [is_right(candidate.pose, true) for candidate in candidates]
     return right.index(True) if True in right else 99
 
 
 def is_right(pose: Pose, true: Pose) -> bool:
     """Return whether a start is within 8 m, 10 degrees of the truth."""
-    apart = float(torch.linalg.norm(pose.centre() - true.centre()))
+    distance_m = float(torch.linalg.norm(pose.centre() - true.centre()))
     trace = float((pose.rotation @ true.rotation.T).trace())
-    return apart < 8 and np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))) < 10
+    return distance_m < 8 and np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))) < 10
 
 
 if __name__ == "__main__":

@@ -43,15 +43,15 @@ def main() -> None:
 
 def add_queries(path: Path, scene: Scene) -> None:
     """Add the sessions of queries of another scene, whose world is the same."""
-    made = Scene.open(path)
+    new_scene = Scene.open(path)
     queries = scene.splits.queries
     for session in queries:
         shutil.copytree(
-            scene.images_root / session, made.images_root / session, copy_function=_link
+            scene.images_root / session, new_scene.images_root / session, copy_function=_link
         )
-    write_json(path / "splits.json", Splits(map=made.splits.map, queries=queries))
-    sessions = {**made.sessions, **{name: scene.sessions[name] for name in queries}}
-    finish_scene(path, made.manifest.model_copy(update={"sessions": sessions}))
+    write_json(path / "splits.json", Splits(map=new_scene.splits.map, queries=queries))
+    sessions = {**new_scene.sessions, **{name: scene.sessions[name] for name in queries}}
+    finish_scene(path, new_scene.manifest.model_copy(update={"sessions": sessions}))
 
 
 def _link(source: str, target: str) -> None:

@@ -37,7 +37,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import move_prior
 from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
-from objconnect.localization.featuremetric.references import POINTS
+from objconnect.localization.featuremetric.references import MAX_POINTS
 from objconnect.network.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -52,6 +52,7 @@ CAMERA: Final = Camera("PINHOLE", 512, 512, (440.0, 440.0, 256.0, 256.0))
 TRUTH: Final = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 START: Final = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
 METHODS: Final = ("pixloc", "objconnect", "full", "authors")
+# Iterations of the authors' alignment, and measured runs over all queries.
 _ITERATIONS: Final = 100
 _RUNS: Final = 2
 
@@ -65,53 +66,52 @@ class Ground:
     Attributes:
         images: folder of all photographs.
         sparse_map: the map.
-        queries: to localize, with position and attitude.
-        kept: folder where methods keep what they know of the map.
+        queries: queries with position and attitude.
+        cache: cache folder of the methods.
     """
 
     images: Path
     sparse_map: SparseMap
     queries: tuple[Query, ...]
-    kept: Path
+    cache: Path
 
     @staticmethod
-    def write(folder: Path) -> Ground:
+    def write(folder: Path, camera: Camera = CAMERA) -> Ground:
         """Return smooth ground, and write its photographs to a folder."""
         images = folder / "images"
-        sparse_map = write_map(images, CAMERA)
-        image = photograph(TRUTH, CAMERA)
+        sparse_map = write_map(images, camera)
+        image = photograph(TRUTH, camera)
         Image.fromarray(image).save(images / "query.png")
         prior = Prior(START.centre().numpy(), None, START.rotation.numpy(), None)
-        return Ground(images, sparse_map, (Query("query.png", image, CAMERA, prior),), folder)
+        return Ground(images, sparse_map, (Query("query.png", image, camera, prior),), folder)
 
     @staticmethod
-    def of_scene(scene: Path, count: int, kept: Path) -> Ground:
-        """Queries of other conditions than the map's, as far apart as their list allows.
+    def of_scene(scene: Path, count: int, cache: Path) -> Ground:
+        """Return queries of other conditions than the map's, evenly spread over their list.
 
-        Of the map the ten photographs nearest to each: more are not looked at, and need not be
-        prepared.
+        The map keeps the ten photographs nearest to each query, because methods use no others.
         """
         dataset = open_datasets(scene)[0]
         others = [q for q in dataset.queries if q.condition not in dataset.map_conditions]
         chosen = [others[k] for k in np.linspace(0, len(others) - 1, count).astype(int)]
         priors = [move_prior(q.reference, q.name, 3.0, 5.0) for q in chosen]
         queries = tuple(q.load(prior) for q, prior in zip(chosen, priors, strict=True))
-        whole = Ground(dataset.images, dataset.load_map(), queries, kept)
-        near = {name for query in queries for name in whole.nearest(query, 10)}
-        some = {name: whole.sparse_map.images[name] for name in sorted(near)}
-        return replace(whole, sparse_map=replace(whole.sparse_map, images=some))
+        whole = Ground(dataset.images, dataset.load_map(), queries, cache)
+        nearest = {name for query in queries for name in whole.nearest(query, 10)}
+        images = {name: whole.sparse_map.images[name] for name in sorted(nearest)}
+        return replace(whole, sparse_map=replace(whole.sparse_map, images=images))
 
     def nearest(self, query: Query, count: int) -> list[str]:
         """Return the photographs nearest to the start of a query."""
-        there = start_of(query).centre()
+        centre = start_of(query).centre()
 
-        def away(name: str) -> float:
-            return float((self.sparse_map.images[name].pose.centre() - there).norm())
+        def distance(name: str) -> float:
+            return float((self.sparse_map.images[name].pose.centre() - centre).norm())
 
-        return sorted(self.sparse_map.images, key=away)[:count]
+        return sorted(self.sparse_map.images, key=distance)[:count]
 
     def references(self, query: Query) -> list[str]:
-        """Return as many of them as a query of pixloc uses."""
+        """Return the nearest photographs, as many as a query of pixloc uses."""
         return self.nearest(query, PixlocConfig().references)
 
 
@@ -133,10 +133,10 @@ def make(method: str, ground: Ground) -> Run:
     elif method == "objconnect":
         localizer = ObjConnectLocalizer(ObjConnectConfig())
     else:
-        path, network = ground.kept / "full.safetensors", official.ours()
+        path, network = ground.cache / "full.safetensors", official.ours()
         write_weights(path, network, network.config.model_dump())
         localizer = PixlocLocalizer(PixlocConfig(weights=path))
-    localizer.prepare(ground.sparse_map, ground.images, ground.kept)
+    localizer.prepare(ground.sparse_map, ground.images, ground.cache)
 
     def run() -> object:
         estimates = [localizer.localize(query) for query in ground.queries]
@@ -147,8 +147,10 @@ def make(method: str, ground: Ground) -> Run:
 
 
 def lower_bound(ground: Ground) -> Run:
-    """What the authors' code does before it aligns anything: the network, in float32 and
-    contiguous, on each query and on its references."""
+    """Return a function that runs the network alone, in float32 and contiguous.
+
+    It runs on each query and its reference images, as the authors' code does before it aligns.
+    """
     network = official.ours().to(memory_format=torch.contiguous_format)
 
     @torch.inference_mode()
@@ -175,9 +177,9 @@ def _authors(ground: Ground) -> Run:
     from pixloc.pixlib.geometry import Pose as Stance
     from pixloc.utils.colmap import Image as View  # type: ignore[import-not-found]
 
-    own = ground.queries[0].camera
-    camera = {"model": own.model, "params": np.array(own.params)}
-    camera |= {"width": own.width, "height": own.height}
+    query_camera = ground.queries[0].camera
+    camera = {"model": query_camera.model, "params": np.array(query_camera.params)}
+    camera |= {"width": query_camera.width, "height": query_camera.height}
     model = Model3D.__new__(Model3D)
     model.cameras, model.dbs = {1: camera}, {}
     sparse_map = ground.sparse_map
@@ -187,15 +189,16 @@ def _authors(ground: Ground) -> Run:
         quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
         model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
 
-    def see_from(query: Query) -> dict[int, set[int]]:
-        seen: dict[int, set[int]] = {}
+    def choose_points(query: Query) -> dict[int, set[int]]:
+        """Return the reference images that show each chosen point, by row of the point."""
+        references_of: dict[int, set[int]] = {}
         references = ground.references(query)
         for name in references:
             rows = sparse_map.images[name].point_rows
             order = np.random.default_rng(0).permutation(rows[rows >= 0])
-            for row in order[: POINTS // len(references)]:
-                seen.setdefault(int(row), set()).add(numbers[name])
-        return seen
+            for row in order[: MAX_POINTS // len(references)]:
+                references_of.setdefault(int(row), set()).add(numbers[name])
+        return references_of
 
     model.points3D = {row: SimpleNamespace(xyz=xyz) for row, xyz in enumerate(sparse_map.xyz)}
 
@@ -211,7 +214,7 @@ def _authors(ground: Ground) -> Run:
     for query in ground.queries:
         start = start_of(query)
         stance = Stance.from_Rt(start.rotation.numpy(), start.translation.numpy())
-        inputs.append((query.name, lens, stance, see_from(query)))
+        inputs.append((query.name, lens, stance, choose_points(query)))
 
     @torch.no_grad()
     def run() -> object:
@@ -223,8 +226,7 @@ def _authors(ground: Ground) -> Run:
 
 
 def _measure(args: argparse.Namespace) -> None:
-    """Print seconds a query and megabytes of a method as one line of JSON; for a process of its
-    own."""
+    """Print seconds per query and megabytes of a method as a line of JSON, in its own process."""
     torch.set_num_threads(args.threads)
     if args.checkout:
         official.load(args.checkout)
@@ -244,16 +246,16 @@ def _measure(args: argparse.Namespace) -> None:
 
 def main() -> None:
     """Measure all methods and print a table."""
-    words = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    words.add_argument("--checkout", type=Path)
-    words.add_argument("--scene", type=Path)
-    words.add_argument("--queries", type=int, default=8)
-    words.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
-    words.add_argument("--threads", type=int, help=argparse.SUPPRESS)
-    words.add_argument(
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--checkout", type=Path)
+    parser.add_argument("--scene", type=Path)
+    parser.add_argument("--queries", type=int, default=8)
+    parser.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
+    parser.add_argument("--threads", type=int, help=argparse.SUPPRESS)
+    parser.add_argument(
         "--kept", type=Path, help="cache of an evaluation of the scene, to begin with"
     )
-    args = words.parse_args()
+    args = parser.parse_args()
     if args.one:
         _measure(args)
         return

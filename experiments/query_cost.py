@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--start", default="error=3m,5deg")
-    parser.add_argument("--every", type=int, default=1, help="take every so many queries")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th query")
     args = parser.parse_args()
     torch.set_num_threads(1)
     start = parse_start(args.start)
@@ -40,7 +40,7 @@ def main() -> None:
     queries = dataset.queries[:: args.every]
     seconds = np.zeros((len(methods), len(queries)))
     errors = np.full((len(methods), len(queries)), np.inf)
-    for method in methods:  # what is made once
+    for method in methods:  # warm-up
         method.localize(load(queries[0]))
     for number, query in enumerate(queries):
         loaded = load(query)

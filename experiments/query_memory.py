@@ -53,7 +53,7 @@ def heap() -> tuple[float, float]:
 
 def measure_caches() -> float:
     """Return the size of all bounded caches, 1e6 bytes."""
-    gc.unfreeze()  # what is frozen is not listed
+    gc.unfreeze()  # get_objects does not list frozen objects
     return sum(each.nbytes for each in gc.get_objects() if type(each) is LruCache) / _MB
 
 

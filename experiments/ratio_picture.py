@@ -26,7 +26,7 @@ _COLUMNS = 2
 
 
 def figure_of(versions: Mapping[str, Ratios]) -> Figure:
-    """Draw the ratios of each version, in order, with their spreads; below 1 ours is the faster."""
+    """Draw the ratios of each version, in order, with their spreads; below 1, ours is faster."""
     groups: dict[str, dict[str, dict[int, Ratio]]] = defaultdict(lambda: defaultdict(dict))
     for column, ratios in enumerate(versions.values()):
         for each in ratios.ratios:

@@ -23,11 +23,13 @@ from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text
 
-# A benchmark with one of these words in its name is what others are measured by: a peer, a lower
-# bound, or another way. Of a group without any it is the first by name: tests run in any order.
+# A benchmark whose name holds one of these words is a yardstick: the others of its group are
+# divided by it. In a group without one it is the first benchmark by name, because tests run in any
+# order.
 _YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "by_torch", "untracked")
-# Runs on different days differ by this share, though rounds of one run differ less.
-_LEAST_SPREAD: Final = 0.1
+# Minimum spread, as a share of a ratio. Runs on different days differ by it, though rounds of one
+# run differ less.
+_MIN_SPREAD: Final = 0.1
 KIND: Final = "file of ratios"
 
 
@@ -35,11 +37,11 @@ class Ratio(Config):
     """The time of one benchmark over that of another of its group.
 
     Attributes:
-        group: what both do.
-        name: of the benchmark.
-        over: of the other one, the yardstick.
-        ratio: of their median seconds.
-        spread: of the ratio, from the quartiles of both.
+        group: name of the group.
+        name: name of the benchmark.
+        over: name of the yardstick.
+        ratio: ratio of their median seconds.
+        spread: spread of the ratio, from the quartiles of both.
     """
 
     group: str
@@ -53,10 +55,10 @@ class Ratios(Config):
     """The ratios of one run.
 
     Attributes:
-        schema_version: of the format.
-        commit: of the code.
-        processor: that they were measured on.
-        ratios: of all groups.
+        schema_version: version of the file format.
+        commit: commit of the code.
+        processor: name of the processor.
+        ratios: ratios of all groups.
     """
 
     schema_version: Literal[1] = 1
@@ -70,7 +72,7 @@ class Change(NamedTuple):
 
     Attributes:
         before: the ratio of the earlier run.
-        now: that of the later.
+        now: the ratio of the later run.
         is_worse: whether it grew by more than the spread of both.
     """
 
@@ -109,12 +111,12 @@ def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Rati
     """Return the ratios of a group, given names, medians and distances of quartiles."""
     measured = [row for row in rows if row[1] > 0]
     first = sorted(measured, key=lambda row: _by_number(row[0]))[:1]
-    by = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
+    yardsticks = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
     found = []
-    for name, median, quartiles in (row for row in measured if row not in by):
-        for over, other, of_other in by:
-            spread = math.hypot(quartiles / median, of_other / other)
-            ratio = median / other
+    for name, median, quartiles in (row for row in measured if row not in yardsticks):
+        for over, other_median, other_quartiles in yardsticks:
+            spread = math.hypot(quartiles / median, other_quartiles / other_median)
+            ratio = median / other_median
             found.append(
                 Ratio(group=group, name=name, over=over, ratio=ratio, spread=ratio * spread)
             )
@@ -134,7 +136,7 @@ def changes(now: Ratios, before: Ratios) -> list[Change]:
     for each in now.ratios:
         earlier = known.get((each.group, each.name, each.over))
         if earlier is not None:
-            spread = max(math.hypot(each.spread, earlier.spread), _LEAST_SPREAD * earlier.ratio)
+            spread = max(math.hypot(each.spread, earlier.spread), _MIN_SPREAD * earlier.ratio)
             found.append(Change(earlier, each, each.ratio > earlier.ratio + spread))
     return found
 

@@ -1,4 +1,4 @@
-"""Build a flight from two registered aerial pictures: one becomes the map, the other the queries.
+"""Build a flight data set from two registered aerial pictures, one for the map, one for queries.
 
     python -m experiments.registered_flight MAP QUERIES OUT [--metres 0.2] [--number 24]
         [--seed 0] [--look 0.4]
@@ -32,23 +32,26 @@ from objconnect.scene.geometry.pose import Pose
 Picture = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
+# Reference system, and easting, northing and height (m) of the middle of the picture.
 _CRS: Final = "EPSG:25832"
 _EAST, _NORTH, _HEIGHT = 500_000.0, 5_300_000.0, 100.0
-# UTM on its middle meridian: a metre of the grid is longer on earth.
-_GRID: Final = 0.9996
+# Metres of the grid per metre on earth, on the central meridian of UTM.
+_GRID_SCALE: Final = 0.9996
+# Side and focal length of the photographs, px.
 _SIDE: Final = 384
 _FOCAL: Final = 384.0
-_MOST_TILT_DEG: Final = 30.0
-# Pixels of a photograph as large as so many of the picture.
-_SCALES: Final = (0.7, 1.5)
-# Least share of a photograph that the picture must fill.
-_LEAST_FILLED: Final = 0.8
+_MAX_TILT_DEG: Final = 30.0
+# Range of the ratio of a photograph's pixel on the ground to the picture's.
+_PIXEL_RATIOS: Final = (0.7, 1.5)
+# Minimum share of a photograph that the picture must fill.
+_MIN_FILLED: Final = 0.8
+# Pixels of the level ground are this many times as wide as those of the picture.
 _COARSER: Final = 8
-# Poses that are drawn for each photograph at most.
-_MOST_TRIES: Final = 100
+# Maximum number of poses that are drawn per photograph.
+_MAX_TRIES: Final = 100
 
 
-def change(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
+def change_look(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
     """Return a picture with random light, camera response, snow and haze."""
     x = picture.astype(np.float32) / 255
     x = x ** np.exp(rng.normal(0, 0.35 * strength))
@@ -74,14 +77,18 @@ def camera_pose(rng: np.random.Generator, extent: Array, metres: float) -> Pose:
 
     Args:
         rng: random numbers.
-        extent: (2,) of the picture, metres.
-        metres: of a pixel of the picture.
+        extent: (2,) width and height of the picture, metres.
+        metres: side of a pixel of the picture on the ground.
     """
-    height = rng.uniform(*_SCALES) * metres * _FOCAL
-    tilt = math.radians(rng.uniform(0, _MOST_TILT_DEG))
-    heading, aside = rng.uniform(0, math.tau, 2)
+    height = rng.uniform(*_PIXEL_RATIOS) * metres * _FOCAL
+    tilt = math.radians(rng.uniform(0, _MAX_TILT_DEG))
+    heading, tilt_direction = rng.uniform(0, math.tau, 2)
     centre = np.array([*rng.uniform(-0.42, 0.42, 2) * extent, height])
-    forward = [math.sin(tilt) * math.cos(aside), math.sin(tilt) * math.sin(aside), -math.cos(tilt)]
+    forward = [
+        math.sin(tilt) * math.cos(tilt_direction),
+        math.sin(tilt) * math.sin(tilt_direction),
+        -math.cos(tilt),
+    ]
     right = np.cross(forward, [math.cos(heading), math.sin(heading), 0])
     right /= np.linalg.norm(right)
     matrix = np.eye(4)
@@ -96,19 +103,19 @@ def photograph(picture: Picture, pose: Pose, metres: float) -> Picture | None:
     rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
     lens = np.array([[_FOCAL, 0, _SIDE / 2], [0, _FOCAL, _SIDE / 2], [0, 0, 1]])
     from_ground = lens @ np.stack([rotation[:, 0], rotation[:, 1], translation], 1)
-    pixel = metres / _GRID
+    pixel = metres / _GRID_SCALE
     to_picture = np.array([[1 / pixel, 0, columns / 2], [0, -1 / pixel, rows / 2], [0, 0, 1]])
-    centres = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # of pixels, as OpenCV counts
+    centres = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV counts from pixel centres
     warp = centres @ to_picture @ np.linalg.inv(from_ground) @ np.linalg.inv(centres)
     size, flags = (_SIDE, _SIDE), cv2.WARP_INVERSE_MAP
     whole = np.ones((rows, columns), np.uint8)
     filled = cv2.warpPerspective(whole, warp, size, flags=flags | cv2.INTER_NEAREST)
-    if filled.mean() < _LEAST_FILLED:
+    if filled.mean() < _MIN_FILLED:
         return None
     scale = float(pose.centre()[2]) / _FOCAL / metres
     sharp = cv2.GaussianBlur(picture, (0, 0), 0.5 * scale) if scale > 1 else picture
-    seen = cv2.warpPerspective(sharp, warp, size, flags=flags | cv2.INTER_LINEAR)
-    return np.asarray(seen, np.uint8)
+    view = cv2.warpPerspective(sharp, warp, size, flags=flags | cv2.INTER_LINEAR)
+    return np.asarray(view, np.uint8)
 
 
 def make(args: argparse.Namespace) -> None:
@@ -125,16 +132,16 @@ def make(args: argparse.Namespace) -> None:
     extent = np.array(mapped.shape[1::-1]) * args.metres
     cameras: list[str] = []
     poses: list[str] = []
-    for _ in range(_MOST_TRIES * args.number):
+    for _ in range(_MAX_TRIES * args.number):
         if len(cameras) == args.number:
             break
         pose = camera_pose(rng, extent, args.metres)
-        seen = photograph(np.ascontiguousarray(other), pose, args.metres)
-        if seen is None:
+        view = photograph(np.ascontiguousarray(other), pose, args.metres)
+        if view is None:
             continue
         name = f"q{len(cameras):03d}.jpg"
-        seen = change(seen, rng, args.look)
-        cv2.imwrite(str(args.out / "images" / name), seen[..., ::-1])
+        view = change_look(view, rng, args.look)
+        cv2.imwrite(str(args.out / "images" / name), view[..., ::-1])
         lens = f"{_FOCAL} {_FOCAL} {_SIDE / 2} {_SIDE / 2}"
         cameras.append(f"{name} PINHOLE {_SIDE} {_SIDE} {lens}\n")
         numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())

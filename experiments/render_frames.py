@@ -1,12 +1,13 @@
 """Render one frame per line of standard input: `python -m experiments.render_frames JOB OUT`.
 
 A line is a kind and the number of a frame. "bare": Blender renders and writes only the picture.
-"ours": the frame with all its layers, as the generator writes it. Three more kinds each leave out
+"ours": the frame with all its layers, as ``simulate`` writes it. Three more kinds each leave out
 one more part of the bare picture: "raw" the denoiser, "flat" also all light (every surface is
 emissive, so that a ray ends at its first hit), "still" also all pixels but a few (which leaves
 loading the scene and calling Blender). Settings of Blender's scene may follow for this frame only,
 such as cycles.max_bounces=1. Pictures are OUT/bare.png. The answer is the processor seconds of all
-threads, which depend less on other work than wall-clock time, and the bytes of the process.
+threads, which depend less on other work than wall-clock time, and the resident bytes of the
+process.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from simulate.render.job import RenderJob, frame_path
 
 
 def main(job_path: str, out: str) -> None:
+    """Answer each line of standard input."""
     answers = _claim_stdout()
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     world = preset(job.preset)(job.seed, job.area_m)

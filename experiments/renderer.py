@@ -11,8 +11,8 @@ import numpy as np
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.config import NadirFlight
+from simulate.flight.context import FlightContext
 from simulate.flight.flights import plan_nadir
-from simulate.flight.site import FlightSite
 from simulate.place.presets import preset
 from simulate.render.job import RenderJob
 from tests.blender import require_blender
@@ -24,8 +24,8 @@ def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
     """Return the job of nadir photographs under the condition of the first session."""
     camera = config.photo_camera()
     world = preset(config.preset)(config.seed, config.area)
-    site = FlightSite(config.area, world.terrain.height, camera)
-    poses = plan_nadir(NadirFlight(altitude_m=80.0), site, frames, np.random.default_rng(0))
+    context = FlightContext(config.area, world.terrain.height, camera)
+    poses = plan_nadir(NadirFlight(altitude_m=80.0), context, frames, np.random.default_rng(0))
     pinhole = PinholeCamera(
         width=config.size,
         height=config.size,
@@ -54,9 +54,9 @@ class Renderer:
         self.rendered.mkdir(parents=True)
         path = folder / "job.json"
         path.write_text(job.model_dump_json())
-        words = ["-m", "experiments.render_frames", str(path), str(self.rendered)]
+        arguments = ["-m", "experiments.render_frames", str(path), str(self.rendered)]
         self.process = subprocess.Popen(
-            [sys.executable, *words],
+            [sys.executable, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -27,7 +27,7 @@ _KINDS = ("slic", "felzenszwalb")
 
 
 def main(scene: Path, count: int) -> None:
-    """Print the milliseconds of both, and of the whole query."""
+    """Print the milliseconds of each segmentation, and of the whole query."""
     dataset = open_datasets(scene)[0]
     chosen = [
         dataset.queries[k] for k in np.linspace(0, len(dataset.queries) - 1, count, dtype=int)
@@ -55,8 +55,11 @@ def main(scene: Path, count: int) -> None:
             begun = process_time()
             localizer.localize(query)
             whole.append((process_time() - begun, sum(spent)))
-        seconds, finding = (1000 * median(each) for each in zip(*whole[1:], strict=True))
-        print(f"{kind}: {finding:.0f} of {seconds:.0f} ms, {100 * finding / seconds:.0f} %")
+        query_ms, segmentation_ms = (1000 * median(each) for each in zip(*whole[1:], strict=True))
+        print(
+            f"{kind}: {segmentation_ms:.0f} of {query_ms:.0f} ms, "
+            f"{100 * segmentation_ms / query_ms:.0f} %"
+        )
 
 
 if __name__ == "__main__":

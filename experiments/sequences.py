@@ -2,12 +2,13 @@
 
     python -m experiments.sequences SCENE SESSION --map PLACE --out DIR [--black 50 60]
 
-SCENE is a simulated scene of the site of PLACE, which has the map. The session is exported as a
-video with subtitles. From ``--lost-after`` seconds on these have no position; with ``--no-gimbal``
-they have no attitude either. ``localize --video`` then runs twice: as a sequence, and with
-``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone. ``--black``
-blanks the frames of a time span, as fog does, after which the position is lost. An interrupted run
-goes on, but its seconds are those of the last run: delete DIR to measure again.
+SCENE is a simulated scene of the same site as PLACE, which has the map. The session is exported as
+a video with subtitles. From ``--lost-after`` seconds on these have no position; with
+``--no-gimbal`` they have no attitude either. ``localize --video`` then runs twice: as a sequence,
+and with ``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone.
+``--black`` blanks the frames of a time span, as fog does, after which the position is lost. A
+second run continues an interrupted one, but its seconds are those of the last run: delete DIR to
+measure again.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.video import decode_frames, read_video, write_video
 
-LEVELS = ((0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
+# Bounds of errors (m, deg) within which a frame counts in recall.
+THRESHOLDS = ((0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
+# Parts of the video for which the median error is reported.
 QUARTERS = 4
 
 
@@ -65,8 +68,8 @@ class Timed:
         return estimate
 
 
-def without_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
-    """Replace positions by the zeros that a drone writes without a fix."""
+def remove_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
+    """Replace positions of subtitles by the zeros that a drone writes without a fix."""
     blocks = srt.read_text("utf-8").split("\n\n")
     kept = []
     for block in blocks:
@@ -105,7 +108,7 @@ def report(
         f"{metres:g}m_{degrees:g}deg": round(
             100 * float(((errors[:, 0] < metres) & (errors[:, 1] < degrees)).mean()), 1
         )
-        for metres, degrees in LEVELS
+        for metres, degrees in THRESHOLDS
     }
     false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
     quarters = np.array_split(errors[:, 0], QUARTERS)
@@ -147,11 +150,11 @@ def main() -> None:
     flown = args.out / "flown"
     if not flown.exists():
         export(args.scene, "video", flown, [args.session])
-        without_gps(flown / f"{args.session}.SRT", args.lost_after, not args.no_gimbal)
+        remove_gps(flown / f"{args.session}.SRT", args.lost_after, not args.no_gimbal)
         if args.black is not None:
             blank(flown / f"{args.session}.MP4", *args.black)
     truth = read_poses(flown / f"{args.session}-poses.txt")
-    place = open_map(args.map)
+    localization_map = open_map(args.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in args.runs:
         localizer = Timed(create(args.method, {}))
@@ -159,7 +162,7 @@ def main() -> None:
             gps_sigma_m=3.0, sequence=configs[name], undulation_m=0.0, cache=args.cache
         )
         video, out = flown / f"{args.session}.MP4", args.out / f"{name}.txt"
-        located = localize_video(place, video, localizer, out, options)
+        located = localize_video(localization_map, video, localizer, out, options)
         figures = report(name, located, truth, localizer)
         (args.out / f"{name}-figures.json").write_text(json.dumps(figures, indent=1) + "\n")
         print(json.dumps(figures, indent=1), flush=True)

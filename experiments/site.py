@@ -24,7 +24,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmark.forecasting.views import usual_camera
+from benchmark.forecasting.views import most_common_camera
 from experiments.orthophoto import _link
 from objconnect.scene.bundle.manifest import Splits, write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene
@@ -32,22 +32,22 @@ from objconnect.scene.storage.images import read_rgb
 from simulate.place.survey_files import load_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
-from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER
+from simulate.twin.classes import CROWN, LOW_VEGETATION, NAMES, PAVED, ROOF, WATER
 from simulate.twin.options import SiteConfig
-from simulate.twin.report import PLACE
+from simulate.twin.report import PLACE_FILE
 
-# What the classes of a simulated place are called in a twin; others are things that stand on it.
+# The classes of a simulated scene for each class of a twin's ground. Other classes are objects.
 _TRUTH = {
-    LOW: ("grass", "field"),
+    LOW_VEGETATION: ("grass", "field"),
     PAVED: ("road", "pavement", "parking", "driveway", "path"),
     WATER: ("water",),
     ROOF: ("building",),
     CROWN: ("tree",),
 }
 WHAT = ("flown", "cross", "compare", "features", "strip", "classes")
-_WIDEST = 520  # pixels of a photograph in a strip
-_STEP = 4  # every so many rows and columns of a photograph are compared
-_FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
+_MAX_WIDTH = 520  # pixels of a photograph in a strip
+_STEP = 4  # every n-th row and column of a photograph is compared
+_FACES_UP = 30  # minimum z of a normal, of 127; surface models from above have no walls
 
 
 def main() -> None:
@@ -79,7 +79,7 @@ def main() -> None:
         strip(first, second, args.out, args.query)
     else:
         compare_colours(first, second)
-        compare_classes(first, load_site(second.path / PLACE, 0))
+        compare_classes(first, load_site(second.path / PLACE_FILE, 0))
 
 
 def write_flown(scene: Scene, size: int, out: Path) -> None:
@@ -97,7 +97,7 @@ def write_flown(scene: Scene, size: int, out: Path) -> None:
     config = {
         "preset": "site",
         "site": {"scene": str(scene.path)},
-        "camera": usual_camera(scene.sparse_map(), size),
+        "camera": most_common_camera(scene.sparse_map(), size),
         "sessions": sessions,
     }
     out.write_text(yaml.safe_dump(config, sort_keys=False))
@@ -106,8 +106,10 @@ def write_flown(scene: Scene, size: int, out: Path) -> None:
 def cross(mapped: Scene, queried: Scene, out: Path) -> None:
     """Build a scene of the map of one scene and the queries of another in the same world."""
     owners = {name.split("/")[0]: mapped for name in mapped.splits.map}
-    if both := owners.keys() & queried.splits.queries.keys():
-        raise SystemExit(f"session {min(both)} has the map of one scene and queries of the other")
+    if in_both := owners.keys() & queried.splits.queries.keys():
+        raise SystemExit(
+            f"session {min(in_both)} has the map of one scene and queries of the other"
+        )
     owners |= dict.fromkeys(queried.splits.queries, queried)
     for session, owner in owners.items():
         shutil.copytree(
@@ -139,11 +141,11 @@ def compare_classes(real: Scene, world: World) -> None:
     count = np.zeros((256, 256), np.int64)
     for session in {name.split("/")[0] for name in real.splits.map}:
         frames = real.frames(session)
-        with real.dense(session) as dense:
+        with real.layers(session) as layers:
             for k, camera in enumerate(frames.cameras):
                 rays = camera.unproject(camera.pixel_grid()[::_STEP, ::_STEP])[0].numpy()
                 depth, label, normal = (
-                    dense.read(layer, k)[::_STEP, ::_STEP]
+                    layers.read(layer, k)[::_STEP, ::_STEP]
                     for layer in ("depth", "semantic", "normal")
                 )
                 pose = frames.cam_from_world[k]
@@ -166,28 +168,28 @@ def compare_features(flight: Scene, twin: Scene) -> None:
     A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
     get the size of the twin's.
     """
-    (there,) = flight.splits.queries.values()
+    (photographs,) = flight.splits.queries.values()
     session = next(iter(twin.splits.queries))
     frames = twin.frames(session)
-    seen = {}
-    with twin.dense(session) as dense:
+    found = {}
+    with twin.layers(session) as layers:
         for k, name in enumerate(frames.names):
             rendered = read_rgb(twin.images_root / name)
-            labels, (height, width) = dense.read("semantic", k), rendered.shape[:2]
-            taken = cv2.resize(
-                read_rgb(flight.images_root / there[k]),
+            labels, (height, width) = layers.read("semantic", k), rendered.shape[:2]
+            resized = cv2.resize(
+                read_rgb(flight.images_root / photographs[k]),
                 (width, height),
                 interpolation=cv2.INTER_AREA,
             )
-            for source, rgb in (("flight", taken), ("twin", rendered)):
+            for source, rgb in (("flight", resized), ("twin", rendered)):
                 points = cv2.SIFT_create().detect(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
                 x, y = np.array([point.pt for point in points], int).reshape(-1, 2).T
                 for label in NAMES:
                     mask = labels == label
-                    kept = seen.setdefault((label, source), ([], []))
-                    kept[0].append(rgb[mask])
-                    kept[1].append(int(mask[y, x].sum()))
-    for (label, source), (pixels, features) in seen.items():
+                    pixels, features = found.setdefault((label, source), ([], []))
+                    pixels.append(rgb[mask])
+                    features.append(int(mask[y, x].sum()))
+    for (label, source), (pixels, features) in found.items():
         colours = np.concatenate(pixels)
         if len(colours):
             print(
@@ -199,13 +201,13 @@ def compare_features(flight: Scene, twin: Scene) -> None:
 
 def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
     """Draw one query: real and twin in summer, twin in winter, and real in winter if there is."""
-    there, *later = real.splits.queries
+    first, *later = real.splits.queries
     summer, winter = list(twin.splits.queries)
-    order = [(real, there), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]
+    order = [(real, first), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]
     names = [(scene, scene.splits.queries[session][query]) for scene, session in order]
     pictures = [Image.fromarray(read_rgb(scene.images_root / name)) for scene, name in names]
     width, height = min(picture.size for picture in pictures)
-    size = (min(width, _WIDEST), round(height * min(1, _WIDEST / width)))
+    size = (min(width, _MAX_WIDTH), round(height * min(1, _MAX_WIDTH / width)))
     Image.fromarray(np.hstack([np.asarray(p.resize(size)) for p in pictures])).save(out, quality=80)
 
 

@@ -3,10 +3,10 @@
     python -m experiments.street_retrieval SCENE [SCENE ...] [--metres 10] [--degrees 30]
         [--cache CACHE]
 
-The scenes have maps and queries of other conditions. A photograph is correct within so many metres
-and degrees of the query. Prints the share of queries with a correct photograph among the first,
-first five and first ten: by VLAD of SIFT, by VLAD of the coarse features of the learned methods,
-and by chance.
+The scenes have maps and queries of other conditions. A photograph is correct if it is within
+--metres and --degrees of the query. Prints the share of queries with a correct photograph among the
+first, first five and first ten: by VLAD of SIFT, by VLAD of the coarse features of the learned
+methods, and by chance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
-from benchmark.scoring.score import wilson
+from benchmark.scoring.intervals import share
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.matching.structure import StructureLocalizer
 from objconnect.methods import create
@@ -48,15 +48,15 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
             advance(done)
 
 
-def _right(dataset: Dataset, metres: float, degrees: float) -> NDArray[np.bool_]:
+def _is_correct(dataset: Dataset, metres: float, degrees: float) -> NDArray[np.bool_]:
     """Return whether each map photograph is correct for each query (Q, N)."""
     sparse_map = dataset.load_map()
-    right = np.zeros((len(dataset.queries), len(sparse_map.names)), bool)
+    is_correct = np.zeros((len(dataset.queries), len(sparse_map.names)), bool)
     for number, query in enumerate(dataset.queries):
         for row, name in enumerate(sparse_map.names):
             t, r = sparse_map.images[name].pose.error_to(query.reference)
-            right[number, row] = float(t) < metres and float(r) < degrees
-    return right
+            is_correct[number, row] = float(t) < metres and float(r) < degrees
+    return is_correct
 
 
 def main() -> None:
@@ -69,22 +69,23 @@ def main() -> None:
     args = parser.parse_args()
     cache = args.cache or Path(tempfile.mkdtemp())
     datasets = [dataset for scene in args.scenes for dataset in open_datasets(scene)]
-    rights = [_right(dataset, args.metres, args.degrees) for dataset in datasets]
-    queries = sum(len(right) for right in rights)
+    correct = [_is_correct(dataset, args.metres, args.degrees) for dataset in datasets]
+    queries = sum(len(is_correct) for is_correct in correct)
+    courses = [f"{d.name}/{d.courses[query.group]}" for d in datasets for query in d.queries]
     for method in _METHODS:
-        hits = np.zeros(len(_FIRST), int)
-        for dataset, right in zip(datasets, rights, strict=True):
+        hits: list[list[bool]] = []
+        for dataset, is_correct in zip(datasets, correct, strict=True):
             localizer = create(method, {})
             localizer.prepare(dataset.load_map(), dataset.images, cache)
-            for of_query, rows in zip(right, _ranks(localizer, dataset), strict=True):
-                hits += [bool(of_query[rows[:first]].any()) for first in _FIRST]
-        for first, count in zip(_FIRST, hits, strict=True):
-            low, high = (100 * end for end in wilson(int(count), queries))
-            print(f"{method} first {first}: {100 * count / queries:.1f} [{low:.1f}, {high:.1f}] %")
+            for of_query, rows in zip(is_correct, _ranks(localizer, dataset), strict=True):
+                hits.append([bool(of_query[rows[:first]].any()) for first in _FIRST])
+        for first, is_hit in zip(_FIRST, zip(*hits, strict=True), strict=True):
+            print(f"{method} first {first}: {share(is_hit, courses).text()} %")
     for first in _FIRST:
-        missed = [(~right).mean(1) ** first for right in rights]
+        missed = [(~is_correct).mean(1) ** first for is_correct in correct]
         print(f"chance first {first}: {100 * (1 - np.concatenate(missed).mean()):.1f} %")
-    print(f"{queries} queries, {sum(int((~right.any(1)).sum()) for right in rights)} without any")
+    without = sum(int((~is_correct.any(1)).sum()) for is_correct in correct)
+    print(f"{queries} queries, {without} without any")
 
 
 if __name__ == "__main__":

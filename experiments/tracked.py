@@ -35,6 +35,7 @@ from objconnect.scene.localizer import Prior, Query, Status
 from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.images import read_rgb
 
+# Bounds of errors (m, deg) within which a frame counts in recall.
 BOUNDS = ((0.25, 2.0), (0.5, 5.0))
 SEED = 0
 
@@ -73,8 +74,8 @@ class Run:
             error = float(metres), float(degrees)
         self.errors.append(error)
 
-    def figures(self, beside: Run) -> dict[str, Any]:
-        """Return the figures of the run, with ratios to the seconds of another one."""
+    def figures(self, reference: Run) -> dict[str, Any]:
+        """Return the figures of the run, with ratios to the seconds of a reference run."""
         errors = np.array(self.errors)
         found = np.isfinite(errors[:, 0])
         false = found & ((errors[:, 0] > 5) | (errors[:, 1] > 10))
@@ -93,8 +94,8 @@ class Run:
             "clock_s": round(float(np.median(self.clock)), 3),
             "processor_s": round(float(np.median(self.processor)), 3),
             "processor_mean_s": round(float(np.mean(self.processor)), 3),
-            "processor_ratio": ratio(self.processor, beside.processor),
-            "clock_ratio": ratio(self.clock, beside.clock),
+            "processor_ratio": ratio(self.processor, reference.processor),
+            "clock_ratio": ratio(self.clock, reference.clock),
         }
 
 
@@ -127,11 +128,11 @@ def prior_of(frame: Frame) -> Prior:
 
 
 def create_run(
-    place: LocalizationMap, cache: Path, method: str, settings: dict[str, Any], name: str
+    localization_map: LocalizationMap, cache: Path, method: str, settings: dict[str, Any], name: str
 ) -> Run:
     """Return a run that is ready for its first frame."""
     localizer = create(method, settings)
-    localizer.prepare(place.sparse_map, place.images, cache)
+    localizer.prepare(localization_map.sparse_map, localization_map.images, cache)
     return Run(name, Tracker(localizer, SequenceConfig()))
 
 
@@ -142,8 +143,8 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--flight", type=Path)
     parser.add_argument("--session", default="flight")
-    parser.add_argument("--rate", type=float, default=5.0, help="frames that it took a second")
-    parser.add_argument("--every", type=int, default=1, help="take every so many frames")
+    parser.add_argument("--rate", type=float, default=5.0, help="frames per second of the flight")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th frame")
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--alone", action="store_true")
@@ -153,14 +154,14 @@ def main() -> None:
     )
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
-    place, scene = open_map(args.place), Scene.open(args.flight or args.place)
+    localization_map, scene = open_map(args.place), Scene.open(args.flight or args.place)
     frames = frames_of(scene, args.session, args.every, args.rate)
-    both: dict[str, Any] = dict(each.split("=", 1) for each in args.set)
-    tracking = both | {"tracking": json.loads(args.tracking)}
-    runs = [create_run(place, args.cache, args.method, tracking, "tracked")]
+    settings: dict[str, Any] = dict(each.split("=", 1) for each in args.set)
+    tracking = settings | {"tracking": json.loads(args.tracking)}
+    runs = [create_run(localization_map, args.cache, args.method, tracking, "tracked")]
     if not args.alone:
-        alone = both | {"tracking": None}
-        without = create_run(place, args.cache, args.method, alone, "without")
+        alone = settings | {"tracking": None}
+        without = create_run(localization_map, args.cache, args.method, alone, "without")
         runs.insert(0, without)
     for number, frame in enumerate(frames):
         prior = prior_of(frame) if number == 0 else None

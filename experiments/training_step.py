@@ -38,10 +38,12 @@ from objconnect.scene.geometry.pose import Pose
 from tests.baselines.pixloc import official
 
 METHODS: Final = ("objconnect", "pixloc", "full", "authors")
+# Sides of the pictures (px), measured steps, and points of a pair.
 _SIDES: Final = (192, 512)
 _STEPS: Final = 3
 _POINTS: Final = 512
-# The authors' configuration for CMU: rate, that of the damping, largest norm of the gradient.
+# The authors' configuration for CMU: learning rates of the network and of the damping, and maximum
+# norm of the gradient.
 _RATE, _DAMPING_RATE, _CLIP = 1e-5, 1e-3, 1.0
 
 
@@ -52,11 +54,11 @@ def pair(side: int) -> Pair:
     xy = np.random.default_rng(0).uniform(0.2 * side, 0.8 * side, (_POINTS, 2))
     rays, _ = camera.unproject(torch.from_numpy(xy))
     points = 20 * rays / rays[:, 2:]
-    shades = (255 * official.picture(side, side)[0].permute(1, 2, 0).clamp(0, 1)).byte().numpy()
+    picture = (255 * official.picture(side, side)[0].permute(1, 2, 0).clamp(0, 1)).byte().numpy()
     pinhole = Pinhole(np.array(camera.params[:2]), np.array(camera.params[2:]))
     return Pair(
-        image_a=shades,
-        image_b=np.roll(shades, 3, 1),
+        image_a=picture,
+        image_b=np.roll(picture, 3, 1),
         camera_a=pinhole,
         camera_b=pinhole,
         b_from_a=truth.matrix().numpy(),
@@ -97,7 +99,7 @@ def _authors(batch: PairBatch) -> Callable[[], object]:
     from pixloc.pixlib.geometry import Camera as Lens  # type: ignore[import-not-found]
     from pixloc.pixlib.geometry import Pose as Stance
 
-    def theirs(pose: Pose) -> Any:
+    def convert(pose: Pose) -> Any:
         return Stance.from_Rt(pose.rotation, pose.translation)
 
     model = official.refiner()
@@ -105,13 +107,13 @@ def _authors(batch: PairBatch) -> Callable[[], object]:
     focal, principal = batch.intrinsics_a.focal, batch.intrinsics_a.principal
     size = torch.full((1, 2), float(side))
     camera = Lens(torch.cat([size, focal, principal - 0.5], -1))
-    here = theirs(batch.start)
-    shared = {"camera": camera, "T_w2cam": here}
+    start = convert(batch.start)
+    shared = {"camera": camera, "T_w2cam": start}
     data = {
         "ref": shared | {"image": batch.image_a, "points3D": batch.points},
-        "query": shared | {"image": batch.image_b, "T_w2cam": theirs(batch.b_from_a)},
-        "T_r2q_init": here,
-        "T_r2q_gt": theirs(batch.b_from_a),
+        "query": shared | {"image": batch.image_b, "T_w2cam": convert(batch.b_from_a)},
+        "T_r2q_init": start,
+        "T_r2q_gt": convert(batch.b_from_a),
     }
     damping = [p for name, p in model.named_parameters() if "dampingnet" in name]
     others = [p for name, p in model.named_parameters() if "dampingnet" not in name]
@@ -137,7 +139,7 @@ def _descend(loss: Tensor, network: nn.Module, optimizer: torch.optim.Optimizer)
 
 
 def _measure(args: argparse.Namespace) -> None:
-    """Print processor seconds of a step as one line of JSON; for a process of its own."""
+    """Print processor seconds of a step as a line of JSON, in its own process."""
     torch.set_num_threads(1)
     official.load(args.checkout)
     step = make(args.one, args.side)
@@ -152,11 +154,11 @@ def _measure(args: argparse.Namespace) -> None:
 
 def main() -> None:
     """Measure all methods and print a table."""
-    words = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    words.add_argument("checkout", type=Path)
-    words.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
-    words.add_argument("--side", type=int, help=argparse.SUPPRESS)
-    args = words.parse_args()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("checkout", type=Path)
+    parser.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
+    parser.add_argument("--side", type=int, help=argparse.SUPPRESS)
+    args = parser.parse_args()
     if args.one:
         _measure(args)
         return

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import parse_start
-from benchmark.scoring.score import wilson
+from benchmark.scoring.intervals import share
 from objconnect.methods import create
 from objconnect.scene.localizer import Status
 from objconnect.scene.runtime.progress import progress_bar
@@ -43,11 +43,11 @@ def main() -> None:
             if localizer.localize(load(query)).status is Status.OK:
                 answered.append(query.name)
             advance(done)
-    low, high = wilson(len(answered), len(queries))
+    courses = [dataset.courses[query.group] for query in queries]
+    false = share([query.name in answered for query in queries], courses)
     print(
         f"{dataset.name} in {other.name}, {args.start.name}: {len(answered)} of {len(queries)} "
-        f"are false fixes, {100 * len(answered) / len(queries):.1f} % "
-        f"[{100 * low:.1f}, {100 * high:.1f}]",
+        f"are false fixes, {false.text()} %",
         *answered,
         sep="\n  ",
     )

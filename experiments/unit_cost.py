@@ -1,7 +1,8 @@
 """Cost of a rendered photograph on disk and in `map` and `evaluate`.
 
 `python -m experiments.unit_cost SCENE` prints bytes on disk, and processor seconds of one core for
-each step of `map` and `evaluate`: medians over some photographs and pairs. The scene needs its map.
+each step of `map` and `evaluate`: medians over eight photographs, pairs or queries. The scene needs
+its map.
 """
 
 from __future__ import annotations
@@ -26,23 +27,24 @@ from objconnect.scene.maps.matching import match
 from objconnect.scene.runtime.tuning import ProcessTuning
 from simulate.annotations import measure_covisibility, pixel_digests
 
-_SOME = 8
+# Number of photographs, pairs or queries of which a median is taken.
+_SAMPLES = 8
 
 
 def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Return the costs by name."""
+    """Yield the name and the cost of each part."""
     photographs = list(scene.images_root.rglob("*.jpg"))
     root, mapped, count = scene.images_root, scene.splits.map, len(photographs)
     yield "JPEG of a photograph", _kilobytes(photographs, count)
     yield "its layers", _kilobytes(root.rglob("*.h5"), count)
     yield "map, of a photograph", _kilobytes(scene.map_path.rglob("*"), len(mapped))
-    for what, do in (("covisibility", measure_covisibility), ("digests", pixel_digests)):
+    for name, run in (("covisibility", measure_covisibility), ("digests", pixel_digests)):
         began = time.process_time()
-        do(scene)
+        run(scene)
         spent = (time.process_time() - began) / count
-        yield f"{what}, of one of {count}", f"{spent:.3f} cpu-s"
+        yield f"{name}, of one of {count}", f"{spent:.3f} cpu-s"
     options = SiftOptions()
-    found = extract_sift(root, mapped[:_SOME], options, threads=1)
+    found = extract_sift(root, mapped[:_SAMPLES], options, threads=1)
     names = list(found)
     descriptors = [unit_descriptors(found[name].descriptors) for name in names]
     sift = _seconds(lambda k: extract_sift(root, [names[k]], options, threads=1))
@@ -51,10 +53,10 @@ def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
     dataset = open_scene(scene.path)
     localizer, sparse_map = create("sift", {}), dataset.load_map()
     localizer.prepare(sparse_map, dataset.images)
-    ask, queries = PRIOR.loader(dataset, sparse_map), dataset.queries[:_SOME]
+    load, queries = PRIOR.loader(dataset, sparse_map), dataset.queries[:_SAMPLES]
     yield (
         "a query of sift",
-        _seconds(lambda k: localize_safely(localizer, ask(queries[k % len(queries)]))),
+        _seconds(lambda k: localize_safely(localizer, load(queries[k % len(queries)]))),
     )
 
 
@@ -63,22 +65,22 @@ def _kilobytes(files: Iterable[Path], count: int) -> str:
     return f"{total / count / 1e3:.0f} kB"
 
 
-def _seconds(do: Callable[[int], object]) -> str:
+def _seconds(run: Callable[[int], object]) -> str:
     spent = []
-    for k in range(_SOME):
+    for k in range(_SAMPLES):
         began = time.process_time()
-        do(k)
+        run(k)
         spent.append(time.process_time() - began)
     return f"{np.median(spent):.2f} cpu-s"
 
 
 def main() -> None:
     """Print the costs."""
-    words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("scene", type=Path)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
     torch.set_num_threads(1)
-    for what, much in unit_cost(Scene.open(words.parse_args().scene)):
-        print(f"{what:<28}{much}", flush=True)
+    for name, cost in unit_cost(Scene.open(parser.parse_args().scene)):
+        print(f"{name:<28}{cost}", flush=True)
 
 
 if __name__ == "__main__":

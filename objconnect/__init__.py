@@ -1,8 +1,9 @@
 """6-DoF localization of a UAV's camera in a sparse map, across seasons.
 
-``import objconnect as oc`` gives every call and type of everyday use. Importing it is quick: each
-name is loaded when it is first used, with what it needs alone. Data sets, scores and boards are in
-``benchmark``, rendering is in ``simulate``, methods to compare with are in ``baselines``.
+``import objconnect as oc`` gives the functions and types of everyday use. The import is quick,
+because the module of a name is imported when the name is first used. Data sets, scores and
+leaderboards are in ``benchmark``, rendering is in ``simulate``, methods to compare with are in
+``baselines``.
 
 >>> import objconnect as oc
 >>> oc.Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0)).focal

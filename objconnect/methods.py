@@ -1,6 +1,6 @@
-"""Localizers and methods that learn, by name.
+"""Registries of localizers and of methods that can be trained, by name.
 
-The command line lists the names in its help, so that importing this module imports no method.
+Importing this module imports no method, because the help of the command line lists the names.
 """
 
 from __future__ import annotations
@@ -43,6 +43,12 @@ LOCALIZERS: Final[Registry[LocalizerFactory]] = Registry(
         "akaze": _lazy_factory("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
         "epipolar": _lazy_factory("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
         "d2net": _lazy_factory("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
+        "aliked+lightglue": _lazy_factory(
+            "baselines.lightglue.localizer", "AlikedLightGlueConfig", "AlikedLightGlueLocalizer"
+        ),
+        "disk+lightglue": _lazy_factory(
+            "baselines.lightglue.localizer", "DiskLightGlueConfig", "DiskLightGlueLocalizer"
+        ),
         "pixloc": _lazy_factory("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
         "pixloc-search": _lazy_factory(
             "baselines.pixloc.localizer", "PixlocSearchConfig", "PixlocSearchLocalizer"
@@ -71,49 +77,54 @@ TRAINABLES: Final[Registry[Callable[[TrainConfig], Trainable]]] = Registry(
 )
 
 METHODS: Final = tuple(LOCALIZERS.built_in)
+"""Names of the localizers of this package."""
 TRAINABLE: Final = tuple(TRAINABLES.built_in)
-_PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
+"""Names of the methods of this package that can be trained."""
+# Members of the protocol ``Localizer``.
+_MEMBERS: Final = ("name", "config", "weights_sha256", "prepare", "localize")
 
 
 def method_names() -> list[str]:
-    """Return the names of our methods, then those of methods that installed packages add."""
+    """Return the names of the built-in methods, then those that installed packages add."""
     return list(LOCALIZERS)
 
 
 def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     """Build a localizer.
 
-    A package adds its own by an entry point of the group ``objconnect.localizers``: a callable
-    that takes the overrides and returns a ``objconnect.scene.localizer.Localizer``.
+    A package adds a localizer by an entry point of the group ``objconnect.localizers``: a callable
+    that takes the overrides and returns an ``objconnect.scene.localizer.Localizer``.
 
     Args:
-        name: one of ``known()``.
+        name: one of ``method_names()``.
         overrides: configuration values that differ from the defaults.
 
     Raises:
-        InputError: the name or a key is unknown, a value is bad, or a package's localizer cannot
-            be built.
+        InputError: the name or a key is unknown, a value is invalid, or a package's localizer
+            cannot be built.
     """
     with LOCALIZERS.blame(name, "cannot be made"):
         localizer = LOCALIZERS.load(name, "cannot be made")(dict(overrides))
     entry_point = LOCALIZERS.entry_point(name)
-    lacking = [part for part in _PROTOCOL if not hasattr(localizer, part)]
-    if entry_point is not None and lacking:
+    # Built-in localizers are not checked: access to the members would load weights.
+    if entry_point is None:
+        return localizer
+    if missing := [member for member in _MEMBERS if not hasattr(localizer, member)]:
         raise InputError(
-            f"method {name!r} ({entry_point.value}) is no localizer: it lacks {', '.join(lacking)}"
+            f"method {name!r} ({entry_point.value}) is no localizer: it lacks {', '.join(missing)}"
         )
     return localizer
 
 
 def trainable(name: str) -> Callable[[TrainConfig], Trainable]:
-    """Return a method that learns; it is still to be given the configuration of its training.
+    """Return the constructor of a method that can be trained; it takes a training configuration.
 
-    A package adds its own by an entry point of the group ``objconnect.trainables``: a callable
-    that takes a ``objconnect.learning.training.config.TrainConfig`` and returns a
+    A package adds a method by an entry point of the group ``objconnect.trainables``: a callable
+    that takes an ``objconnect.learning.training.config.TrainConfig`` and returns an
     ``objconnect.learning.training.loop.Trainable``.
 
     Raises:
-        InputError: there is no such method, it has nothing to learn, or a package's cannot be
+        InputError: there is no such method, it cannot be trained, or a package's method cannot be
             loaded.
     """
     return TRAINABLES.load(name)

@@ -1,11 +1,11 @@
-"""A pytest plugin: the recall gate as a fixture, wherever this package is installed.
+"""A pytest plugin with the recall gate as a fixture, for any repository that has this package.
 
-``no_recall_drop(results, baseline)`` fails the test that calls it when recall dropped by more than
+``no_recall_drop(results, baseline)`` fails the test that calls it if recall dropped by more than
 chance; ``pytest --update-recall`` records the results as the baseline instead.
 
-Pytest loads this module in every repository of the environment. A repository may have a package of
-its own that is called ``benchmark``, so nothing of ours but this package is imported here: the
-comparison runs as ``objconnect regress`` in a process of its own, which finds ours first.
+pytest loads this module in every repository of the environment. A repository may have a package
+that is called ``benchmark`` too, so this module does not import ``benchmark``. It runs the
+comparison as ``objconnect regress`` in a separate process, which finds the right one first.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Final
 
 import pytest
 
-# The folder of our packages: a checkout, or that of installed packages.
-_OURS: Final = Path(__file__).resolve().parents[1]
-# The exit code of a regression, and of nothing else.
+# The folder that holds the packages ``objconnect`` and ``benchmark``.
+_PACKAGES: Final = Path(__file__).resolve().parents[1]
+# Exit code of ``objconnect regress`` that means a drop of recall, and nothing else.
 _REGRESSION: Final = 1
 
 
@@ -40,28 +40,29 @@ def no_recall_drop(request: pytest.FixtureRequest) -> Callable[[Path, Path], Non
 
     def check(results: Path, baseline: Path) -> None:
         __tracebackhide__ = True
-        words = [f"--against={baseline}", "--", str(results)]
+        arguments = [f"--against={baseline}", "--", str(results)]
         if request.config.getoption("--update-recall"):
-            words.insert(0, "--update")
-        answer = _regress(words)
-        if answer.returncode == _REGRESSION:
-            dropped = [line for line in answer.stdout.splitlines() if line.startswith("DROP")]
-            pytest.fail("\n".join(["recall dropped", *dropped]), pytrace=False)
-        if answer.returncode:
-            said = answer.stderr.strip() or f"objconnect regress ended with {answer.returncode}"
-            pytest.fail(said, pytrace=False)
+            arguments.insert(0, "--update")
+        process = _regress(arguments)
+        if process.returncode == _REGRESSION:
+            drops = [line for line in process.stdout.splitlines() if line.startswith("DROP")]
+            pytest.fail("\n".join(["recall dropped", *drops]), pytrace=False)
+        if process.returncode:
+            fallback = f"objconnect regress ended with exit code {process.returncode}"
+            message = process.stderr.strip() or fallback
+            pytest.fail(message, pytrace=False)
 
     return check
 
 
-def _regress(words: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run ``objconnect regress``, even beside packages with the names of ours.
+def _regress(arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run ``objconnect regress``, also if the repository has a package ``benchmark`` too.
 
-    ``-P`` keeps the working folder off the path; ``PYTHONPATH`` puts ours before all others.
+    ``-P`` keeps the working folder off the path, and ``PYTHONPATH`` puts ``_PACKAGES`` first.
     """
-    path = os.pathsep.join(filter(None, [str(_OURS), os.environ.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(_PACKAGES), os.environ.get("PYTHONPATH")]))
     return subprocess.run(
-        [sys.executable, "-P", "-m", "benchmark.cli", "regress", *words],
+        [sys.executable, "-P", "-m", "benchmark.cli", "regress", *arguments],
         check=False,
         env={**os.environ, "PYTHONPATH": path, "PYTHONUTF8": "1"},
         capture_output=True,

@@ -13,7 +13,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 
-# Side of the grid of points that samples a frame's surface; shares are multiples of 1/256.
+# A frame's surface is sampled at a grid of 16 x 16 points, so that shares are multiples of 1/256.
 _PER_SIDE = 16
 
 
@@ -37,9 +37,9 @@ def measure_covisibility(scene: Scene) -> Covisibility:
 def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
     """Yield the depth of every frame, session by session."""
     for session in scene.sessions:
-        with scene.dense(session) as dense:
+        with scene.layers(session) as layers:
             for k in range(len(scene.frames(session))):
-                yield dense.read("depth", k)
+                yield layers.read("depth", k)
 
 
 def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
@@ -54,11 +54,11 @@ def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
     digests = {}
     for session in scene.sessions:
         frames = scene.frames(session)
-        with scene.dense(session) as dense:
+        with scene.layers(session) as layers:
             for k, (name, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
                 arrays = {"image": read_rgb(scene.images_root / name, camera)}
-                arrays |= {layer: dense.read(layer, k) for layer in LAYERS if dense.has(layer)}
-                digests[name] = {what: _sha256(array) for what, array in arrays.items()}
+                arrays |= {layer: layers.read(layer, k) for layer in LAYERS if layers.has(layer)}
+                digests[name] = {key: _sha256(array) for key, array in arrays.items()}
     return digests
 
 

@@ -1,4 +1,4 @@
-"""Build the place of a scene before any change, from its preset or its site."""
+"""Build or load the place of a scene without the changes of its sessions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from simulate.place.presets import preset
 from simulate.place.survey_files import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
-from simulate.twin.report import PLACE, REPORT, SiteReport
+from simulate.twin.report import PLACE_FILE, REPORT_FILE, SiteReport
 
 
 def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
-    """Check that a site can be rendered into a folder. Other presets always can.
+    """Check that a site can be rendered into a folder; other presets need no check.
 
     Raises:
         InputError: The folder lies in the source scene of the site, or a cluster is given.
@@ -32,7 +32,9 @@ def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
 def base_place(
     config: SimulateConfig, out: Path, twin: Path | None = None
 ) -> tuple[World, SiteReport | None]:
-    """Return the place, and the report of a site that ``out`` does not hold yet.
+    """Return the place of a scene, and the report of a site that must be written into ``out``.
+
+    The report is None for other presets, and for a site that ``out`` holds already.
 
     Args:
         config: configuration of the scene.
@@ -44,20 +46,20 @@ def base_place(
     """
     if config.site is None:
         return preset(config.preset)(config.seed, config.area), None
-    if (out / REPORT).is_file():  # written after the place
-        return load_site(out / PLACE, config.seed), None
+    if (out / REPORT_FILE).is_file():  # written after the place
+        return load_site(out / PLACE_FILE, config.seed), None
     if twin is not None:
-        report = read_json(twin / REPORT, SiteReport, "report of the site")
-        return load_site(twin / PLACE, config.seed), report
+        report = read_json(twin / REPORT_FILE, SiteReport, "report of the site")
+        return load_site(twin / PLACE_FILE, config.seed), report
     return build_site(config.site, config.area, config.origin, config.seed, out)
 
 
 def keep_site(out: Path, place: World, report: SiteReport) -> None:
     """Write the place and the report of a site into the folder of the scene."""
-    save_site(out / PLACE, place)
-    write_json(out / REPORT, report)
+    save_site(out / PLACE_FILE, place)
+    write_json(out / REPORT_FILE, report)
 
 
 def site_file(config: SimulateConfig, out: Path) -> Path | None:
     """Return the file of a site's place for rendering processes; None for other presets."""
-    return None if config.site is None else (out / PLACE).resolve()
+    return None if config.site is None else (out / PLACE_FILE).resolve()

@@ -43,15 +43,15 @@ BOARD = Board(columns=7, rows=5, square_m=0.1)
 
 _SAMPLES = 64  # samples per pixel; corners need exact edges
 _TRIES = 400  # attempts to draw a pose that shows the whole board
-_BORDER_PX = 4.0
-# Frontal views of a board do not determine the focal length. With these tilts, 20 views of 320 x
-# 240 and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees give 0.059 %.
+_BORDER_PX = 4.0  # least distance of the board from the border of the picture
+# Tilts of the board. Frontal views do not determine the focal length. With these tilts, 20 views of
+# 320 x 240 and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees, 0.059 %.
 _TILT_DEG = (20.0, 50.0)
 # Half sides of the windows of corner refinement, relative to the spacing of corners. In a picture a
 # window must contain a single corner; in the frontal view a wider window averages more noise.
-_WINDOW, _FRONT_WINDOW = 0.35, 0.6
+_WINDOW_SHARE, _FRONT_WINDOW_SHARE = 0.35, 0.6
 _FRONT_BLUR_PX = 1.0  # standard deviation; gradients of unblurred edges are noisy
-_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)  # of corner refinement
+_REFINE_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)
 _PAD_PX = 4  # padding of a picture for the resampling kernel
 
 
@@ -143,11 +143,13 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
             cannot be written.
     """
     corners_picture = out / "corners.png"
-    views_of = (out / "views" / f"{k:06d}.png" for k in range(views))
-    check_outputs([OutputFile(path, PNG_MARK) for path in (corners_picture, *views_of)], within=out)
+    view_paths = (out / "views" / f"{k:06d}.png" for k in range(views))
+    check_outputs(
+        [OutputFile(path, PNG_MARK) for path in (corners_picture, *view_paths)], within=out
+    )
     rng = np.random.default_rng(seed)
     poses = np.stack([board_pose(camera, BOARD, rng) for _ in range(views)])
-    pictures = _photographs(camera, poses, seed, out)
+    pictures = _render_views(camera, poses, seed, out)
     for name, picture in pictures.items():
         with atomic_write(out / "views" / name) as partial:
             Image.fromarray(picture).save(partial, "PNG", pnginfo=_provenance())
@@ -195,7 +197,7 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
     side = board.square_m
     x = side * np.linspace(-1.5, board.columns + 0.5, 5)
     y = side * np.linspace(-1.5, board.rows + 0.5, 5)
-    outline = np.array([[a, b, 0.0] for a in x for b in y])
+    outline = np.array([[a, b, 0.0] for a in x for b in y])  # with half a square of the margin
     centre = np.array([x.mean(), y.mean(), 0.0])
     size = np.array([camera.width, camera.height])
     for _ in range(_TRIES):
@@ -204,11 +206,11 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
         roll = np.array([0.0, 0.0, np.radians(rng.uniform(-15, 15))])
         rotation = cv2.Rodrigues(tilt)[0] @ cv2.Rodrigues(roll)[0]
         ray, valid = camera.unproject(torch.from_numpy(rng.uniform(0.1, 0.9, 2) * size)[None])
-        share = rng.uniform(0.5, 0.85)
+        fill = rng.uniform(0.5, 0.85)  # share of the picture that the board fills
         distance = max(np.ptp(x) / camera.width, np.ptp(y) / camera.height) * camera.focal[0]
         pose = np.eye(4)
         pose[:3, :3] = rotation
-        pose[:3, 3] = ray[0].numpy() * distance / share - rotation @ centre
+        pose[:3, 3] = ray[0].numpy() * distance / fill - rotation @ centre
         seen = camera.project(torch.from_numpy(outline @ pose[:3, :3].T + pose[:3, 3]))
         inside = seen.valid & camera.contains(seen.xy, border=_BORDER_PX)
         if bool(valid.all()) and bool(inside.all()):
@@ -224,15 +226,15 @@ def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     They are in COLMAP pixels and in the order of ``board_points``; None without a detection.
     """
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    whole, corners = cv2.findChessboardCornersSB(
+    found, corners = cv2.findChessboardCornersSB(
         grey, (board.columns, board.rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not whole:
+    if not found:
         return None
     grid = corners.reshape(board.rows, board.columns, 2)
     spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
-    window = max(2, int(_WINDOW * spacing))
-    corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _STOP)
+    window = max(2, int(_WINDOW_SHARE * spacing))
+    corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _REFINE_STOP)
     grid = corners.reshape(board.rows, board.columns, 2).astype(np.float64)
     # Boards roll little, so the first corner is the upper left.
     if grid[0, 0].sum() > grid[-1, -1].sum():
@@ -254,32 +256,33 @@ def refine_corners(
     Returns:
         The corners (rows * columns, 2) in the picture, COLMAP pixels.
     """
-    near = _project(camera, cam_from_board[None], board_points(board))
-    steps = np.diff(near.reshape(board.rows, board.columns, 2), axis=1)
-    square_px = round(float(np.median(np.linalg.norm(steps, axis=-1))))  # the picture's resolution
+    approximate = _project(camera, cam_from_board[None], board_points(board))
+    steps = np.diff(approximate.reshape(board.rows, board.columns, 2), axis=1)
+    # The frontal view has the resolution of the picture.
+    square_px = round(float(np.median(np.linalg.norm(steps, axis=-1))))
     y, x = np.mgrid[: (board.rows + 1) * square_px, : (board.columns + 1) * square_px]
     across, along = (board.square_m * ((axis + 0.5) / square_px - 1) for axis in (x, y))
     plane = np.stack([across, along, np.zeros(x.shape)], -1)
     xy = _project(camera, cam_from_board[None], plane.reshape(-1, 3)).reshape(*x.shape, 2)
     height, width = picture.shape[:2]
     padded = np.pad(picture, [(_PAD_PX, _PAD_PX)] * 2 + [(0, 0)], "edge")
-    within = np.clip(xy, 0, [width, height]).astype(np.float64) + _PAD_PX
-    front = resample_colour(padded, within)
+    clipped = np.clip(xy, 0, [width, height]).astype(np.float64) + _PAD_PX
+    front = resample_colour(padded, clipped)
     grey = cv2.GaussianBlur(cv2.cvtColor(front, cv2.COLOR_RGB2GRAY), (0, 0), _FRONT_BLUR_PX)
     expected = (board_points(board)[:, :2] / board.square_m + 1) * square_px - 0.5
-    window = max(2, int(_FRONT_WINDOW * square_px))
+    window = max(2, int(_FRONT_WINDOW_SHARE * square_px))
     corners = cv2.cornerSubPix(
-        grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _STOP
+        grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _REFINE_STOP
     )
-    at = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
-    refined: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    refined_m = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
+    refined: Array = _project(camera, cam_from_board[None], np.insert(refined_m, 2, 0.0, axis=1))[0]
     return refined
 
 
-def _photographs(
-    camera: Camera, poses: Array, seed: int, beside: Path
+def _render_views(
+    camera: Camera, poses: Array, seed: int, out: Path
 ) -> dict[str, NDArray[np.uint8]]:
-    """Render the board in the camera, (H, W, 3) by file name."""
+    """Render the board at every pose, and return the pictures (H, W, 3) by file name."""
     pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=seed,
@@ -293,7 +296,7 @@ def _photographs(
     )
     pictures = {}
     with (
-        scratch(beside) as folder,
+        scratch(out) as folder,
         progress_bar("chessboard", len(poses)) as advance,
     ):
         try:

@@ -52,7 +52,7 @@ from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
 from simulate.place.change import ChangedWorld, change_worlds, list_objects
 from simulate.place.world import World, WorldObject
-from simulate.planner import plan_session
+from simulate.planner import check_plans, plan_session, session_generator
 from simulate.render.disk import estimate_bytes, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
@@ -77,7 +77,7 @@ def simulate(
         config: configuration of the scene.
         out: new folder, or one left by a run of the same configuration.
         jobs: number of rendering processes on this machine.
-        cluster: cluster that renders instead, as ``cluster.worker_pool`` takes it.
+        cluster: cluster that renders instead of this machine, as ``worker_pool`` takes it.
         twin: finished scene of the same site, whose place is reused; None builds the place.
 
     Raises:
@@ -96,22 +96,24 @@ def _simulate(
     finished = find_finished(out, config)
     if finished is not None:
         return finished
+    check_plans(config)
     base, report = base_place(config, out, twin)
-    worlds = change_worlds(base, [session.world_change for session in config.sessions])
+    sessions = config.drawn_sessions()
+    worlds = change_worlds(base, [session.world_change for session in sessions])
     names = config.session_names()
     # Plan all flights first, so that an impossible flight is refused before rendering.
-    planned = [
+    plans = [
         _plan(name, index, session, config, worlds[index])
-        for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
+        for index, (name, session) in enumerate(zip(names, sessions, strict=True))
     ]
     pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
-    require_space(out, estimate_bytes(_count_left(out, names, planned), pixels_per_frame))
+    require_space(out, estimate_bytes(_count_left(out, names, plans), pixels_per_frame))
     unfinished.begin()
     if report is not None:
         keep_site(out, base, report)
     with _renderer(jobs, cluster) as renderer:
-        for name, session, flight in zip(names, config.sessions, planned, strict=True):
-            _make_session(out, name, session, config, flight, renderer)
+        for name, session, plan in zip(names, sessions, plans, strict=True):
+            _make_session(out, name, session, config, plan, renderer)
     write_json(out / "objects.json", _objects(base, list_objects(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
@@ -134,12 +136,12 @@ def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
 
 
 def _count_left(
-    out: Path, names: Sequence[str], planned: Sequence[_Planned]
+    out: Path, names: Sequence[str], plans: Sequence[_SessionPlan]
 ) -> dict[str, tuple[int, int]]:
     """Return the numbers of frames to render and to pack, by unfinished session."""
     left = {}
-    for name, flight in zip(names, planned, strict=True):
-        folder, frames = out / "sessions" / name, len(flight.poses)
+    for name, plan in zip(names, plans, strict=True):
+        folder, frames = out / "sessions" / name, len(plan.poses)
         if not (folder / "frames.h5").is_file():
             done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
             left[name] = (frames - done, frames)
@@ -169,9 +171,9 @@ def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
-        unfinished.end()  # a run that was killed just before its end leaves its record
+        unfinished.end()  # a run killed just before its end leaves its configuration
         return scene
-    if not unfinished.resume(
+    if not unfinished.can_resume(
         lambda difference: (
             f"{out} holds an unfinished scene of another {difference}: choose another folder "
             "or remove it"
@@ -182,8 +184,9 @@ def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
 
 
 def _dump(config: SimulateConfig) -> dict[str, Any]:
-    # Manifests of older scenes lack these fields, which had these values.
-    omitted = {k for k, v in (("site", None), ("denoising", "high")) if getattr(config, k) == v}
+    # Older scenes were rendered with these values, and their manifests lack these fields.
+    earlier = {"site": None, "denoising": "high", "courses": "shared", "change_share": 1.0}
+    omitted = {key for key, value in earlier.items() if getattr(config, key) == value}
     return config.model_dump(mode="json", exclude=omitted)
 
 
@@ -233,11 +236,9 @@ def _objects(place: World, items: Sequence[WorldObject]) -> Objects:
 
 
 def _splits(out: Path, config: SimulateConfig) -> Splits:
-    frames = {
-        name: read_frames(out / "sessions" / name / "frames.h5").names
-        for name in config.session_names()
-    }
-    roles = dict(zip(config.session_names(), (s.role for s in config.sessions), strict=True))
+    sessions = config.session_names()
+    frames = {name: read_frames(out / "sessions" / name / "frames.h5").names for name in sessions}
+    roles = dict(zip(sessions, (s.role for s in config.sessions), strict=True))
     return Splits(
         map=tuple(f for name, names in frames.items() if roles[name] == "map" for f in names),
         queries={name: names for name, names in frames.items() if roles[name] == "query"},
@@ -253,7 +254,7 @@ def render_job(
 ) -> RenderJob:
     """Return the render job of a session with poses (N, 4, 4) for frames 0 to N - 1.
 
-    ``first_new_id`` is that of the session's changed world. ``prepared`` is the file of a site.
+    ``first_new_id`` is the first id of added objects, ``prepared`` the file of a site's place.
     """
     pinhole, lens = split_lens(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -280,7 +281,7 @@ def _make_session(
     name: str,
     session: SessionConfig,
     config: SimulateConfig,
-    planned: _Planned,
+    plan: _SessionPlan,
     renderer: _Renderer,
 ) -> None:
     """Render and pack a session unless it is finished; ``frames.h5`` is written last."""
@@ -289,8 +290,8 @@ def _make_session(
     if (folder / "frames.h5").is_file():
         shutil.rmtree(rendered, ignore_errors=True)  # a killed run may leave it
         return
-    poses = planned.poses
-    job = render_job(config, session, poses, planned.first_new_id, site_file(config, out))
+    poses = plan.poses
+    job = render_job(config, session, poses, plan.first_new_id, site_file(config, out))
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
@@ -306,12 +307,14 @@ def _make_session(
             raise InputError(str(error)) from error
         except OSError as error:
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-    frames = _frames(name, poses, config.photo_camera(session), session, config, planned.rng)
-    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
+    frames = _frames(name, poses, config.photo_camera(session), session, config, plan.rng)
+    sensor = config.sensor.adapt(condition(session.condition, config.origin).dimness)
+    seen = config.model_copy(update={"sensor": sensor})
+    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, seen))
     shutil.rmtree(rendered)
 
 
-class _Planned(NamedTuple):
+class _SessionPlan(NamedTuple):
     """A planned session: poses (N, 4, 4), first id of new objects, and its noise generator."""
 
     poses: NDArray[np.float64]
@@ -321,18 +324,17 @@ class _Planned(NamedTuple):
 
 def _plan(
     name: str, index: int, session: SessionConfig, config: SimulateConfig, changed: ChangedWorld
-) -> _Planned:
+) -> _SessionPlan:
     """Plan a session.
 
     Raises:
         InputError: the session cannot be flown.
     """
-    # Each session has its own generator, so that adding a session does not change others.
-    rng = np.random.default_rng([config.seed, index])
+    rng = session_generator(config, index)
     camera = config.photo_camera(session)
     poses = plan_session(session, config, camera, changed.world, rng)
     check_flight(name, poses, camera, changed.world)
-    return _Planned(poses, changed.first_new_id, rng)
+    return _SessionPlan(poses, changed.first_new_id, rng)
 
 
 def _frames(
@@ -344,14 +346,13 @@ def _frames(
     rng: np.random.Generator,
 ) -> Frames:
     """Return the frames of a session, with priors drawn from the configured noise."""
-    n = len(poses)
-    truth = Pose.from_matrix(poses)
-    tilt = config.attitude_sigma_deg * rng.standard_normal((n, 3))
-    off = np.array(config.gps_sigma_m) * rng.standard_normal((n, 3))
+    n, truth = len(poses), Pose.from_matrix(poses)
+    attitude_error = config.attitude_sigma_deg * rng.standard_normal((n, 3))
+    gps_error = np.array(config.gps_sigma_m) * rng.standard_normal((n, 3))
     memory = math.exp(-config.interval_s / config.drift_s)
-    off += np.array(config.gps_drift_m) * draw_drift(n, memory, rng)
-    tilt += config.attitude_drift_deg * draw_drift(n, memory, rng)
-    noise = Pose.exp(torch.from_numpy(np.hstack([np.radians(tilt), np.zeros((n, 3))])))
+    gps_error += np.array(config.gps_drift_m) * draw_drift(n, memory, rng)
+    attitude_error += config.attitude_drift_deg * draw_drift(n, memory, rng)
+    noise = Pose.exp(torch.from_numpy(np.hstack([np.radians(attitude_error), np.zeros((n, 3))])))
     gps_sigma = np.hypot(config.gps_sigma_m, config.gps_drift_m)
     start = condition(session.condition, config.origin).time.timestamp()
     return Frames(
@@ -359,7 +360,7 @@ def _frames(
         cameras=(camera,) * n,
         cam_from_world=poses,
         time=start + config.interval_s * np.arange(n),
-        gps_prior=truth.centre().numpy() + off,
+        gps_prior=truth.centre().numpy() + gps_error,
         gps_sigma=np.tile(gps_sigma, (n, 1)),
         attitude_prior=(noise @ truth).quaternion().numpy(),
         attitude_sigma_deg=np.full(

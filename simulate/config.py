@@ -24,16 +24,17 @@ from simulate.flight.config import (
     NadirFlight,
     StreetFlight,
 )
-from simulate.flight.site import MAX_PHOTOGRAPHS
-from simulate.look.conditions import PLACE, condition
+from simulate.flight.context import MAX_PHOTOGRAPHS
+from simulate.look.conditions import DEFAULT_ORIGIN, condition
 from simulate.place.change import Change
 from simulate.place.presets import SITE, preset
 from simulate.render.job import Denoising
+from simulate.seeds import MAX_SEED, change_generator
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
-_LEAST_M = 120.0  # least side of a procedural place, for streets and blocks
+_MIN_SIDE_M = 120.0  # least side of a procedural place, for streets and blocks
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
 
@@ -138,7 +139,7 @@ def _add_extent(values: dict[str, Any]) -> dict[str, Any]:
     from simulate.twin.source import measure_extent  # late, because it loads torch
 
     site = SiteConfig.model_validate(values["site"])
-    extent = measure_extent(site, sized="area" in values)
+    extent = measure_extent(site, has_side="area" in values)
     return {"area": extent.side_m, "origin": extent.origin} | values | {"site": site}
 
 
@@ -153,6 +154,7 @@ class SimulateConfig(Config):
     seed: int = Field(
         0,
         ge=0,
+        le=MAX_SEED,
         description="Random seed of the place and of all noise. Equal seeds give equal scenes.",
     )
     area: float = Field(
@@ -208,6 +210,19 @@ class SimulateConfig(Config):
     )
     map_plan: FlightPlan = Field(MAP_PLAN, description="Defaults of map flights.")
     query_plan: FlightPlan = Field(QUERY_PLAN, description="Defaults of query flights.")
+    courses: Literal["shared", "own"] = Field(
+        "shared",
+        description='"shared": flights are drawn by seed and session, so that all presets of one '
+        'seed are flown alike. "own", for new tracks: by preset too, with any heading, and '
+        "altitudes and radii within 15 % of those of the role, where a flight states none.",
+    )
+    change_share: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="Probability that the ``change`` of a session happens, drawn by preset, seed "
+        "and session and not by condition, so that a track tells the two effects apart.",
+    )
     position_jitter_m: float = Field(
         0.7, ge=0, description="Standard deviation of positions by wind, per axis, m."
     )
@@ -239,7 +254,8 @@ class SimulateConfig(Config):
     )
     jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs, 1 to 100.")
     origin: Geodetic = Field(
-        PLACE, description="Latitude (deg), longitude (deg) and altitude (m) of the origin."
+        DEFAULT_ORIGIN,
+        description="Latitude (deg), longitude (deg) and altitude (m) of the origin.",
     )
     site: SiteConfig | None = Field(
         None,
@@ -280,8 +296,8 @@ class SimulateConfig(Config):
             raise ValueError("the preset site needs --from SCENE, or --ortho and --dsm")
         if self.preset != SITE and self.site is not None:
             raise ValueError(f"files of a site need --preset site, got --preset {self.preset}")
-        if self.preset != SITE and self.area < _LEAST_M:
-            raise ValueError(f"area must be {_LEAST_M:.0f} m or more, got {self.area:g}")
+        if self.preset != SITE and self.area < _MIN_SIDE_M:
+            raise ValueError(f"area must be {_MIN_SIDE_M:.0f} m or more, got {self.area:g}")
         return self
 
     @model_validator(mode="after")
@@ -334,6 +350,18 @@ class SimulateConfig(Config):
         centre = 0.5 * self.size
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
+    def drawn_sessions(self) -> tuple[SessionConfig, ...]:
+        """Return the sessions, without the changes that do not happen (``change_share``)."""
+
+        def happens(index: int) -> bool:
+            rng = change_generator(self.seed, index, self.preset)
+            return bool(rng.random() < self.change_share)
+
+        return tuple(
+            session if happens(k) else session.model_copy(update={"change": Change()})
+            for k, session in enumerate(self.sessions)
+        )
+
     def session_names(self) -> tuple[str, ...]:
         """Return the folder names; repeated names are numbered from 2."""
         seen: dict[str, int] = {}
@@ -351,13 +379,13 @@ def _parse_session(text: str, first: bool) -> dict[str, object]:
         raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
     session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
     # A path may contain colons.
-    named = flight.partition("=")[0] in WRITTEN_WITH_PATH
+    has_path = flight.partition("=")[0] in WRITTEN_WITH_PATH
     head, _, last = flight.rpartition(":")
-    if head and (last.partition("=")[0] in Change.model_fields if named else "=" in last):
+    if head and (last.partition("=")[0] in Change.model_fields if has_path else "=" in last):
         session["change"] = dict(_parse_setting(word) for word in last.split(","))
         flight = head
     head, _, last = flight.rpartition(":")
-    if head and (last in get_args(Role) or not named):
+    if head and (last in get_args(Role) or not has_path):
         session["role"] = last
         flight = head
     return session | {"flight": flight}
@@ -366,5 +394,7 @@ def _parse_session(text: str, first: bool) -> dict[str, object]:
 def _parse_setting(word: str) -> tuple[str, str]:
     key, equals, value = word.partition("=")
     if not equals:
-        raise ValueError(f"a change is written share=value[,...], got {word!r}")
+        raise ValueError(
+            f"a change is written NAME=VALUE[,NAME=VALUE...], such as cars_moved=0.3; got {word!r}"
+        )
     return key, value

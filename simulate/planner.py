@@ -23,21 +23,48 @@ from simulate.flight.config import (
     ObliqueFlight,
     PlanFlight,
     StreetFlight,
+    draw_plan,
     plan_digest,
 )
+from simulate.flight.context import FlightContext, Wind
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
 from simulate.flight.gimbal import Aims, perturb_poses
-from simulate.flight.qgroundcontrol import read_plan
+from simulate.flight.qgroundcontrol import check_plan, read_plan
 from simulate.flight.recorded import read_flown_poses
 from simulate.flight.routes import corridor_aims, free_aims, street_aims
-from simulate.flight.site import FlightSite, Wind
 from simulate.place.world import World
+from simulate.seeds import course_generator
 
 Array = NDArray[np.float64]
 
-Planner = Callable[[Any, FlightSite, Any, np.random.Generator], Array]
-"""A function that plans the poses (N, 4, 4) of a flight from its configuration, the site, the
-number of frames (None where the flight determines it) and a random generator."""
+Planner = Callable[[Any, FlightContext, Any, np.random.Generator], Array]
+"""A function that plans the poses (N, 4, 4) of a flight from its configuration, its
+context, the number of frames (None where the flight determines it) and a random generator."""
+
+
+def session_generator(config: SimulateConfig, index: int) -> np.random.Generator:
+    """Return the random generator of a session: its course, its wind and the noise of its priors.
+
+    Each session has its own, so that adding a session does not change others.
+
+    Args:
+        config: The configuration of the scene.
+        index: The number of the session in the configuration.
+    """
+    preset = config.preset if config.courses == "own" else ""
+    return course_generator(config.seed, index, preset)
+
+
+def check_plans(config: SimulateConfig) -> None:
+    """Check that the mission plans of all sessions can be read: building a place takes long.
+
+    Raises:
+        InputError: A plan cannot be read, or has changed since the scene was configured.
+    """
+    for session in config.sessions:
+        if isinstance(session.flight, PlanFlight):
+            _require_unchanged(session.flight)
+            check_plan(session.flight.file)
 
 
 def plan_session(
@@ -54,7 +81,7 @@ def plan_session(
         config: The configuration of the scene.
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
         world: The place with the session's change.
-        rng: The random generator of the wind and of free flights.
+        rng: The random generator of the session, see ``session_generator``.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
@@ -63,63 +90,68 @@ def plan_session(
         InputError: The flight cannot be planned.
     """
     flight = session.flight
-    site = FlightSite(
+    defaults = config.map_plan if session.role == "map" else config.query_plan
+    context = FlightContext(
         area_m=config.area,
-        ground_height=world.footing.height,
+        ground_height=world.flight_ground.height,
         camera=camera,
-        usual=config.map_plan if session.role == "map" else config.query_plan,
+        defaults=draw_plan(defaults, rng) if config.courses == "own" else defaults,
         wind=Wind(config.position_jitter_m, config.attitude_jitter_deg),
         roads=world.roads,
         is_free=partial(is_free, world=world),
         origin=config.origin,
     )
     frames = None if flight.counts_photographs else session.frames or config.frames
-    return PLANNERS[type(flight)](flight, site, frames, rng)
+    return PLANNERS[type(flight)](flight, context, frames, rng)
 
 
 def _plan_corridor(
-    flight: CorridorFlight, site: FlightSite, frames: int | None, rng: np.random.Generator
+    flight: CorridorFlight, context: FlightContext, frames: int | None, rng: np.random.Generator
 ) -> Array:
-    return perturb_poses(corridor_aims(flight, site, frames), site.wind, rng)
+    return perturb_poses(corridor_aims(flight, context, frames), context.wind, rng)
 
 
 def _plan_free(
-    flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.Generator
+    flight: FreeFlight, context: FlightContext, frames: int, rng: np.random.Generator
 ) -> Array:
-    return perturb_poses(free_aims(flight, site, frames, rng), site.wind, rng)
+    return perturb_poses(free_aims(flight, context, frames, rng), context.wind, rng)
 
 
 def _plan_street(
-    flight: StreetFlight, site: FlightSite, frames: int, rng: np.random.Generator
+    flight: StreetFlight, context: FlightContext, frames: int, rng: np.random.Generator
 ) -> Array:
     """Plan a drive; the wind does not move a vehicle."""
-    return perturb_poses(street_aims(flight, site, frames), Wind(), rng)
+    return perturb_poses(street_aims(flight, context, frames), Wind(), rng)
 
 
 def _plan_mission(
-    flight: PlanFlight, site: FlightSite, _frames: None, rng: np.random.Generator
+    flight: PlanFlight, context: FlightContext, _frames: None, rng: np.random.Generator
 ) -> Array:
     """Plan the photographs of a mission plan, whose file must not have changed."""
+    _require_unchanged(flight)
+    aims: Aims = read_plan(
+        flight.file,
+        context.origin,
+        context.area_m,
+        context.ground_height,
+        flight.pitch_deg,
+        flight.undulation_m,
+    )
+    return perturb_poses(aims, context.wind, rng)
+
+
+def _require_unchanged(flight: PlanFlight) -> None:
     if plan_digest(flight.file) != flight.sha256:
         raise InputError(
             f"mission plan {flight.file} has changed since the scene was configured: restore it"
         )
-    aims: Aims = read_plan(
-        flight.file,
-        site.origin,
-        site.area_m,
-        site.ground_height,
-        flight.pitch_deg,
-        flight.undulation_m,
-    )
-    return perturb_poses(aims, site.wind, rng)
 
 
 def _plan_recorded(
-    flight: FlownFlight, site: FlightSite, _frames: None, _rng: np.random.Generator
+    flight: FlownFlight, context: FlightContext, _frames: None, _rng: np.random.Generator
 ) -> Array:
     """Return the recorded poses, which include the wind of their flight."""
-    return read_flown_poses(flight, site)
+    return read_flown_poses(flight, context)
 
 
 PLANNERS: dict[type[Config], Planner] = {

@@ -1,4 +1,4 @@
-"""Blender's module is an extra: tests that need it skip where it is not installed."""
+"""Skip tests that need Blender's Python module, which is optional, where it is not installed."""
 
 from __future__ import annotations
 

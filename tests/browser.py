@@ -1,7 +1,7 @@
 """A real headless Chromium for tests, driven through its debugging pipe.
 
-``python -m tests.browser`` checks that it is there, installs it where it may (root and apt), and
-otherwise prints the line that does. The protocol: https://chromedevtools.github.io/devtools-protocol
+``python -m tests.browser`` checks that Chromium is installed. As root with apt it installs it;
+otherwise it prints the command that does. Protocol: https://chromedevtools.github.io/devtools-protocol
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from objconnect.scene.runtime.debian import check, require_packages
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # Without a font a browser draws no text at all.
 _FONTS = Path("/usr/share/fonts")
-_PATIENCE = 120.0
+_TIMEOUT_S = 120.0
 # Chromium listens on descriptor 3 and answers on 4.
 _EXEC = (
     "import fcntl, os, sys\n"
@@ -35,7 +35,7 @@ _EXEC = (
 
 
 def missing_packages() -> list[str]:
-    """Debian packages without which there is no browser, or none that writes."""
+    """Return the missing Debian packages of the browser and of a font."""
     missing = [] if _executable() else ["chromium"]
     return missing if any(_FONTS.rglob("*.[to]tf")) else [*missing, "fonts-dejavu-core"]
 
@@ -45,7 +45,7 @@ def _executable() -> str | None:
 
 
 def require_browser(install: bool = False) -> str:
-    """The executable.
+    """Return the path of the browser's executable.
 
     Raises:
         InputError: there is none; the message holds the line that installs it.
@@ -134,7 +134,7 @@ class Browser:
     def _load(self, method: str, **params: Any) -> None:
         self._loaded = False
         self.send(method, **params)
-        end = time.monotonic() + _PATIENCE
+        end = time.monotonic() + _TIMEOUT_S
         while not self._loaded:
             assert time.monotonic() < end, f"the page did not load: {params}"
             self._note(self._read())
@@ -162,7 +162,7 @@ class Browser:
         Raises:
             AssertionError: it never was.
         """
-        end = time.monotonic() + _PATIENCE
+        end = time.monotonic() + _TIMEOUT_S
         while not self.run(script):
             assert time.monotonic() < end, f"never true: {script}"
             time.sleep(0.02)
@@ -240,7 +240,7 @@ class Browser:
 
     def _read(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
-            ready, _, _ = select.select([self._from], [], [], _PATIENCE)
+            ready, _, _ = select.select([self._from], [], [], _TIMEOUT_S)
             assert ready, "the browser does not answer"
             part = os.read(self._from, 1 << 20)
             assert part, "the browser has ended"

@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import torch
 from hypothesis import settings
 
 from objconnect.mapping.build import build_map
+from objconnect.scene.bundle.pictures import draw_pictures
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.runtime.tuning import ProcessTuning
 from objconnect.scene.storage.digests import FOLDER_VARIABLE
@@ -24,7 +25,8 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import has_blender, require_blender
-from tests.shared import alone, make_once
+from tests.extracted import remember_features
+from tests.shared import hold_lock, make_once
 from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
@@ -64,11 +66,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 # Environment variables that pytest and libraries set.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
-# Torch installs a handler for the processes of its first data loader.
-_TAKEN_BY_LIBRARIES = {getattr(signal, "SIGCHLD", None)}
+# Torch installs a handler of SIGCHLD for the processes of its first data loader.
+_SIGNALS = sorted(signal.valid_signals() - {getattr(signal, "SIGCHLD", None)})
 
 
-def state() -> dict[str, Any]:
+def process_state() -> dict[str, Any]:
     """Return the state of the process that a test could leave changed."""
     variables = {k: v for k, v in os.environ.items() if not k.startswith(_SET_BY_LIBRARIES)}
     return {
@@ -76,7 +78,7 @@ def state() -> dict[str, Any]:
         **{f"${name}": value for name, value in variables.items()},
         # Ray adds its own folder at its first import.
         "sys.path": [path for path in sys.path if not path.endswith("thirdparty_files")],
-        **{str(n): signal.getsignal(n) for n in signal.valid_signals() - _TAKEN_BY_LIBRARIES},
+        **{f"handler of signal {n:d}": signal.getsignal(n) for n in _SIGNALS},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
         "torch's threads": torch.get_num_threads(),
         "torch's type": torch.get_default_dtype(),
@@ -88,11 +90,14 @@ def state() -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def _require_unchanged_process() -> Iterator[None]:
     """Seed random numbers before each test, and require that it leaves the process unchanged."""
-    torch.manual_seed(0)
+    # Not torch.manual_seed: before CUDA is used it notes three stacks of the caller, a millisecond.
+    torch.default_generator.manual_seed(0)
+    if torch.cuda.is_initialized():
+        torch.cuda.manual_seed_all(0)
     cv2.setRNGSeed(0)
-    before = state()
+    before = process_state()
     yield
-    after = state()
+    after = process_state()
     changed = [name for name in before | after if before.get(name) != after.get(name)]
     assert not changed, f"the test leaves another {', '.join(changed)} behind"
 
@@ -105,7 +110,7 @@ def _tune_process() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def digest_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Cache digests of files in a folder of the tests instead of the user's."""
     folder = tmp_path_factory.mktemp("digests")
     with pytest.MonkeyPatch.context() as patch:
@@ -120,7 +125,20 @@ def _skip_rendering_without_blender() -> Iterator[None]:
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulate.render.pool._Child.__init__", require_blender)
+        patch.setattr("simulate.render.pool._BlenderProcess.__init__", require_blender)
+        yield
+
+
+def _set_drawing(patch: pytest.MonkeyPatch, draw: Callable[[Scene], None]) -> None:
+    for module in ("simulate.command", "objconnect.mapping.build"):
+        patch.setattr(f"{module}.draw_pictures", draw)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _leave_scenes_undrawn() -> Iterator[None]:
+    """Draw the pictures of ``rendered`` alone: those of a scene take more than a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        _set_drawing(patch, lambda _: None)
         yield
 
 
@@ -132,6 +150,15 @@ def flights() -> Path:
         pytest.skip("OBJCONNECT_FLIGHTS is not set to a folder of real flights")
     if not Path(folder).is_dir():
         pytest.fail(f"OBJCONNECT_FLIGHTS names {folder}, which is not a folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def real_seasons() -> Path:
+    """Return the folder of the flights of the track real-seasons; tests are skipped without it."""
+    folder = os.environ.get("OBJCONNECT_REAL")
+    if not folder:
+        pytest.skip("OBJCONNECT_REAL is not set to the folder of the track real-seasons")
     return Path(folder)
 
 
@@ -165,10 +192,19 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     require_libraries()
 
     def make(folder: Path) -> None:
-        simulate(RENDERED, folder / "hamlet")
-        build_map(folder / "hamlet")
+        with pytest.MonkeyPatch.context() as patch:
+            _set_drawing(patch, draw_pictures)
+            simulate(RENDERED, folder / "hamlet")
+            build_map(folder / "hamlet")
 
     return Scene.open(make_once(tmp_path_factory, "rendered", make) / "hamlet")
+
+
+@pytest.fixture(scope="module")
+def extracted_once() -> Iterator[None]:
+    """SIFT features of a picture, which are the same in every test, are extracted once."""
+    with remember_features():
+        yield
 
 
 @pytest.fixture
@@ -180,7 +216,7 @@ def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def two_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
     """Start a Ray cluster on this machine, one at a time."""
-    with alone(tmp_path_factory, "cluster"):
+    with hold_lock(tmp_path_factory, "cluster"):
         nodes = TwoNodes()
         try:
             yield nodes

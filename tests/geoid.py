@@ -1,4 +1,4 @@
-"""A grid of a geoid that tests may use."""
+"""Install a geoid grid of constant height for tests."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Packages of other projects that read our exports, kept outside the environment.
+"""Run packages of other projects that read our exports, installed outside the environment.
 
 ``python -m tests.peers`` installs them into ``runs/peers`` without what they depend on: nerfstudio
 alone would bring fifty packages, of which its readers need five small ones. What the readers
-import and never use (viewers, point clouds) is replaced by mocks in the process that runs them, and
-numba's compiler by none.
+import and never use (viewers, point clouds) is replaced by mocks in the process that runs them.
+numba's compiler is replaced by a decorator that does nothing.
 """
 
 from __future__ import annotations

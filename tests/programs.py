@@ -1,4 +1,4 @@
-"""Python programs that tests run in a process of their own."""
+"""Run Python programs in a process of their own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def run_and_print(program: str, **environment: str) -> str:
-    """What a program prints, run in the root of the project."""
+    """Run a program in the root of the project, and return what it prints."""
     answer = subprocess.run(
         [sys.executable, "-c", program],
         check=True,

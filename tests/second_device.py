@@ -1,7 +1,8 @@
-"""A second device for tests on machines without one: torch calls it ``cuda``.
+"""A simulated CUDA device for tests on machines without one.
 
-Its tensors are kept by the processor, and operations give the same bits as there. Like a real
-device, it refuses what takes tensors of both, and what looks into its memory without a copy.
+Its tensors are kept in the memory of the CPU, and operations give the same bits as there. Like a
+real device, it refuses operations on tensors of both devices, and views of its memory without a
+copy.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from torch.utils._pytree import tree_flatten, tree_map
 
 CUDA: Final = torch.device("cuda", 0)
 _CPU: Final = torch.device("cpu")
-# What torch itself takes the second device for: it is linked with no other that has no memory here.
-_MEMORY: Final = torch.device("meta")
+# The device that torch itself sees for these tensors: the only one that needs no memory.
+_META: Final = torch.device("meta")
 _COPIES: Final = (torch.ops.aten._to_copy, torch.ops.aten.to, torch.ops.aten.copy_)
-# Places may be given by the processor, to be looked up on any device.
-_LOOKED_UP: Final = (torch.ops.aten.index, torch.ops.aten.index_put, torch.ops.aten.index_put_)
+# Indices may be tensors of the CPU for tensors of any device.
+_INDEXING: Final = (torch.ops.aten.index, torch.ops.aten.index_put, torch.ops.aten.index_put_)
 
 
-class Elsewhere(Tensor):
+class CudaTensor(Tensor):
     """A tensor of the second device.
 
     Attributes:
-        here: its values, in the memory of the processor.
+        here: its values, a tensor of the CPU.
     """
 
     here: Tensor
@@ -38,16 +39,16 @@ class Elsewhere(Tensor):
     __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
 
     @staticmethod
-    def __new__(cls, here: Tensor) -> Elsewhere:
-        """Return what stands for a tensor of the processor."""
+    def __new__(cls, here: Tensor) -> CudaTensor:
+        """Wrap a tensor of the CPU."""
         with torch.inference_mode(False):  # of which torch makes views everywhere
-            made: Elsewhere = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            made: CudaTensor = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
                 cls,
                 here.size(),
                 strides=here.stride(),
                 storage_offset=here.storage_offset(),
                 dtype=here.dtype,
-                device=_MEMORY,
+                device=_META,
                 requires_grad=here.requires_grad,
             )
         made.here = here
@@ -65,7 +66,7 @@ class Elsewhere(Tensor):
         return _compute(func, args, dict(kwargs or {}))
 
 
-class _Devices(TorchDispatchMode):
+class _DeviceDispatch(TorchDispatchMode):
     """Lets operations name the second device."""
 
     def __torch_dispatch__(
@@ -78,7 +79,7 @@ class _Devices(TorchDispatchMode):
         return _compute(func, args, dict(kwargs or {}))
 
 
-class _Numbers(TorchFunctionMode):
+class _NumberConversion(TorchFunctionMode):
     """Lets numbers of Python become tensors of the second device, which torch makes by itself."""
 
     def __torch_function__(
@@ -102,23 +103,25 @@ class _Numbers(TorchFunctionMode):
 
 def _compute(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
     tensors = [each for each in tree_flatten((args, kwargs))[0] if isinstance(each, Tensor)]
-    there = any(isinstance(each, Elsewhere) for each in tensors)
+    there = any(isinstance(each, CudaTensor) for each in tensors)
     packet = func.overloadpacket
-    both = there and any(not isinstance(each, Elsewhere) and each.ndim for each in tensors)
-    if packet in _LOOKED_UP:
-        both = isinstance(args[0], Elsewhere) != there
+    both = there and any(not isinstance(each, CudaTensor) and each.ndim for each in tensors)
+    if packet in _INDEXING:
+        both = isinstance(args[0], CudaTensor) != there
     if both and packet not in _COPIES:
         raise RuntimeError(f"{func}: tensors of cpu and cuda")
     for asked in tree_flatten((args, kwargs))[0]:
         if isinstance(asked, torch.device):
             there = asked != _CPU
     if packet is torch.ops.aten.copy_:
-        there = isinstance(args[0], Elsewhere)
+        there = isinstance(args[0], CudaTensor)
     made = func(*tree_map(_here, args), **tree_map(_here, kwargs))
     if func._schema.is_mutable:
         return kwargs.get("out", args[0])
     return tree_map(
-        lambda each: Elsewhere(each.resolve_conj()) if there and isinstance(each, Tensor) else each,
+        lambda each: (
+            CudaTensor(each.resolve_conj()) if there and isinstance(each, Tensor) else each
+        ),
         made,
     )
 
@@ -126,7 +129,7 @@ def _compute(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
 def _here(value: Any) -> Any:
     if isinstance(value, torch.device):
         return _CPU
-    return value.here if isinstance(value, Elsewhere) else value
+    return value.here if isinstance(value, CudaTensor) else value
 
 
 @contextmanager
@@ -134,5 +137,5 @@ def second_device() -> Iterator[torch.device]:
     """Let torch find one CUDA device, as long as the context lasts."""
     found = {"is_available": True, "device_count": 1, "_lazy_init": None}
     changed = {name: mock.Mock(return_value=value) for name, value in found.items()}
-    with mock.patch.multiple(torch.cuda, **changed), _Devices(), _Numbers():
+    with mock.patch.multiple(torch.cuda, **changed), _DeviceDispatch(), _NumberConversion():
         yield CUDA

@@ -1,4 +1,4 @@
-"""Folders that are built once per run of the tests, even if several processes share it."""
+"""Folders that are built once per run of the tests, even if several processes share the run."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import pytest
 from filelock import FileLock
 
 
-def root_of(factory: pytest.TempPathFactory) -> Path:
-    """The temporary folder of the run, which all of its processes see."""
+def run_folder(factory: pytest.TempPathFactory) -> Path:
+    """Return the temporary folder of the run, which all of its processes share."""
     folder = factory.getbasetemp()
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
 
 @contextmanager
-def alone(factory: pytest.TempPathFactory, name: str) -> Iterator[Path]:
-    """Keep the other processes of the run out of what ``name`` stands for; yield the root."""
-    root = root_of(factory)
+def hold_lock(factory: pytest.TempPathFactory, name: str) -> Iterator[Path]:
+    """Hold the lock ``name`` among the processes of the run; yield the folder of the run."""
+    root = run_folder(factory)
     with FileLock(root / f"{name}.lock"):
         yield root
 
@@ -33,7 +33,7 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
         name: of the folder, unique among the tests.
         make: fills the folder, which exists and is empty.
     """
-    with alone(factory, name) as root:
+    with hold_lock(factory, name) as root:
         folder, done = root / name, root / f"{name}.done"
         if not done.exists():
             folder.mkdir()

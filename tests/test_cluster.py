@@ -1,4 +1,4 @@
-"""The line on a cluster that loses a node: scene, map, results and depth as undisturbed."""
+"""A cluster that loses a node gives the scene, map, results and depth of a single machine."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TINY = SimulateConfig.model_validate(
 )
 
 
-def without_clock(results: Results) -> tuple[QueryResult, ...]:
+def without_seconds(results: Results) -> tuple[QueryResult, ...]:
     return tuple(query.model_copy(update={"seconds": {}}) for query in results.queries)
 
 
@@ -82,7 +82,7 @@ def test_a_cluster_gives_the_same_results(
             cache=tmp_path / "cache",
             cluster=two_nodes.address,
         )
-    assert without_clock(spread) == without_clock(alone)
+    assert without_seconds(spread) == without_seconds(alone)
     assert spread.summary.recall == alone.summary.recall
     assert spread.summary.peak_memory_mb is not None
 

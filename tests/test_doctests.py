@@ -21,7 +21,7 @@ PACKAGES = (
     "benchmark",
 )
 # The only module that imports Blender, which is an optional dependency.
-WITHOUT = {"simulate.render.blender"}
+EXCLUDED = {"simulate.render.blender"}
 
 
 def modules_with_examples() -> list[str]:
@@ -39,7 +39,7 @@ def modules_with_examples() -> list[str]:
             ]
             parts = path.relative_to(ROOT).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            if any(">>>" in text for text in docstrings) and name not in WITHOUT:
+            if any(">>>" in text for text in docstrings) and name not in EXCLUDED:
                 names.append(name)
     return names
 

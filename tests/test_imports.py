@@ -1,8 +1,8 @@
-"""The import arrows of the project, held by reading every module.
+"""Imports between packages and between subpackages have one direction; every module is read.
 
 Packages: ``benchmark -> baselines -> objconnect``, ``simulate -> objconnect`` and
-``benchmark -> simulate``. Rooms of ``objconnect``: ``mapping -> network -> localization ->
-learning, ingestion -> scene``.
+``benchmark -> simulate``. Subpackages (rooms) of ``objconnect``: ``mapping -> network ->
+localization -> learning, ingestion -> scene``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ ROOMS = {
     "twin": {"place", "look"},
     "render": {"place", "look", "camera"},
 }
-# Libraries that one module or room alone may speak to.
+# Libraries that only one module or room may import.
 ADAPTERS = {
     "bpy": "simulate.render.blender",
     "bmesh": "simulate.render.blender",
@@ -56,22 +56,30 @@ ADAPTERS = {
     "rerun": "objconnect.scene.exports.rerun",
     "rosbags": "objconnect.localization.pipeline.ros",
     "av": "objconnect.scene.storage.video",
+    "kornia": "baselines.lightglue.networks",
     "srt": "objconnect.scene.storage.subtitles",
     "rasterio": "objconnect.scene.geo.rasters",
+    "pyarrow": "benchmark.publishing.shards",
+    "huggingface_hub": "objconnect.scene.storage.hub",
 }
 
 
-def modules(package: str) -> dict[str, ast.Module]:
+def modules(package: str) -> dict[str, Path]:
     """Every module of a package by its dotted name."""
     found = {}
     for path in sorted((ROOT / package).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
-        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        found[name] = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
 
 
-ALL = {name: tree for package in ALLOWED for name, tree in modules(package).items()}
+ALL = {name: path for package in ALLOWED for name, path in modules(package).items()}
+
+
+@cache
+def parse(name: str) -> ast.Module:
+    """The syntax tree of a module. Parsing all takes seconds, so collection must not do it."""
+    return ast.parse(ALL[name].read_text(encoding="utf-8"), str(ALL[name]))
 
 
 def list_imported(statement: ast.AST) -> Iterator[str]:
@@ -88,8 +96,9 @@ def list_imported(statement: ast.AST) -> Iterator[str]:
 
 
 @cache
-def imports_anywhere(tree: ast.Module) -> set[str]:
-    return {name for statement in ast.walk(tree) for name in list_imported(statement)}
+def imports_anywhere(name: str) -> set[str]:
+    """Imports of a module, also inside functions."""
+    return {imported for node in ast.walk(parse(name)) for imported in list_imported(node)}
 
 
 def imports_when_loaded(tree: ast.AST) -> set[str]:
@@ -101,6 +110,19 @@ def imports_when_loaded(tree: ast.AST) -> set[str]:
         if isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test):
             continue
         found |= set(list_imported(statement)) | imports_when_loaded(statement)
+    return found
+
+
+def list_loaded_with(name: str) -> set[str]:
+    """Modules of ours that are loaded with one of them, itself and the packages around it too."""
+    found: set[str] = set()
+    ahead = [name]
+    while ahead:
+        each = ahead.pop()
+        if each in ALL and each not in found:
+            found.add(each)
+            ahead += imports_when_loaded(parse(each))
+            ahead.append(each.rpartition(".")[0])
     return found
 
 
@@ -118,9 +140,9 @@ def test_arrows_run_one_way(package: str) -> None:
     forbidden = set(ALLOWED) - ALLOWED[package] - {package}
     wrong = {
         (name, target)
-        for name, tree in ALL.items()
+        for name in ALL
         if name.split(".")[0] == package
-        for target in imports_anywhere(tree)
+        for target in imports_anywhere(name)
         if target.split(".")[0] in forbidden
     }
     assert not wrong
@@ -137,9 +159,9 @@ def test_rooms_run_one_way(package: str, room: str, others: set[str]) -> None:
     allowed = {f"{package}.{other}" for other in others | {room}}
     wrong = {
         (name, target)
-        for name, tree in ALL.items()
+        for name in ALL
         if name.startswith(f"{package}.{room}.")
-        for target in imports_anywhere(tree) & set(ALL) - {package}
+        for target in imports_anywhere(name) & set(ALL) - {package}
         if target.startswith(f"{package}.") and ".".join(target.split(".")[:2]) not in allowed
     }
     assert not wrong
@@ -154,8 +176,8 @@ def test_every_room_of_the_library_has_its_arrows() -> None:
 def test_one_module_speaks_to(library: str) -> None:
     users = {
         name
-        for name, tree in ALL.items()
-        if any(target.split(".")[0] == library for target in imports_anywhere(tree))
+        for name in ALL
+        if any(target.split(".")[0] == library for target in imports_anywhere(name))
     }
     allowed = ADAPTERS[library]
 
@@ -165,8 +187,8 @@ def test_one_module_speaks_to(library: str) -> None:
 def test_there_is_no_circle() -> None:
     """No file needs itself through others, not even inside functions or for annotations alone."""
     graph = {
-        name: {target for target in imports_anywhere(tree) if target in ALL and target != name}
-        for name, tree in ALL.items()
+        name: {target for target in imports_anywhere(name) if target in ALL and target != name}
+        for name in ALL
     }
     try:
         order = list(TopologicalSorter(graph).static_order())
@@ -201,9 +223,34 @@ def test_the_library_loads_no_other_package() -> None:
 HEAVY = {"torch", "pycolmap", "cv2", "matplotlib"}
 
 
-@pytest.mark.parametrize("name", ["objconnect.scene.bundle.scene", "benchmark.cli"])
+def test_the_doctor_loads_nothing_that_may_be_missing() -> None:
+    """Its requirements load in processes of their own."""
+    assert not {"typer", "pydantic", "numpy", "h5py", *HEAVY} & list_loaded_by(["benchmark.doctor"])
+
+
+@pytest.mark.parametrize(
+    "name", ["objconnect.scene.bundle.scene", "benchmark.cli", "benchmark.regression"]
+)
 def test_module_loads_no_heavy_library(name: str) -> None:
     assert not HEAVY & list_loaded_by([name])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "benchmark.report.board.command",
+        "benchmark.evaluation.evaluate",
+        "objconnect.ingestion.command",
+        "objconnect.learning.training.command",
+        "objconnect.localization.pipeline.localize",
+    ],
+)
+def test_matplotlib_is_loaded_where_pictures_are_drawn(name: str) -> None:
+    """It takes half a second of every command, also of one that ends with an error."""
+    loaded = list_loaded_with(name)
+    assert len(loaded) > 20
+    drawing = {each for each in loaded if "matplotlib.figure" in imports_when_loaded(parse(each))}
+    assert not drawing
 
 
 def test_scene_is_opened_without_heavy_libraries(tmp_path: Path) -> None:
@@ -253,9 +300,9 @@ def test_nobody_asks_what_time_it_is() -> None:
     times = {"st_mtime", "st_mtime_ns", "st_ctime", "st_ctime_ns", "st_atime", "st_atime_ns"}
     asked = {
         (name, ast.unparse(node))
-        for name, tree in ALL.items()
+        for name in ALL
         if name != "objconnect.scene.storage.digests"
-        for node in ast.walk(tree)
+        for node in ast.walk(parse(name))
         if isinstance(node, ast.Attribute) and (ast.unparse(node) in clocks or node.attr in times)
     }
     assert not asked

@@ -1,4 +1,4 @@
-"""The Python interface: every name is there, types know them all, and importing it is quick."""
+"""The Python interface: every name exists, type checkers see it, and importing is quick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole line: a rendered scene through the command line to a leaderboard."""
+"""The whole pipeline by the command line, from a rendered scene to a leaderboard."""
 
 from __future__ import annotations
 

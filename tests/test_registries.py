@@ -1,4 +1,4 @@
-"""Every registry: its entries load, its names are in the documentation, and lists import little."""
+"""Registries: entries load, the documentation lists their names, and listing imports little."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from objconnect.methods import LOCALIZERS, TRAINABLES
 from objconnect.scene.exports.formats import FORMATS
 from objconnect.scene.imports.formats import FORMATS as POSE_FORMATS
 from objconnect.scene.registry import Lazy, Registry
-from simulate.look.conditions import LIGHTS, SEASONS, WEATHER
+from simulate.look.conditions import LIGHTS, WEATHER
+from simulate.look.seasons import SEASONS
 from simulate.place.presets import PRESETS
 from tests.test_imports import ALLOWED
 
@@ -28,7 +29,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "objconnect.scene.exports.formats.FORMATS": FORMATS,
     "objconnect.scene.imports.formats.FORMATS": POSE_FORMATS,
     "simulate.place.presets.PRESETS": PRESETS,
-    "simulate.look.conditions.SEASONS": SEASONS,
+    "simulate.look.seasons.SEASONS": SEASONS,
     "simulate.look.conditions.LIGHTS": LIGHTS,
     "simulate.look.conditions.WEATHER": WEATHER,
 }
@@ -36,7 +37,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
 TABLES: dict[str, Registry[Any]] = {
     "method": LOCALIZERS,
     "format": FORMATS,
-    "poses": POSE_FORMATS,
+    "format of poses": POSE_FORMATS,
     "data set": READERS,
     "preset": PRESETS,
 }
@@ -44,16 +45,16 @@ TABLES: dict[str, Registry[Any]] = {
 ROWS: dict[str, Registry[Any]] = {"season": SEASONS, "light": LIGHTS, "weather": WEATHER}
 
 
-def documentation() -> list[str]:
+def documentation_lines() -> list[str]:
     """The lines of every page."""
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [line for page in pages for line in [*page.read_text("utf-8").splitlines(), ""]]
 
 
-def tables() -> list[list[list[str]]]:
+def documentation_tables() -> list[list[list[str]]]:
     """Every table of the documentation as rows of cells, the headings first."""
     found: list[list[list[str]]] = [[]]
-    for line in documentation():
+    for line in documentation_lines():
         if not line.startswith("|"):
             found.append([])
         elif not re.fullmatch(r"[|\s:-]+", line) or not found[-1]:
@@ -63,29 +64,33 @@ def tables() -> list[list[list[str]]]:
 
 @pytest.mark.parametrize("heading", TABLES)
 def test_a_table_of_the_documentation_lists_the_names(heading: str) -> None:
-    columns = [[row[0] for row in table[1:]] for table in tables() if table[0][0] == heading]
+    columns = [
+        [row[0] for row in table[1:]] for table in documentation_tables() if table[0][0] == heading
+    ]
     assert [f"`{name}`" for name in TABLES[heading].built_in] in columns
 
 
 @pytest.mark.parametrize("part", ROWS)
 def test_a_row_of_the_documentation_lists_the_parts_of_conditions(part: str) -> None:
-    rows = [row for table in tables() for row in table if row[0] == part and len(row) > 1]
+    rows = [
+        row for table in documentation_tables() for row in table if row[0] == part and len(row) > 1
+    ]
     assert list(ROWS[part].built_in) in [re.findall("`(.+?)`", row[1]) for row in rows]
 
 
-@pytest.mark.parametrize("place", REGISTRIES)
-def test_every_built_in_entry_loads(place: str) -> None:
-    registry = REGISTRIES[place]
+@pytest.mark.parametrize("path", REGISTRIES)
+def test_every_built_in_entry_loads(path: str) -> None:
+    registry = REGISTRIES[path]
     for name in registry.built_in:
         assert registry.accepts(registry.load(name)), name
 
 
-@pytest.mark.parametrize("place", REGISTRIES)
-def test_entries_follow_the_import_arrows(place: str) -> None:
+@pytest.mark.parametrize("path", REGISTRIES)
+def test_entries_follow_the_import_arrows(path: str) -> None:
     """Names of modules in strings are imports, too; the list of methods alone names those of
     ``baselines``, which are imported when they are created."""
-    package = "benchmark" if place.startswith("objconnect.methods.") else place.split(".")[0]
-    targets = [e.target for e in REGISTRIES[place].built_in.values() if isinstance(e, Lazy)]
+    package = "benchmark" if path.startswith("objconnect.methods.") else path.split(".")[0]
+    targets = [e.target for e in REGISTRIES[path].built_in.values() if isinstance(e, Lazy)]
     assert {target.split(".")[0] for target in targets} <= ALLOWED[package] | {package}
 
 
@@ -125,7 +130,7 @@ from benchmark.datasets.open import READERS, open_datasets
 from objconnect.scene.exports.export import export
 from objconnect.scene.exports.formats import FORMATS
 list(READERS.values())
-open_datasets(Path("tests/data/gate"))
+open_datasets(Path("benchmark/gate/gate"))
 [FORMATS.load(name) for name in ("nerfstudio", "tum", "hloc")]
 """
     loaded = list_loaded_by(code)

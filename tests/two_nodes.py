@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from objconnect.scene.runtime.cluster import _keep_handler, _ray
+from objconnect.scene.runtime.cluster import _import_ray, _keep_handler
 
 # A busy machine takes longer to start a node than Ray waits.
 _ATTEMPTS = 4
@@ -24,19 +24,19 @@ class TwoNodes:
     """
 
     def __init__(self) -> None:
-        self._ray = _ray()
+        self._ray = _import_ray()
         from ray.cluster_utils import Cluster
 
         head = {"num_cpus": 0, "object_store_memory": _STORE_BYTES, "include_dashboard": False}
-        self._cluster = _patiently(lambda: Cluster(initialize_head=True, head_node_args=head))
+        self._cluster = _retry(lambda: Cluster(initialize_head=True, head_node_args=head))
         self.address = str(self._cluster.address)
 
-    def have(self, count: int) -> None:
-        """See that there are so many nodes; only between runs."""
+    def set_node_count(self, count: int) -> None:
+        """Start or stop nodes until there are ``count``; only between runs."""
         while len(self._cluster.worker_nodes) > count:
             self._cluster.remove_node(next(iter(self._cluster.worker_nodes)))
         while len(self._cluster.worker_nodes) < count:
-            _patiently(lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES))
+            _retry(lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES))
         # The head learns only after seconds of a node that was killed. Until then it may send a
         # driver on this machine there, whose process Ray then ends without a word.
         self._cluster.wait_for_nodes()
@@ -48,7 +48,7 @@ class TwoNodes:
         Raises:
             AssertionError: none was.
         """
-        self.have(2)
+        self.set_node_count(2)
         over, killed = threading.Event(), threading.Event()
 
         def watch() -> None:
@@ -89,14 +89,16 @@ def _has_unit(raylet: int) -> bool:
     for process in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == raylet and (process / "cmdline").read_bytes().startswith(b"ray::_do"):
+            if parent == raylet and (process / "cmdline").read_bytes().startswith(
+                b"ray::_run_unit"
+            ):
                 return True
         except (OSError, ProcessLookupError):
             continue
     return False
 
 
-def _patiently(start: Callable[[], Any]) -> Any:
+def _retry(start: Callable[[], Any]) -> Any:
     for attempt in range(_ATTEMPTS):
         try:
             with _keep_handler():

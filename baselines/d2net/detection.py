@@ -11,15 +11,15 @@ from torch.nn import functional
 
 from baselines.d2net.network import D2Net
 
-# Numerical guard: least curvature of a peak relative to its height.
-_FLAT: Final = 1e-4
+# Numerical guard: minimum curvature of a peak, relative to its height.
+_MIN_CURVATURE: Final = 1e-4
 # Largest offset (cells) of a peak from the centre of its cell.
 _MAX_OFFSET: Final = 0.5
-# Least side of a pyramid level (px): smaller ones have no cell with neighbours.
-_LEAST: Final = 16
+# Minimum side of a pyramid level (px); a smaller one has no cell with neighbours on all sides.
+_MIN_SIDE_PX: Final = 16
 
 EDGE_RATIO: Final = 5.0
-"""Largest ratio of the two curvatures of a peak, as in SIFT; beyond, it is an edge."""
+"""Maximum ratio of the two curvatures of a peak, as in SIFT; with a larger one it is an edge."""
 
 
 class Keypoints(NamedTuple):
@@ -27,8 +27,9 @@ class Keypoints(NamedTuple):
 
     Attributes:
         xy: positions (N, 2), COLMAP pixels.
-        scale: (N,) size of a pixel of the pyramid level, in pixels of the image.
-        scores: (N,) value of the largest feature, divided by the number of levels so far.
+        scale: (N,) size of a pixel of the keypoint's pyramid level, in pixels of the image.
+        scores: (N,) largest channel of the feature at the keypoint, divided by the number of its
+            level, which is 1 for the coarsest, because features of coarser levels are added.
         descriptors: descriptors (N, C) of unit length.
     """
 
@@ -50,11 +51,11 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         scales: scales of the levels, coarse to fine. Levels that are too small are left out.
     """
     height, width = image.shape[1:]
-    coarser = taken = None
-    levels = [_none(network.channels, image)]
-    for rank, scale in enumerate(scales, 1):
+    coarser = detected = None
+    levels = [_no_keypoints(network.channels, image)]
+    for level, scale in enumerate(scales, 1):
         size = (int(height * scale), int(width * scale))
-        if min(size) < _LEAST:
+        if min(size) < _MIN_SIDE_PX:
             continue
         features = network.dense(_resize(image[None], size))[0]
         cells = features.shape[1:]
@@ -62,21 +63,22 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
             features = features + _resize(coarser[None], cells)[0]
         coarser = features
         peaks, offsets = find_peaks(features)
-        if taken is not None:
-            again = functional.interpolate(taken[None, None].float(), cells)[0, 0].bool()
-            peaks &= ~again
-            taken = peaks | again
+        if detected is not None:
+            earlier = functional.interpolate(detected[None, None].float(), cells)[0, 0].bool()
+            peaks &= ~earlier
+            detected = peaks | earlier
         else:
-            taken = peaks
+            detected = peaks
         rows, columns = peaks.nonzero().T
         offset = offsets[:, rows, columns]
         exact = torch.stack([columns, rows]) + offset
         last = exact.new_tensor([cells[1] - 1, cells[0] - 1])[:, None]
         kept = (offset.abs() < _MAX_OFFSET).all(0) & ((exact >= 0) & (exact <= last)).all(0)
         exact = exact[:, kept]
-        # The centres of the corner pixels coincide in all levels, at (0.5, 0.5) for the first.
-        shrunk = [(width - 1) / (size[1] - 1), (height - 1) / (size[0] - 1)]
-        xy = (4 * exact.T + 3.5) * exact.new_tensor(shrunk) + 0.5
+        # The centres of the corner pixels coincide in all levels, at (0.5, 0.5) for the first. Cell
+        # (x, y) lies (4x + 3.5, 4y + 3.5) pixels of the level from the centre of the first pixel.
+        pixel_size = [(width - 1) / (size[1] - 1), (height - 1) / (size[0] - 1)]
+        xy = (4 * exact.T + 3.5) * exact.new_tensor(pixel_size) + 0.5
         sampled = functional.grid_sample(
             features[None], (2 * exact / last - 1).T[None, None], align_corners=True
         )[0, :, 0]
@@ -85,7 +87,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
             Keypoints(
                 xy,
                 torch.full_like(strongest, 1 / scale),
-                strongest / rank,
+                strongest / level,
                 functional.normalize(sampled, dim=0).T,
             )
         )
@@ -120,7 +122,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     dx, dy = (east - west) / 2, (s - n) / 2
     determinant = dxx * dyy - dxy**2
     round_enough = (dxx + dyy) ** 2 <= (EDGE_RATIO + 1) ** 2 / EDGE_RATIO * determinant
-    curved = (determinant > 0) & (dxx + dyy < -_FLAT * centre)
+    curved = (determinant > 0) & (dxx + dyy < -_MIN_CURVATURE * centre)
     peaks = (centre == around.amax(0)) & curved & round_enough
     steps = torch.stack([dxy * dy - dyy * dx, dxy * dx - dxx * dy])
     return peaks, steps / determinant
@@ -131,6 +133,6 @@ def _resize(values: Tensor, size: Sequence[int]) -> Tensor:
     return functional.interpolate(values, tuple(size), mode="bilinear", align_corners=True)
 
 
-def _none(channels: int, like: Tensor) -> Keypoints:
+def _no_keypoints(channels: int, like: Tensor) -> Keypoints:
     empty = like.new_zeros
     return Keypoints(empty(0, 2), empty(0), empty(0), empty(0, channels))

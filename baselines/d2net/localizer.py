@@ -19,6 +19,7 @@ from baselines.d2net.detection import EDGE_RATIO, detect
 from baselines.d2net.network import D2Net, read_network
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.localization.matching.features import Extractor
+from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features
 from objconnect.scene.runtime.device import AUTO, Device, torch_device
@@ -27,8 +28,8 @@ from objconnect.scene.runtime.tuning import trim_heap
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The shipped weights."""
 
-# Least standard deviation of grey levels in a window of this side (px) around a keypoint; without
-# texture, keypoints are artefacts of the image border.
+# Minimum standard deviation of the grey levels in a window around a keypoint, and side (px) of the
+# window. Without texture, keypoints are artefacts of the image border.
 _MIN_CONTRAST: Final = 1.0
 _CONTRAST_WINDOW_PX: Final = 33
 
@@ -38,8 +39,8 @@ class D2NetConfig(StructureConfig):
 
     weights: Path | None = Field(
         None,
-        description="File of weights, ours or a checkpoint of the authors; None for the shipped "
-        "ones.",
+        description="File of weights, ours or a checkpoint of the authors, or published weights: a "
+        "folder or hf://OWNER/NAME@COMMIT; None for the shipped ones.",
     )
     device: Device = AUTO
     scales: tuple[float, ...] = Field(
@@ -65,7 +66,7 @@ class D2NetConfig(StructureConfig):
     max_features: int = Field(6000, ge=100, description="Maximum number of features of an image.")
 
     @model_validator(mode="after")
-    def _pyramid(self) -> Self:
+    def _check_scales(self) -> Self:
         if min(self.scales) <= 0 or list(self.scales) != sorted(set(self.scales)):
             raise ValueError("scales must be positive and ascending")
         return self
@@ -83,45 +84,51 @@ class D2NetExtractor(Extractor):
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._network: D2Net = fast.to(self._device)
         self._config = config
-        self.weights_sha256 = weights_sha256
+        self._weights_sha256 = weights_sha256
         self.options = (
             f"{config.scales} {config.max_edge} {config.max_features} "
             f"{_MIN_CONTRAST} {_CONTRAST_WINDOW_PX} {EDGE_RATIO}"
         )
 
+    @property
+    def weights_sha256(self) -> str:
+        """Return the digest of the network's weights."""
+        return self._weights_sha256
+
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         size = np.array(rgb.shape[1::-1])
-        smaller = np.round(size * min(1.0, self._config.max_edge / size.max())).astype(int)
-        if (smaller < size).any():
-            rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
+        resized = np.round(size * min(1.0, self._config.max_edge / size.max())).astype(int)
+        if (resized < size).any():
+            rgb = np.asarray(cv2.resize(rgb, resized.tolist(), interpolation=cv2.INTER_AREA))
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
-            scales = self._scales(smaller.max())
+            scales = self._scales(resized.max())
             keypoints = detect(self._network, image.to(self._device), scales)
             strongest = keypoints.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()
                 for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
-        trim_heap()  # frees half a gigabyte; its time is negligible beside the pass
+        trim_heap()  # its time is negligible beside that of the network
         config = self._config
-        clear = _has_contrast(rgb, xy)
-        kept = np.flatnonzero(clear)[: config.max_features]
+        kept = np.flatnonzero(_has_contrast(rgb, xy))[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
         # Resizing keeps the image's edges, so coordinates counted from the edge are multiplied.
-        magnified = (size / smaller).astype(np.float32)
+        magnification = (size / resized).astype(np.float32)
         # Half precision changes a descriptor by less than a thousandth and halves the cache.
-        return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
+        return Features(
+            xy * magnification, scale * magnification.max(), descriptors.astype(np.float16)
+        )
 
     def _scales(self, edge: int) -> list[float]:
         """Return the scales of the levels of an image with that longer side (px)."""
-        wanted = self._config.scales
-        fitting = min(1.0, self._config.max_edge / (edge * wanted[-1]))
-        return [scale * fitting for scale in wanted]
+        scales = self._config.scales
+        factor = min(1.0, self._config.max_edge / (edge * scales[-1]))
+        return [scale * factor for scale in scales]
 
 
 def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether the picture has contrast around keypoints (N, 2), (N,).
+    """Return for each keypoint (N, 2) whether the picture has contrast around it, (N,).
 
     In images without texture, the padding of the convolutions causes peaks at the border. They are
     at the same positions in any two images, so matches between them would agree on a pose.
@@ -143,4 +150,6 @@ class D2NetLocalizer(StructureLocalizer):
             InputError: there are no weights, or they belong to another network.
         """
         network, digest = read_network(config.weights or shipped_path(SHIPPED))
-        super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)
+        extractor = D2NetExtractor(network, digest, config)
+        matcher = NearestNeighbours(extractor, config.ratio)
+        super().__init__(config, extractor, matcher, interpolate=True)

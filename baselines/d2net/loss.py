@@ -16,7 +16,7 @@ from objconnect.learning.training.contrastive import sample
 
 # Margin of the squared distances, that of the authors.
 _MARGIN: Final = 1.0
-# Least Chebyshev distance (cells) of a negative from the true match.
+# Negatives are farther than this Chebyshev distance (cells) from the true match.
 _SAFE_RADIUS: Final = 4
 # Numerical guards; the first exceeds any squared distance of unit vectors.
 _FAR: Final = 10.0
@@ -63,10 +63,12 @@ def triplet_loss(image_a: Described, image_b: Described) -> TripletLoss:
         _hardest(a, image_b.features, image_b.cells),
         _hardest(b, image_a.features, image_a.cells),
     )
-    score_a, score_b = (_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b))
+    score_a, score_b = (
+        _sample_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b)
+    )
     weight = score_a * score_b
     hinge = functional.relu(_MARGIN + positive - negative)
-    # Scores are about one over the number of cells, so their products are small.
+    # Scores are about one over the number of cells, so their products are tiny and are normalised.
     weight = weight / weight.sum().clamp_min(_TINY)
     return TripletLoss(
         (weight * hinge).sum(),
@@ -76,13 +78,13 @@ def triplet_loss(image_a: Described, image_b: Described) -> TripletLoss:
     )
 
 
-def _at(values: Tensor, cells: Tensor) -> Tensor:
+def _sample_at(values: Tensor, cells: Tensor) -> Tensor:
     """Sample values (C, h, w) at cells (N, 2); returns (N, C) float32."""
     return sample(values[None], cells[None])[0]
 
 
 def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
-    return functional.normalize(_at(features, cells), dim=1)
+    return functional.normalize(_sample_at(features, cells), dim=1)
 
 
 def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ STRIDE: Final = 8
 _MEANS: Final = (103.939, 116.779, 123.68)
 # Approximate standard deviation after this subtraction.
 _SPREAD: Final = 60.0
-_FIRST: Final = "dense_feature_extraction.model.0.weight"
+_FIRST_WEIGHT: Final = "dense_feature_extraction.model.0.weight"
 _TINY: Final = 1e-12
 
 
@@ -78,7 +78,7 @@ class D2Net(nn.Module):
         Returns:
             Features (B, C, H // 8, W // 8), of either sign.
         """
-        features: Tensor = self.dense_feature_extraction(_caffe(images))
+        features: Tensor = self.dense_feature_extraction(_to_caffe_colours(images))
         return features
 
     def dense(self, images: Tensor) -> Tensor:
@@ -94,7 +94,7 @@ class D2Net(nn.Module):
         Returns:
             Features (B, C, H // 4 - 1, W // 4 - 1), not negative.
         """
-        values = _caffe(images)
+        values = _to_caffe_colours(images)
         poolings = 0
         for layer in self.dense_feature_extraction[0].children():
             poolings += isinstance(layer, nn.MaxPool2d)
@@ -117,9 +117,9 @@ def read_network(path: Path) -> tuple[D2Net, str]:
     """
     weights = read_weights(path)
     # The authors' checkpoints do not state the width, which is that of the first layer.
-    first = weights.tensors.get(_FIRST)
+    first = weights.tensors.get(_FIRST_WEIGHT)
     if first is None or not first.ndim:
-        raise InputError(f"{path} lacks {_FIRST}: it holds no weights of D2-Net")
+        raise InputError(f"{path} lacks {_FIRST_WEIGHT}: it holds no weights of D2-Net")
     config = weights.config or {"width": len(first) / 64}
     network = D2Net(load_config(D2NetNetConfig, None, config))
     load_into(network, weights.tensors, path)
@@ -152,7 +152,7 @@ def soft_scores(features: Tensor) -> Tensor:
     return scores / total
 
 
-def _caffe(images: Tensor) -> Tensor:
+def _to_caffe_colours(images: Tensor) -> Tensor:
     """Convert RGB (B, 3, H, W) in 0..1 to BGR in 0..255 with the means subtracted."""
     means = images.new_tensor(_MEANS).view(3, 1, 1)
     return images.flip(1) * 255 - means

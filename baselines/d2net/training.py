@@ -35,8 +35,8 @@ class D2NetTraining:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         if config.weights is None:
-            made = {"width": config.width, **config.network}
-            self.network = D2Net(load_config(D2NetNetConfig, None, made))
+            values = {"width": config.width, **config.network}
+            self.network = D2Net(load_config(D2NetNetConfig, None, values))
         elif config.network:
             raise InputError("weights determine the options of their network: leave out 'network'")
         else:
@@ -58,7 +58,7 @@ class D2NetTraining:
             The loss, and log values: ``contrastive``, the fields of ``TripletLoss`` if any pair has
             enough correspondences, and ``pairs``, the number of such pairs.
         """
-        count, room = batch.valid.shape
+        count, most_points = batch.valid.shape
         images = torch.cat([batch.image_a, batch.image_b])
         images = images.to(memory_format=torch.channels_last)
         with torch.autocast(images.device.type, torch.bfloat16):
@@ -68,8 +68,8 @@ class D2NetTraining:
         inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
         cells = batch.xy_a / STRIDE, batch.xy_b / STRIDE
-        lost = contrastive(a, b, *cells, valid)
-        contrast = mean_over(valid, lost)
+        losses = contrastive(a, b, *cells, valid)
+        contrast = mean_over(valid, losses)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:
             return contrast, figures
@@ -80,7 +80,7 @@ class D2NetTraining:
                 Described(features[count + i], scores[count + i], cells[1][i, valid[i]]),
             )
             for i in range(count)
-            if int(valid[i].sum()) >= min(_MIN_POINTS, room // 2)
+            if int(valid[i].sum()) >= min(_MIN_POINTS, most_points // 2)
         ]
         if not triplets:
             return contrast, {**figures, "pairs": 0.0}

@@ -44,8 +44,8 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 class PixlocSearchConfig(SearchingConfig):
     """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
 
-    It is the control of comparisons: its gain over ``pixloc`` is that of the search, the corners
-    and more reference images. The gain of ``objconnect`` over it is that of network and objects.
+    It is a control in comparisons. Its gain over ``pixloc`` comes from the search, the corners and
+    more reference images. The gain of ``objconnect`` over it comes from the network and objects.
     """
 
 

@@ -16,14 +16,14 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.training.pose_loss import pose_loss
 from objconnect.localization.featuremetric.training import (
-    contrast_of,
+    alignment_levels,
+    contrastive_and_confidence_loss,
     filters_and_damping,
     half_precision,
-    levels_of,
-    pixels_of,
+    median_pixel_errors,
+    points_in_b,
     stack_images,
-    unroll,
-    view_of_b,
+    unroll_alignment,
 )
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
@@ -39,8 +39,8 @@ class PixlocTraining:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         if config.weights is None:
-            made = {"width": config.width, "strides": _STRIDES, **config.network}
-            self.network = PixlocNet(load_config(PixlocNetConfig, None, made))
+            values = {"width": config.width, "strides": _STRIDES, **config.network}
+            self.network = PixlocNet(load_config(PixlocNetConfig, None, values))
         elif config.network:
             raise InputError("weights determine the options of their network: leave out 'network'")
         else:
@@ -53,13 +53,13 @@ class PixlocTraining:
         strides = self.network_config.strides
         with half_precision(batch):
             maps = self.network(stack_images(batch))
-        contrast, figures = contrast_of(maps, strides, batch, self._losses)
+        contrast, figures = contrastive_and_confidence_loss(maps, strides, batch, self._losses)
         if progress < self._warm_up:
             return contrast, figures
-        levels = levels_of(maps, strides, batch)
-        by_level = unroll(levels, batch, self.network.damping)
-        pose_error, errors = pose_loss(by_level, strides, batch.b_from_a, view_of_b(batch))
-        figures |= pixels_of(errors, strides, batch)
+        levels = alignment_levels(maps, strides, batch)
+        poses = unroll_alignment(levels, batch, self.network.damping)
+        pose_error, errors = pose_loss(poses, strides, batch.b_from_a, points_in_b(batch))
+        figures |= median_pixel_errors(errors, strides, batch)
         return contrast + self._losses.pose_share * pose_error, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:

@@ -23,14 +23,14 @@ from objconnect.scene.geometry.sampson import Matches
 Array = NDArray[np.float64]
 
 CHECK = "poses agree with the photographs"
-# Largest Sampson error (px) of a match that agrees, in a photograph of the working size.
-_AGREES_PX = 2.0
-_LEAST_PX = 1.0
+# A match agrees if its Sampson error (px) is at most this in a photograph of the working size. The
+# limit grows with the size, and is at least the second value.
+_AGREES_PX, _MIN_AGREES_PX = 2.0, 1.0
 # Poses are right if this share of the matches agrees with them.
 RIGHT_SHARE = 0.7
-# Another convention explains the photographs if it adds this share.
-GAIN = 0.15
-# Fewer pairs or matches decide nothing.
+# Another convention is reported if the share of agreeing matches grows by more than this in it.
+MIN_GAIN = 0.15
+# With fewer pairs or matches, the check decides nothing.
 _LEAST_PAIRS = 3
 _LEAST_MATCHES = 150
 
@@ -55,24 +55,26 @@ class Rays:
 
 
 def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Rays]:
-    """Return the matches of pairs as rays; pairs with an unknown camera are left out."""
-    every = []
+    """Return the matches of each pair as rays; a pair with an unknown camera is left out."""
+    all_rays = []
     for pair in pairs:
         a, b = cameras[pair.first], cameras[pair.second]
         if a is None or b is None:
             continue
         first, valid = a.unproject(torch.from_numpy(pair.xy_first))
-        second, also = b.unproject(torch.from_numpy(pair.xy_second))
-        kept = valid & also
+        second, valid_second = b.unproject(torch.from_numpy(pair.xy_second))
+        kept = valid & valid_second
         scale = max(b.width, b.height) / WORKING_SIDE
         focal = float(np.mean(b.focal))
-        threshold = max(_AGREES_PX * scale, _LEAST_PX)
-        every.append(Rays(pair, first[kept], second[kept], focal, threshold))
-    return every
+        threshold = max(_AGREES_PX * scale, _MIN_AGREES_PX)
+        all_rays.append(Rays(pair, first[kept], second[kept], focal, threshold))
+    return all_rays
 
 
 def errors(rays: Rays, poses: Array) -> Array:
-    """Return the Sampson error (px) of each match (K,), infinite for points behind a camera.
+    """Return the Sampson error (px) of each match (K,).
+
+    It is infinite for points behind a camera, and for two cameras at one position.
 
     Args:
         rays: matches of a pair.
@@ -97,56 +99,58 @@ def errors(rays: Rays, poses: Array) -> Array:
 
 
 def shares(rays: Sequence[Rays], poses: Array) -> Array:
-    """Return the share of the matches of each pair that agree with the poses, (P,)."""
+    """Return for each pair the share of its matches that agree with the poses, (P,)."""
     return np.array([float((errors(r, poses) < r.threshold).mean()) for r in rays])
 
 
 def share(rays: Sequence[Rays], poses: Array) -> float:
-    """Return the mean share over all pairs; every pair counts the same."""
+    """Return the mean over all pairs of the share of agreeing matches."""
     return float(shares(rays, poses).mean())
 
 
-def too_few(rays: Sequence[Rays]) -> str:
+def explain_too_few(rays: Sequence[Rays]) -> str:
     """Return why there are too few matches to decide anything; empty if there are enough."""
     matches = sum(len(r.first) for r in rays)
     if len(rays) < _LEAST_PAIRS or matches < _LEAST_MATCHES:
         return (
-            f"{matches} matches between {len(rays)} pairs of photographs are too few: they do not "
-            "overlap, or are not where the data set states"
+            f"{matches} matches between {len(rays)} pairs of photographs are too few: the "
+            "photographs do not overlap, or cannot be read"
         )
     return ""
 
 
 def best_convention(rays: Sequence[Rays], poses: Array) -> tuple[PoseConvention | None, float]:
-    """Return the convention in which poses agree best, and the share that agrees in it.
+    """Return the convention in which most matches agree with the poses, and their share.
 
-    The convention is None if no other one is better than the poses as stated.
+    The convention is None if none has a share above that of the poses as stated by ``MIN_GAIN``.
     """
-    ours = share(rays, poses)
+    as_stated = share(rays, poses)
     candidates = [
         (share(rays, convention.poses(poses)), convention) for convention in FOREIGN_CONVENTIONS
     ]
     best, convention = max(candidates, key=lambda item: item[0])
-    return (convention, best) if best > ours + GAIN else (None, ours)
+    return (convention, best) if best > as_stated + MIN_GAIN else (None, as_stated)
 
 
 def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
     """Check poses, and return them in the convention that agrees with the photographs."""
-    if why := too_few(rays):
+    if why := explain_too_few(rays):
         return unknown(CHECK, why), poses
-    ours = share(rays, poses)
-    figures = {"agreeing": ours, "pairs": float(len(rays))}
+    as_stated = share(rays, poses)
+    figures = {"agreeing": as_stated, "pairs": float(len(rays))}
     convention, best = best_convention(rays, poses)
     if convention is not None and best >= RIGHT_SHARE:
-        agree = f"{best:.0%} of the matches agree in this convention, {ours:.0%} as stated"
+        agree = f"{best:.0%} of the matches agree in this convention, {as_stated:.0%} as stated"
         finding = wrong(
             CHECK, convention.name, f"{convention.fault}: {agree}", **figures, explained=best
         )
         return finding, convention.poses(poses)
-    if ours >= RIGHT_SHARE:
+    if as_stated >= RIGHT_SHARE:
         pixels = float(np.median(np.concatenate([errors(r, poses) for r in rays])))
         matches = sum(len(r.first) for r in rays)
-        detail = f"{ours:.0%} of {matches} matches in {len(rays)} pairs, median {pixels:.2f} px"
+        detail = (
+            f"{as_stated:.0%} of {matches} matches in {len(rays)} pairs, median {pixels:.2f} px"
+        )
         return right(CHECK, detail, **figures, median_px=pixels), poses
-    detail = f"{ours:.0%} of the matches agree, and no other convention explains them"
+    detail = f"{as_stated:.0%} of the matches agree, and no other convention explains them"
     return wrong(CHECK, "poses-inexact", detail, **figures), poses

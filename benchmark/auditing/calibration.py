@@ -20,7 +20,7 @@ from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.matches import Pair
 from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
+from objconnect.scene.geometry.robust import CAUCHY_SCALE, SIGMA_OF_MEDIAN
 from objconnect.scene.geometry.sampson import Matches
 from objconnect.scene.storage.images import Exif
 
@@ -33,21 +33,24 @@ PRINCIPAL = "principal points fit the photographs"
 # relative difference is above the second.
 _FOCAL_FITS = 0.01
 _EXIF_FITS = 0.15
-# A shift counts as half a pixel if its standard error is below the first value and it lies within
-# the second of ±0.5 px.
-_HALF_SIGMA, _HALF_MET = 0.1, 0.15
-# Error within which a principal point fits: pixels, or in large pictures a share of their side.
+# A shift counts as half a pixel if its standard error (px) is below the first value and its
+# difference from the nearest multiple of 0.5 px is below the second.
+_HALF_SIGMA, _HALF_TOLERANCE = 0.1, 0.15
+# A principal point fits if its error is below the larger of this many pixels and this share of the
+# longer side.
 _PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
+# A deviation of more than this many standard errors is significant.
 _SIGMAS = 5.0
-# Iterations of Gauss-Newton, and the steps of its differences (log focal length, px, px).
+# The fit is by Gauss-Newton. Its parameters are the logarithm of the focal factor and the shift of
+# the principal points in x and y, pixels.
 _ITERATIONS = 8
-_STEPS = (1e-4, 1e-2, 1e-2)
-_LARGEST_STEP = (-0.1, -20, -20), (0.1, 20, 20)
-_CONVERGED = (1e-4, 1e-2, 1e-2)
-_LEAST_SIGMA = 0.02
-# Matches with an initial error above this many thresholds are left out.
-_FAR = 12.0
-# Largest number of matches used of a pair, and the fewest pairs.
+_DERIVATIVE_STEPS = (1e-4, 1e-2, 1e-2)  # steps of the numerical derivatives
+_STEP_BOUNDS = (-0.1, -20, -20), (0.1, 20, 20)  # lowest and highest step of an iteration
+_CONVERGED = (1e-4, 1e-2, 1e-2)  # the fit stops after a step below this
+_MIN_SIGMA_PX = 0.02  # lower bound of the scale of the residuals
+# Matches with an initial error above ``Rays.threshold`` times this are left out.
+_OUTLIER_FACTOR = 12.0
+# About this many matches of a pair are used at most, and at least this many pairs are needed.
 _PER_PAIR = 150
 _LEAST_PAIRS = 4
 # A ridge that keeps the step finite if the matches do not determine a parameter.
@@ -81,7 +84,7 @@ def correct_camera(camera: Camera, focal: float, shift: Sequence[float]) -> Came
     return replace(camera, params=params)
 
 
-def correction(
+def fit_correction(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array
 ) -> Correction | None:
     """Fit the correction of all cameras; None with too few pairs.
@@ -91,37 +94,39 @@ def correction(
         cameras: stated cameras of all photographs.
         poses: cam_from_world (N, 4, 4), in the convention that agrees with the photographs.
     """
-    near = []
+    inliers = []
     for rays in rays_of(pairs, cameras):
-        pair, kept = rays.pair, np.flatnonzero(errors(rays, poses) < _FAR * rays.threshold)
+        pair = rays.pair
+        kept = np.flatnonzero(errors(rays, poses) < _OUTLIER_FACTOR * rays.threshold)
         if len(kept):
-            few = kept[:: 1 + len(kept) // _PER_PAIR]
-            near.append(Pair(pair.first, pair.second, pair.xy_first[few], pair.xy_second[few]))
-    if len(near) < _LEAST_PAIRS:
+            thinned = kept[:: 1 + len(kept) // _PER_PAIR]
+            inliers.append(
+                Pair(pair.first, pair.second, pair.xy_first[thinned], pair.xy_second[thinned])
+            )
+    if len(inliers) < _LEAST_PAIRS:
         return None
-    values = np.zeros(3)
+    parameters = np.zeros(3)
     for _ in range(_ITERATIONS):
-        residuals, jacobians = _linearise(near, cameras, poses, values)
-        hessian, gradients = _normal(residuals, jacobians)
+        residuals, jacobians = _linearise(inliers, cameras, poses, parameters)
+        hessian, gradients = _normal_equations(residuals, jacobians)
         step = -np.linalg.solve(hessian, gradients.sum(0))
-        values += np.clip(step, *_LARGEST_STEP)
+        parameters += np.clip(step, *_STEP_BOUNDS)
         if (np.abs(step) < _CONVERGED).all():
             break
-    hessian, gradients = _normal(residuals, jacobians)
+    hessian, gradients = _normal_equations(residuals, jacobians)
     inverse = np.linalg.inv(hessian)
     sigma = np.sqrt(np.diag(inverse @ (gradients.T @ gradients) @ inverse))
-    focal = float(np.exp(values[0]))
-    return Correction(focal, float(sigma[0] * focal), values[1:], sigma[1:])
+    focal = float(np.exp(parameters[0]))
+    return Correction(focal, float(sigma[0] * focal), parameters[1:], sigma[1:])
 
 
 def _residuals(
-    pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
+    pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, parameters: Array
 ) -> list[Array]:
+    """Return the Sampson errors (K,) of each pair, pixels, with corrected cameras."""
+    focal, shift = float(np.exp(parameters[0])), parameters[1:].tolist()
     corrected = [
-        None
-        if camera is None
-        else correct_camera(camera, float(np.exp(values[0])), values[1:].tolist())
-        for camera in cameras
+        None if camera is None else correct_camera(camera, focal, shift) for camera in cameras
     ]
     residuals = []
     for pair in pairs:
@@ -137,22 +142,24 @@ def _residuals(
 
 
 def _linearise(
-    pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
+    pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, parameters: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Return the errors (K,) of each pair and their derivatives (K, 3), by differences."""
-    here = _residuals(pairs, cameras, poses, values)
+    """Return the errors (K,) of each pair and their derivatives (K, 3) by the parameters."""
+    residuals = _residuals(pairs, cameras, poses, parameters)
     columns = []
-    for k, step in enumerate(_STEPS):
-        ahead = _residuals(pairs, cameras, poses, values + np.eye(3)[k] * step)
-        columns.append([(there - now) / step for there, now in zip(ahead, here, strict=True)])
-    return here, [np.stack(parts, -1) for parts in zip(*columns, strict=True)]
+    for k, step in enumerate(_DERIVATIVE_STEPS):
+        moved = _residuals(pairs, cameras, poses, parameters + np.eye(3)[k] * step)
+        columns.append([(b - a) / step for a, b in zip(residuals, moved, strict=True)])
+    return residuals, [np.stack(parts, -1) for parts in zip(*columns, strict=True)]
 
 
-def _normal(residuals: Sequence[Array], jacobians: Sequence[Array]) -> tuple[Array, Array]:
+def _normal_equations(
+    residuals: Sequence[Array], jacobians: Sequence[Array]
+) -> tuple[Array, Array]:
     """Return the matrix (3, 3) of the normal equations and the gradient (P, 3) of each pair."""
-    every = np.abs(np.concatenate(residuals))
-    sigma = max(SIGMA_OF_MEDIAN * float(np.median(every)), _LEAST_SIGMA)
-    weights = [1 / (1 + (r / (CAUCHY * sigma)) ** 2) for r in residuals]
+    absolute = np.abs(np.concatenate(residuals))
+    sigma = max(SIGMA_OF_MEDIAN * float(np.median(absolute)), _MIN_SIGMA_PX)
+    weights = [1 / (1 + (r / (CAUCHY_SCALE * sigma)) ** 2) for r in residuals]
     hessian = _RIDGE * np.eye(3)
     gradients = np.zeros((len(residuals), 3))
     for row, (r, j, w) in enumerate(zip(residuals, jacobians, weights, strict=True)):
@@ -171,25 +178,29 @@ def check_calibration(
         cameras: stated cameras.
         exif: metadata of the photographs.
     """
-    stated = [camera for camera in cameras if camera is not None]
-    if not stated:
+    known_cameras = [camera for camera in cameras if camera is not None]
+    if not known_cameras:
         yield unknown(FOCAL, "the data set states no camera")
         return
     yield _check_focal(fitted, cameras, exif)
-    yield _check_principal(fitted, max(max(camera.width, camera.height) for camera in stated))
+    side = max(max(camera.width, camera.height) for camera in known_cameras)
+    yield _check_principal(fitted, side)
 
 
 def _check_focal(
     fitted: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
 ) -> Finding:
+    """Check focal lengths against the matches or, if these do not determine them, against EXIF."""
     if fitted is not None:
-        off, sigma = fitted.focal - 1, fitted.focal_sigma
+        error, sigma = fitted.focal - 1, fitted.focal_sigma
         figures = {"factor": fitted.focal, "sigma": sigma}
-        if abs(off) > max(_FOCAL_FITS, _SIGMAS * sigma) and sigma < _EXIF_FITS / _SIGMAS:
-            detail = f"{1 / fitted.focal:.4f} times that of the matches (±{sigma:.2g})"
+        if abs(error) > max(_FOCAL_FITS, _SIGMAS * sigma) and sigma < _EXIF_FITS / _SIGMAS:
+            detail = f"{1 / fitted.focal:.4f} times those that fit the matches (±{sigma:.2g})"
             return wrong(FOCAL, "focal-length", detail, **figures)
-        if 2 * sigma < 2 * _FOCAL_FITS:
-            return right(FOCAL, f"within {abs(off):.2%} of the best (±{sigma:.2%})", **figures)
+        if sigma < _FOCAL_FITS:
+            return right(
+                FOCAL, f"within {abs(error):.2%} of the best fit (±{sigma:.2%})", **figures
+            )
     ratios = [
         max(camera.focal) / (tags.focal_ratio * max(camera.width, camera.height))
         for camera, tags in zip(cameras, exif, strict=False)
@@ -199,30 +210,33 @@ def _check_focal(
         return unknown(FOCAL, "neither matches nor EXIF determine them")
     ratio = float(np.median(ratios))
     if abs(ratio - 1) > _EXIF_FITS:
-        return wrong(FOCAL, "focal-length", f"{ratio:.3f} times EXIF's", exif_ratio=ratio)
-    return right(FOCAL, f"{ratio:.3f} times EXIF's, which is nominal", exif_ratio=ratio)
+        return wrong(FOCAL, "focal-length", f"{ratio:.3f} times those in EXIF", exif_ratio=ratio)
+    return right(FOCAL, f"{ratio:.3f} times the nominal ones in EXIF", exif_ratio=ratio)
 
 
 def _check_principal(fitted: Correction | None, side: int) -> Finding:
+    """Check principal points; ``side`` is the longer side of the largest photograph, pixels."""
     why = "the flight does not determine them: it needs views in several directions"
     if fitted is None:
         return unknown(PRINCIPAL, why)
     shift, sigma = fitted.shift, fitted.shift_sigma
-    best = f"best at {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
+    best = f"best shift {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
     figures = {"x_px": float(shift[0]), "y_px": float(shift[1]), "sigma_px": float(sigma.max())}
     half = np.round(shift * 2) / 2
     is_half = bool((np.abs(half) <= 0.5).all() and half.any())
-    met = bool((np.abs(shift - half) < _HALF_MET).all() and (sigma < _HALF_SIGMA).all())
-    if is_half and met and float((np.abs(shift) / sigma).max()) > _SIGMAS:
+    is_near_half = bool(
+        (np.abs(shift - half) < _HALF_TOLERANCE).all() and (sigma < _HALF_SIGMA).all()
+    )
+    if is_half and is_near_half and float((np.abs(shift) / sigma).max()) > _SIGMAS:
         where = "low" if half.sum() > 0 else "high"
         detail = (
             f"half a pixel {where}: one program counts pixels from the centre of the first pixel "
             f"and the other from its corner (COLMAP); {best}"
         )
         return wrong(PRINCIPAL, "half-pixel", detail, **figures)
-    far = max(_PRINCIPAL_FITS, _PRINCIPAL_SHARE * side)
-    if bool((np.abs(shift) > np.maximum(far, _SIGMAS * sigma)).any()):
+    limit = max(_PRINCIPAL_FITS, _PRINCIPAL_SHARE * side)
+    if bool((np.abs(shift) > np.maximum(limit, _SIGMAS * sigma)).any()):
         return wrong(PRINCIPAL, "principal-point", best, **figures)
-    if bool((sigma < far / 2).all()):
+    if bool((sigma < limit / 2).all()):
         return right(PRINCIPAL, best, **figures)
     return unknown(PRINCIPAL, f"{why}; {best}", **figures)

@@ -20,7 +20,7 @@ from benchmark.auditing.calibration import (
     Correction,
     check_calibration,
     correct_camera,
-    correction,
+    fit_correction,
 )
 from benchmark.auditing.files import Photographs, check_files, fit_cameras, read_photographs
 from benchmark.auditing.findings import Audit, Finding, Verdict, unknown
@@ -30,7 +30,7 @@ from benchmark.auditing.opening import open_data
 from benchmark.auditing.page import check_page, write_page
 from benchmark.auditing.photograph_order import find_order
 from benchmark.auditing.positions import FOLLOW, check_positions
-from benchmark.auditing.statements import Stated, centres, sample
+from benchmark.auditing.statements import StatedData, centres, sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.imports.poses import Frame
 from objconnect.scene.quantities.doubts import summarize_doubts
@@ -70,28 +70,32 @@ def audit(
     return audits
 
 
-def _audit_one(stated: Stated) -> Audit:
+def _audit_one(stated: StatedData) -> Audit:
     photographs = read_photographs(stated)
     tags = zip(stated.names, photographs.exif, strict=True)
     for line in summarize_doubts({name: exif.doubts for name, exif in tags if exif is not None}):
         log.warning("%s", line)
     findings = list(check_files(stated, photographs))
-    positions, named, plan = stated.positions, False, np.zeros((0, 4))
+    positions, names_confirmed, plan = stated.positions, False, np.zeros((0, 4))
     if stated.cam_from_world is not None:
-        geometry, positions = _geometry(stated, photographs)
-        named = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in geometry)
+        geometry, positions = _check_geometry(stated, photographs)
+        names_confirmed = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in geometry)
         findings += geometry
     if positions is None and stated.cam_from_world is not None:
         why = "not compared: it is unknown which position belongs to which photograph"
         findings.append(unknown(FOLLOW, why))
     else:
-        of_positions, plan = check_positions(stated, positions, photographs.exif, named)
-        findings += of_positions
+        position_findings, plan = check_positions(
+            stated, positions, photographs.exif, names_confirmed
+        )
+        findings += position_findings
     rows = tuple(tuple(row) for row in plan.tolist())
     return Audit(stated.subject, stated.kind, len(stated), tuple(findings), rows)
 
 
-def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], Array | None]:
+def _check_geometry(
+    stated: StatedData, photographs: Photographs
+) -> tuple[list[Finding], Array | None]:
     """Check poses, cameras and points, and return the camera centres in the right convention.
 
     The centres are None if it is unknown which photograph they belong to.
@@ -110,10 +114,10 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
         rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in duplicates]
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
-        finding, read, fitted = _check_poses(rays, cameras, poses, stated)
-        if read is None:
+        finding, converted, fitted = _check_poses_and_order(rays, cameras, poses, stated)
+        if converted is None:
             return [finding], None
-        poses = read
+        poses = converted
         findings = [finding, *check_calibration(fitted, stated.cameras, photographs.exif)]
         if fitted is not None:
             cameras = _correct_cameras(cameras, fitted)
@@ -122,21 +126,26 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
     return findings, centres(poses)
 
 
-def _check_poses(
-    rays: list[Rays], cameras: list[Camera | None], poses: Array, stated: Stated
+def _check_poses_and_order(
+    rays: list[Rays], cameras: list[Camera | None], poses: Array, stated: StatedData
 ) -> tuple[Finding, Array | None, Correction | None]:
-    """Check poses, if necessary with corrected cameras or in another order."""
-    finding, read = check_poses(rays, poses)
+    """Check poses, if necessary with corrected cameras or in another order.
+
+    Returns:
+        The finding, the poses (N, 4, 4) in the right convention and order, and the correction of
+        the cameras. The poses are None if their order is unknown, the correction if none fits.
+    """
+    finding, converted = check_poses(rays, poses)
     if finding.verdict is Verdict.UNKNOWN:
         return finding, poses, None
     pairs = [r.pair for r in rays]
     if finding.fault != "poses-inexact":
-        fitted = correction(pairs, cameras, read)
-        ordered = find_order(rays, read, stated.names)
+        fitted = fit_correction(pairs, cameras, converted)
+        ordered = find_order(rays, converted, stated.names)
         if finding.verdict is Verdict.RIGHT and ordered is not None:
             return *ordered, fitted
-        return finding, read, fitted
-    fitted = correction(pairs, cameras, poses)
+        return finding, converted, fitted
+    fitted = fit_correction(pairs, cameras, poses)
     if fitted is not None:
         corrected = rays_of(pairs, _correct_cameras(cameras, fitted))
         if share(corrected, poses) >= RIGHT_SHARE:

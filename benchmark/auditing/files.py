@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
-from benchmark.auditing.statements import Stated
+from benchmark.auditing.statements import StatedData
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
@@ -14,11 +14,11 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import Exif, read_exif, read_rgb
 
-THERE = "photographs are there and readable"
+READABLE = "photographs are there and readable"
 SIZES = "photographs have the size of their cameras"
-ONCE = "every photograph is there once"
+UNIQUE = "every photograph is there once"
 
-# Most photographs that a line names.
+# A line names at most this many photographs.
 _NAMED = 3
 
 
@@ -28,8 +28,8 @@ class Photographs:
 
     Attributes:
         sizes: width and height of each; None if it cannot be read.
-        exif: metadata of each, likewise.
-        digests: digest of the bytes of each, likewise.
+        exif: metadata of each; None if it cannot be read.
+        digests: digest of the bytes of each; None if it cannot be read.
         faults: error messages of those that cannot be read, by name.
     """
 
@@ -46,7 +46,7 @@ class Photographs:
         return {row for digest, row in rows if first.setdefault(digest, row) != row}
 
 
-def read_photographs(stated: Stated) -> Photographs:
+def read_photographs(stated: StatedData) -> Photographs:
     """Read the size, metadata and digest of every photograph.
 
     Each is decoded whole, because the header of a truncated file is intact.
@@ -74,60 +74,62 @@ def read_photographs(stated: Stated) -> Photographs:
     return Photographs(tuple(sizes), tuple(exif), tuple(digests), faults)
 
 
-def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
+def check_files(stated: StatedData, photographs: Photographs) -> Iterator[Finding]:
     """Yield the findings on the photographs as files."""
     if stated.files is None:
         why = "no photograph of the data set was found: give their folder with --images"
-        yield unknown(THERE, why)
+        yield unknown(READABLE, why)
         return
     if photographs.faults:
         first = next(iter(photographs.faults.values()))
         detail = f"{len(photographs.faults)} of {len(stated)} cannot be read: {first}"
         count = float(len(photographs.faults))
-        yield wrong(THERE, "photographs-missing", detail, photographs=count)
+        yield wrong(READABLE, "photographs-missing", detail, photographs=count)
     else:
-        yield right(THERE, f"{len(stated)} photographs")
+        yield right(READABLE, f"{len(stated)} photographs")
     yield _check_sizes(stated, photographs)
     yield _check_duplicates(stated, photographs)
 
 
-def _check_sizes(stated: Stated, photographs: Photographs) -> Finding:
+def _check_sizes(stated: StatedData, photographs: Photographs) -> Finding:
     known = [
         (name, size, (camera.width, camera.height))
         for name, size, camera in zip(stated.names, photographs.sizes, stated.cameras, strict=True)
         if size is not None and camera is not None
     ]
     if not known:
-        return unknown(SIZES, "the data set states no camera")
-    off = [(name, size, own) for name, size, own in known if size != own]
-    if not off:
+        return unknown(SIZES, "no readable photograph has a stated camera")
+    wrong_sizes = [
+        (name, size, camera_size) for name, size, camera_size in known if size != camera_size
+    ]
+    if not wrong_sizes:
         return right(SIZES, f"{len(known)} photographs")
-    name, size, own = off[0]
+    name, size, camera_size = wrong_sizes[0]
     detail = (
-        f"{len(off)} of {len(known)}, such as {name}, which is {size[0]} x {size[1]} pixels; its "
-        f"camera is {own[0]} x {own[1]}"
+        f"{len(wrong_sizes)} of {len(known)}, such as {name}, which is {size[0]} x {size[1]} "
+        f"pixels; its camera is {camera_size[0]} x {camera_size[1]}"
     )
-    return wrong(SIZES, "sizes", detail, photographs=float(len(off)))
+    return wrong(SIZES, "sizes", detail, photographs=float(len(wrong_sizes)))
 
 
-def _check_duplicates(stated: Stated, photographs: Photographs) -> Finding:
+def _check_duplicates(stated: StatedData, photographs: Photographs) -> Finding:
     owners: dict[str, str] = {}
     twice = []
     for name, digest in zip(stated.names, photographs.digests, strict=True):
         if digest is not None and owners.setdefault(digest, name) != name:
             twice.append(f"{owners[digest]} and {name}")
     if not twice:
-        return right(ONCE, f"{len(owners)} different files")
+        return right(UNIQUE, f"{len(owners)} different files")
     more = f" and {len(twice) - _NAMED} more" if len(twice) > _NAMED else ""
     detail = f"the same file has two names: {', '.join(twice[:_NAMED])}{more}"
-    return wrong(ONCE, "duplicates", detail, photographs=float(len(twice)))
+    return wrong(UNIQUE, "duplicates", detail, photographs=float(len(twice)))
 
 
-def fit_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
+def fit_cameras(stated: StatedData, photographs: Photographs) -> list[Camera | None]:
     """Return the cameras scaled to the size of their photographs.
 
-    A wrong size is a finding of its own, so that later checks use a camera that fits. A camera that
-    is not stated is guessed from the focal length in EXIF.
+    ``check_files`` reports wrong sizes; all later checks use the scaled cameras. A camera that is
+    not stated is guessed from the focal length in EXIF.
     """
     rows = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
     return [_fit_camera(camera, size, tags) for camera, size, tags in rows]
@@ -136,6 +138,7 @@ def fit_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]
 def _fit_camera(
     camera: Camera | None, size: tuple[int, int] | None, exif: Exif | None
 ) -> Camera | None:
+    """Return the camera of one photograph; None if it is unknown or has another aspect ratio."""
     if size is None:
         return camera
     if camera is None:

@@ -23,14 +23,14 @@ from objconnect.scene.storage.images import read_rgb
 
 Array = NDArray[np.float64]
 
-# Longest side (px) at which photographs are matched; conventions show at any resolution.
+# Photographs are shrunk to at most this many pixels on the longer side before they are matched.
 WORKING_SIDE = 1000
-# Most keypoints of a photograph.
+# Largest number of keypoints of a photograph, and Lowe's ratio of descriptor distances.
 _FEATURES = 3000
 _RATIO = 0.8
-# Number of photographs that each is matched with: its successors, and the most similar ones.
+# Each photograph is matched with this many successors and with this many similar photographs.
 _SUCCESSORS = 2
-_ALIKE = 4
+_SIMILAR = 4
 # Inlier threshold of the fundamental matrix, in thousandths of the longer side.
 _INLIER = 2.0
 # Two photographs with fewer inliers do not overlap.
@@ -58,7 +58,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _PhotographFeatures:
     """Features of one photograph: pixels of the file, unit descriptors, and the longer side."""
 
     xy: Array
@@ -69,7 +69,7 @@ class _Seen:
 def match_photographs(
     files: Sequence[Path], cameras: Sequence[Camera | None], rows: Sequence[int]
 ) -> list[Pair]:
-    """Match some photographs among each other.
+    """Match photographs of a data set with each other.
 
     Args:
         files: all photographs of the data set.
@@ -78,63 +78,67 @@ def match_photographs(
         rows: photographs to match; those that cannot be read are left out.
     """
     extract = SiftExtractor(SiftOptions(max_features=_FEATURES))
-    seen: dict[int, _Seen] = {}
+    features_of: dict[int, _PhotographFeatures] = {}
     with progress_bar("features", len(rows)) as advance:
         for done, row in enumerate(rows, 1):
             features = _extract(files[row], extract)
             if features is not None:
-                seen[row] = features
+                features_of[row] = features
             advance(done)
-    candidates = _choose_pairs(seen)
+    candidates = _choose_pairs(features_of)
     pairs = []
     with progress_bar("matches", len(candidates)) as advance:
         for done, (a, b) in enumerate(candidates, 1):
-            pair = _match(a, b, seen, cameras)
+            pair = _match(a, b, features_of, cameras)
             if pair is not None:
                 pairs.append(pair)
             advance(done)
     return pairs
 
 
-def _extract(file: Path, extract: SiftExtractor) -> _Seen | None:
+def _extract(file: Path, extract: SiftExtractor) -> _PhotographFeatures | None:
+    """Return the SIFT features of a photograph; None if it cannot be read."""
     try:
         rgb = read_rgb(file)
     except InputError:
         return None  # the check of files reports it
     height, width = rgb.shape[:2]
     scale = min(1.0, WORKING_SIDE / max(height, width))
-    small = rgb
+    shrunk = rgb
     if scale < 1:
         size = (max(round(scale * width), 1), max(round(scale * height), 1))
-        small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
-    features = extract(small)
+        shrunk = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    features = extract(shrunk)
     # Pixels count from the corner, so that the ratio of the sizes converts them.
-    factor = np.array([width / small.shape[1], height / small.shape[0]])
+    factor = np.array([width / shrunk.shape[1], height / shrunk.shape[0]])
     xy = features.xy.astype(np.float64) * factor
-    return _Seen(xy, unit_descriptors(features.descriptors), max(height, width))
+    return _PhotographFeatures(xy, unit_descriptors(features.descriptors), max(height, width))
 
 
-def _choose_pairs(seen: dict[int, _Seen]) -> list[tuple[int, int]]:
-    """Return the pairs to match: neighbours in order, and similar photographs."""
-    rows = [row for row in seen if len(seen[row].xy) >= LEAST_MATCHES]
+def _choose_pairs(features_of: dict[int, _PhotographFeatures]) -> list[tuple[int, int]]:
+    """Return pairs of rows to match: photographs that follow each other, and similar ones."""
+    rows = [row for row in features_of if len(features_of[row].xy) >= LEAST_MATCHES]
     if len(rows) < 2:
         return []
-    descriptors = [seen[row].unit.numpy() for row in rows]
+    descriptors = [features_of[row].unit.numpy() for row in rows]
     index = VladIndex.build(descriptors)
     pairs = set()
     for k in range(len(rows)):
         successors = range(k + 1, min(k + 1 + _SUCCESSORS, len(rows)))
-        alike = [int(j) for j in index.rank(descriptors[k], _ALIKE + 1) if j != k][:_ALIKE]
-        pairs |= {(min(k, j), max(k, j)) for j in (*successors, *alike)}
+        similar = [int(j) for j in index.rank(descriptors[k], _SIMILAR + 1) if j != k][:_SIMILAR]
+        pairs |= {(min(k, j), max(k, j)) for j in (*successors, *similar)}
     return [(rows[a], rows[b]) for a, b in sorted(pairs)]
 
 
-def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | None]) -> Pair | None:
-    matches = match(seen[a].unit, seen[b].unit, _RATIO)
+def _match(
+    a: int, b: int, features_of: dict[int, _PhotographFeatures], cameras: Sequence[Camera | None]
+) -> Pair | None:
+    """Match the photographs of rows ``a`` and ``b``; None if they do not overlap."""
+    matches = match(features_of[a].unit, features_of[b].unit, _RATIO)
     if len(matches) < LEAST_MATCHES:
         return None
-    xy_a, xy_b = seen[a].xy[matches[:, 0]], seen[b].xy[matches[:, 1]]
-    threshold = _INLIER / 1000 * max(seen[a].side, seen[b].side)
+    xy_a, xy_b = features_of[a].xy[matches[:, 0]], features_of[b].xy[matches[:, 1]]
+    threshold = _INLIER / 1000 * max(features_of[a].side, features_of[b].side)
     flat_a, flat_b = undistort(xy_a, cameras[a]), undistort(xy_b, cameras[b])
     try:
         _, mask = cv2.findFundamentalMat(flat_a, flat_b, cv2.USAC_MAGSAC, threshold, 0.999, 5000)
@@ -147,7 +151,7 @@ def _match(a: int, b: int, seen: dict[int, _Seen], cameras: Sequence[Camera | No
 
 
 def undistort(xy: Array, camera: Camera | None) -> Array:
-    """Return pixels (K, 2) without the distortion of the camera."""
+    """Return pixels (K, 2) without the distortion of the camera; unchanged without a camera."""
     if camera is None or not any(camera.distortion):
         return xy
     rays, _ = camera.unproject(torch.from_numpy(xy))

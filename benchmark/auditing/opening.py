@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.auditing.statements import Stated, centres, places_of
+from benchmark.auditing.statements import StatedData, centres, to_geodetic
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import READERS, open_datasets
 from objconnect.scene.bundle.scene import Scene, is_scene
@@ -18,7 +18,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_gps
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.imports.formats import FRAMED, read_foreign
+from objconnect.scene.imports.formats import FRAMELESS_FILES, read_foreign
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.imports.poses import ForeignPoses, Frame
 from objconnect.scene.imports.unsupported import refuse_unsupported
@@ -40,7 +40,7 @@ _POSE_FILES: Final = (
     "cameras.xml",
 )
 # Folders of photographs, relative to the file or folder of poses.
-_PHOTOGRAPHS: Final = (
+_PHOTOGRAPH_FOLDERS: Final = (
     ".", "images", "rgb", "photos", "../images", "../rgb", "../photos", "../../images", "..",
 )  # fmt: skip
 _GEODETIC = ("lat", "lon", "alt")
@@ -51,7 +51,7 @@ def open_data(
     images: Path | None = None,
     camera: Camera | None = None,
     frame: Frame | None = None,
-) -> list[Stated]:
+) -> list[StatedData]:
     """Read what a data set states; a path may hold several data sets.
 
     Args:
@@ -66,17 +66,17 @@ def open_data(
             ``frame`` is given for a format that states its frame.
     """
     if images is not None and not images.is_dir():
-        raise InputError(f"folder of photographs {images} does not exist")
+        raise InputError(f"{images} is not a folder: give the photographs' folder with --images")
     foreign = not is_scene(path) and not (path.is_dir() and _is_dataset(path))
     if frame is not None and not foreign:
-        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
+        raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
     if is_scene(path):
         if images is not None:
             raise InputError(f"{path} is a scene with its own photographs: leave out --images")
-        return [_of_scene(Scene.open(path))]
+        return [_read_scene(Scene.open(path))]
     if not foreign:
-        return [_of_dataset(dataset, images) for dataset in open_datasets(path)]
-    return [_of_foreign(_pose_file(path), images, camera, frame)]
+        return [_read_dataset(dataset, images) for dataset in open_datasets(path)]
+    return [_read_poses(_find_pose_file(path), images, camera, frame)]
 
 
 def _is_dataset(path: Path) -> bool:
@@ -86,35 +86,39 @@ def _is_dataset(path: Path) -> bool:
     return bool(READERS.load("cmu").is_one(path))
 
 
-def _of_scene(scene: Scene) -> Stated:
+def _read_scene(scene: Scene) -> StatedData:
+    """Return the photographs of all sessions with a global shutter, and the map if there is one."""
     names, cameras, poses, measured = [], [], [], []
     for session in scene.sessions:
         if scene.manifest.sessions[session].readout_s:
-            continue  # every row has a pose of its own
+            continue  # rolling shutter: every pixel row has a pose of its own
         frames = scene.frames(session)
         names += list(frames.names)
         cameras += list(frames.cameras)
         poses.append(frames.cam_from_world)
         measured.append(np.where(frames.has_gps[:, None], frames.gps_prior, np.nan))
     if not names:
-        raise InputError(f"{scene.path}: every session has a rolling shutter: nothing to audit")
+        raise InputError(
+            f"{scene.path}: every session has a rolling shutter, which audit does not support: "
+            "audit a scene with a global shutter"
+        )
     matrices = np.concatenate(poses)
     return _sort(
-        Stated(
+        StatedData(
             subject=str(scene.path),
             kind="scene",
             names=tuple(names),
             files=tuple(scene.images_root / name for name in names),
             cameras=tuple(cameras),
             cam_from_world=matrices,
-            places=_to_world(matrices, scene.manifest.origin),
+            geodetic=_geodetic_centres(matrices, scene.manifest.origin),
             measured=np.concatenate(measured),
             sparse_map=scene.sparse_map() if scene.map_path.is_dir() else None,
         )
     )
 
 
-def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
+def _read_dataset(dataset: Dataset, images: Path | None) -> StatedData:
     """Return the photographs of the map and the queries together."""
     sparse_map = dataset.load_map()
     mapped = list(sparse_map.images.values())
@@ -124,10 +128,10 @@ def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
     files += [folder / q.name if images is not None else q.image for q in dataset.queries]
     poses = [image.cam_from_world for image in mapped]
     poses += [query.reference.matrix().numpy() for query in dataset.queries]
-    fixes = _gps(dataset)
+    fixes = _read_measured_positions(dataset)
     measured = np.array([fixes.get(name, np.full(3, np.nan)) for name in names])
     return _sort(
-        Stated(
+        StatedData(
             subject=dataset.name,
             kind=dataset.track,
             names=tuple(names),
@@ -140,15 +144,15 @@ def _of_dataset(dataset: Dataset, images: Path | None) -> Stated:
     )
 
 
-def _gps(dataset: Dataset) -> dict[str, Array]:
-    """Return the measured positions that a data set stores, by photograph."""
+def _read_measured_positions(dataset: Dataset) -> dict[str, Array]:
+    """Return the measured positions that a data set stores, world metres, by photograph."""
     table = dataset.images.parent / "gps.csv"
     if table.is_file():
         return read_gps(table)
     return {q.name: q.prior.position for q in dataset.queries if q.prior and q.prior.has_position}
 
 
-def _pose_file(path: Path) -> Path:
+def _find_pose_file(path: Path) -> Path:
     """Return the file of poses in a project; the path itself if it is one."""
     if path.is_dir() and not any((path / f"images.{end}").is_file() for end in ("bin", "txt")):
         for name in _POSE_FILES:
@@ -157,52 +161,55 @@ def _pose_file(path: Path) -> Path:
     return path
 
 
-def _of_foreign(
+def _read_poses(
     path: Path, images: Path | None, camera: Camera | None, frame: Frame | None
-) -> Stated:
+) -> StatedData:
+    """Return the poses of another program, or the positions of a table without poses."""
     refuse_unsupported(path)
     table = path.suffix.lower() == ".csv" and path.is_file()
-    places = _table_places(path) if table else None
-    if places is not None and frame is not None:
-        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
-    if places is not None:
+    table_rows = _read_geodetic_table(path) if table else None
+    if table_rows is not None and frame is not None:
+        raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
+    if table_rows is not None:
         poses: ForeignPoses | None = None
-        names: Sequence[str] = list(places)
+        names: Sequence[str] = list(table_rows)
     else:
         poses = read_foreign(path, frame)
         names = poses.names
-    files = _files(path, names, images)
+    files = _find_photographs(path, names, images)
     cameras = (None,) * len(names) if poses is None else poses.cameras
     if camera is not None:
-        cameras = tuple(own or camera for own in cameras)
-    positioned = poses is None or not poses.has_attitude
-    matrices = None if positioned or poses is None else poses.cam_from_world
-    stated = Stated(
+        cameras = tuple(stated_camera or camera for stated_camera in cameras)
+    positions_only = poses is None or not poses.has_attitude
+    matrices = None if positions_only or poses is None else poses.cam_from_world
+    stated = StatedData(
         subject=str(path),
-        kind=_kind(path),
+        kind=_describe_format(path),
         names=tuple(names),
         files=files,
         cameras=cameras,
         cam_from_world=matrices,
-        places=np.array(list(places.values())) if places is not None else _origin_places(poses),
+        geodetic=np.array(list(table_rows.values()))
+        if table_rows is not None
+        else _geodetic_positions(poses),
         sparse_map=read_model(path) if path.is_dir() and (path / "images.bin").is_file() else None,
     )
     return _sort(stated)
 
 
-def _origin_places(poses: ForeignPoses | None) -> Array | None:
+def _geodetic_positions(poses: ForeignPoses | None) -> Array | None:
     if poses is None or poses.origin is None:
         return None
-    return places_of(poses.positions, poses.origin)
+    return to_geodetic(poses.positions, poses.origin)
 
 
-def _to_world(matrices: Array, origin: Geodetic | None) -> Array | None:
+def _geodetic_centres(matrices: Array, origin: Geodetic | None) -> Array | None:
     if origin is None:
         return None
-    return places_of(centres(matrices), origin)
+    return to_geodetic(centres(matrices), origin)
 
 
-def _kind(path: Path) -> str:
+def _describe_format(path: Path) -> str:
     if path.is_dir():
         return "COLMAP model"
     kinds = {
@@ -220,12 +227,12 @@ def _kind(path: Path) -> str:
     return names.get(path.name, "ODM reconstruction")
 
 
-def _table_places(path: Path) -> dict[str, list[float]] | None:
+def _read_geodetic_table(path: Path) -> dict[str, list[float]] | None:
     """Return the rows of a table of geodetic positions, unchecked; None for local positions.
 
     A latitude beyond 90 degrees is a finding of the audit, not an error here.
     """
-    places: dict[str, list[float]] = {}
+    rows: dict[str, list[float]] = {}
     for where, row in read_table(path, "table of positions", ("name",)):
         if not all(column in row for column in _GEODETIC):
             return None
@@ -235,18 +242,20 @@ def _table_places(path: Path) -> dict[str, list[float]] | None:
             values = [np.nan]
         if not np.isfinite(values).all():
             raise InputError(f"{where}: lat, lon and alt must be numbers")
-        if row["name"] in places:
-            raise InputError(f"{where}: {row['name']!r} is listed twice")
-        places[row["name"]] = values
-    if not places:
-        raise InputError(f"{path} lists no photograph")
-    return places
+        if row["name"] in rows:
+            raise InputError(f"{where}: {row['name']!r} is listed twice: remove one row")
+        rows[row["name"]] = values
+    if not rows:
+        raise InputError(f"{path} lists no photograph: add rows of name,lat,lon,alt")
+    return rows
 
 
-def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path, ...] | None:
+def _find_photographs(
+    path: Path, names: Sequence[str], images: Path | None
+) -> tuple[Path, ...] | None:
     """Return the paths of the photographs; None if no folder has any of them."""
     base = path if path.is_dir() else path.parent
-    folders = [images] if images is not None else [base / name for name in _PHOTOGRAPHS]
+    folders = [images] if images is not None else [base / name for name in _PHOTOGRAPH_FOLDERS]
     best: dict[str, Path] = {}
     for folder in folders:
         found = _find_by_name(folder, names, path) if folder.is_dir() else {}
@@ -255,7 +264,10 @@ def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path,
         if len(best) == len(names):
             break
     if not best and images is not None:
-        raise InputError(f"{images} has none of the photographs of {path}: {names[0]!r}, ...")
+        raise InputError(
+            f"{images} has none of the photographs of {path}, such as {names[0]!r}: give another "
+            "folder with --images"
+        )
     if not best:
         return None
     return tuple(best.get(name, chosen / name) for name in names)
@@ -272,7 +284,7 @@ def _find_by_name(folder: Path, names: Sequence[str], path: Path) -> dict[str, P
         name: relative[file] for file, name in match_files(list(relative), names, path).items()
     }
     if not found and _are_times(names):
-        return _by_time(list(relative.values()), names)
+        return _match_by_time(list(relative.values()), names)
     return found
 
 
@@ -283,20 +295,21 @@ def _are_times(names: Sequence[str]) -> bool:
         return False
 
 
-def _by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Path]:
-    """Return photographs by the time of their pose in a trajectory.
+def _match_by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Path]:
+    """Return the photograph of each pose of a trajectory, whose name is its time in seconds.
 
-    As many photographs as poses are matched in order; otherwise by their time in EXIF.
+    If there are as many photographs as poses, they are matched in order; otherwise each photograph
+    is matched by its time in EXIF.
     """
     in_order = sorted(names, key=float)
     if len(files) == len(names):
         return dict(zip(in_order, sorted(files), strict=True))
     times = np.array([float(name) for name in in_order])
-    least = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.5
+    tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.5
     found = {}
     for file, taken in _read_times(files):
         row = int(np.abs(times - taken).argmin())
-        if abs(times[row] - taken) < least:
+        if abs(times[row] - taken) < tolerance:
             found[in_order[row]] = file
     return found
 
@@ -311,8 +324,8 @@ def _read_times(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
             yield file, time.timestamp()
 
 
-def _sort(stated: Stated) -> Stated:
-    """Return the photographs in the order of their names; those of a trajectory by time."""
+def _sort(stated: StatedData) -> StatedData:
+    """Return the photographs in the order of their names; names that are times, as numbers."""
     key: Callable[[int], float | str] = stated.names.__getitem__
     if _are_times(stated.names):
         key = lambda row: float(stated.names[row])  # noqa: E731
@@ -327,6 +340,6 @@ def _sort(stated: Stated) -> Stated:
         files=None if stated.files is None else tuple(stated.files[row] for row in order),
         cameras=tuple(stated.cameras[row] for row in order),
         cam_from_world=arrange(stated.cam_from_world),
-        places=arrange(stated.places),
+        geodetic=arrange(stated.geodetic),
         measured=arrange(stated.measured),
     )

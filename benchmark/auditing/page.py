@@ -14,7 +14,7 @@ from objconnect.scene.storage.atomic import write_text
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 ENDINGS: Final = (".html", ".htm")
-# These bytes stand near the beginning of every page.
+# Bytes near the beginning of every page, by which an earlier page is recognized and replaced.
 _MARK = b"<title>ObjConnect audit</title>"
 _KINDS: Final = {Verdict.RIGHT: "right", Verdict.WRONG: "wrong", Verdict.UNKNOWN: "unknown"}
 

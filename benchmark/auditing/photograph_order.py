@@ -1,6 +1,7 @@
 """Detection of poses that belong to other photographs: shifted, swapped, shuffled, or single ones.
 
-It runs for poses that do not agree with the photographs in any convention.
+It runs for poses that agree in no convention, and for poses that agree on the whole, among which
+single ones may be wrong.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ SHIFTS = tuple(k for distance in range(1, 6) for k in (distance, -distance))
 
 # A photograph with a smaller share of agreeing matches contradicts the others.
 _CONTRADICTS = 0.3
-# Most bad photographs among which swapped names are sought; every two of them are tried.
+# Swapped names are sought among at most this many bad photographs, because every two are tried.
 _MOST_SWAPPED = 12
-# Photographs that overlap are closer together than this share of the usual distance.
-_NEAR = 0.7
-# Most photographs that a line names.
+# In the right order, photographs that share matches are nearer to each other, in the median, than
+# this factor times the median distance of any two photographs.
+_MAX_DISTANCE_RATIO = 0.7
+# A line names at most this many photographs.
 _NAMED = 4
 
 
@@ -42,20 +44,20 @@ def find_order(
         poses: cam_from_world (N, 4, 4), in the order of the names.
         names: names of the photographs.
     """
-    ours = share(rays, poses)
-    if ours < RIGHT_SHARE:
+    as_stated = share(rays, poses)
+    if as_stated < RIGHT_SHARE:
         shifted = {k: share(rays, np.roll(poses, -k, axis=0)) for k in SHIFTS}
         best = max(shifted, key=lambda k: shifted[k])
         # Poses at the ends wrap around to wrong photographs, so that fewer matches agree.
-        if shifted[best] > max(2 * ours, RIGHT_SHARE - 0.15):
+        if shifted[best] > max(2 * as_stated, RIGHT_SHARE - 0.15):
             when = "earlier" if best > 0 else "later"
             detail = (
                 f"poses are those of photographs {_count(abs(best))} {when}: so read, "
-                f"{shifted[best]:.0%} of the matches agree, as stated {ours:.0%}"
+                f"{shifted[best]:.0%} of the matches agree, as stated {as_stated:.0%}"
             )
-            finding = wrong(CHECK, "poses-shifted", detail, agreeing=ours, photographs=-best)
+            finding = wrong(CHECK, "poses-shifted", detail, agreeing=as_stated, photographs=-best)
             return finding, np.roll(poses, -best, axis=0)
-    return _find_single(rays, poses, names, ours)
+    return _find_single(rays, poses, names, as_stated)
 
 
 def _count(k: int) -> str:
@@ -63,38 +65,44 @@ def _count(k: int) -> str:
 
 
 def _find_single(
-    rays: Sequence[Rays], poses: Array, names: Sequence[str], ours: float
+    rays: Sequence[Rays], poses: Array, names: Sequence[str], as_stated: float
 ) -> tuple[Finding, Array | None] | None:
     """Find single photographs that contradict the others, and whether two are swapped."""
-    each = by_photograph(rays, poses)
-    bad = [row for row, value in each.items() if value < _CONTRADICTS]
+    agreement = agreement_by_photograph(rays, poses)
+    bad = [row for row, value in agreement.items() if value < _CONTRADICTS]
     if not bad:
         return None
     swapped = _find_swaps(rays, poses, bad)
     if swapped:
         pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in swapped[:_NAMED])
-        read = poses.copy()
+        reordered = poses.copy()
         for a, b in swapped:
-            read[[a, b]] = read[[b, a]]
+            reordered[[a, b]] = reordered[[b, a]]
         detail = f"photographs have each other's poses: {pairs}"
-        return wrong(CHECK, "names-swapped", detail, agreeing=ours, pairs=len(swapped)), read
+        return wrong(
+            CHECK, "names-swapped", detail, agreeing=as_stated, pairs=len(swapped)
+        ), reordered
     ratio = _overlap_distance(rays, poses)
-    if len(bad) > len(each) / 2 and ratio > _NEAR:
+    if len(bad) > len(agreement) / 2 and ratio > _MAX_DISTANCE_RATIO:
         detail = (
-            f"{ours:.0%} of the matches agree, and photographs that overlap are {ratio:.1f} times "
-            "as far apart as any two: names are shuffled, or positions are of another flight"
+            f"{as_stated:.0%} of the matches agree, and photographs that overlap are "
+            f"{ratio:.1f} times as far apart as any two: names are shuffled, or positions are "
+            "of another flight"
         )
-        return wrong(CHECK, "names-shuffled", detail, agreeing=ours, ratio=ratio), None
-    if len(bad) > len(each) / 2:
+        return wrong(CHECK, "names-shuffled", detail, agreeing=as_stated, ratio=ratio), None
+    if len(bad) > len(agreement) / 2:
         return None
     listed = ", ".join(names[row] for row in bad[:_NAMED])
     more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
     detail = f"the poses of {listed}{more} contradict those of the other photographs"
-    return wrong(CHECK, "poses-off", detail, agreeing=ours, photographs=len(bad)), poses
+    return wrong(CHECK, "poses-off", detail, agreeing=as_stated, photographs=len(bad)), poses
 
 
-def by_photograph(rays: Sequence[Rays], poses: Array) -> dict[int, float]:
-    """Return the median over its pairs of the share of matches that agree, by photograph."""
+def agreement_by_photograph(rays: Sequence[Rays], poses: Array) -> dict[int, float]:
+    """Return the share of agreeing matches of each photograph, by its row.
+
+    The share is the median over its pairs. A photograph in a single pair is left out.
+    """
     by_row: dict[int, list[float]] = {}
     for r, value in zip(rays, shares(rays, poses), strict=True):
         for row in (r.pair.first, r.pair.second):
@@ -107,25 +115,25 @@ def _find_swaps(rays: Sequence[Rays], poses: Array, bad: Sequence[int]) -> list[
     swaps: list[tuple[int, int]] = []
     if len(bad) > _MOST_SWAPPED:
         return swaps
-    read, left = poses.copy(), set(bad)
+    reordered, remaining = poses.copy(), set(bad)
     for a, b in combinations(bad, 2):
-        if a not in left or b not in left:
+        if a not in remaining or b not in remaining:
             continue
-        near = [r for r in rays if {a, b} & {r.pair.first, r.pair.second}]
-        trial = read.copy()
+        with_either = [r for r in rays if {a, b} & {r.pair.first, r.pair.second}]
+        trial = reordered.copy()
         trial[[a, b]] = trial[[b, a]]
-        after = by_photograph(near, trial)
+        after = agreement_by_photograph(with_either, trial)
         if min(after.get(a, 0.0), after.get(b, 0.0)) > RIGHT_SHARE:
-            read = trial
-            left -= {a, b}
+            reordered = trial
+            remaining -= {a, b}
             swaps.append((a, b))
     return swaps
 
 
 def _overlap_distance(rays: Sequence[Rays], poses: Array) -> float:
-    """Return the distance of photographs that share matches, over that of any two."""
+    """Return the median distance of photographs that share matches, divided by that of any two."""
     positions = centres(poses)
     rows = sorted({row for r in rays for row in (r.pair.first, r.pair.second)})
-    near = [np.linalg.norm(positions[r.pair.first] - positions[r.pair.second]) for r in rays]
-    every = [np.linalg.norm(positions[a] - positions[b]) for a, b in combinations(rows, 2)]
-    return float(np.median(near) / max(float(np.median(every)), 1e-9))
+    matched = [np.linalg.norm(positions[r.pair.first] - positions[r.pair.second]) for r in rays]
+    any_two = [np.linalg.norm(positions[a] - positions[b]) for a, b in combinations(rows, 2)]
+    return float(np.median(matched) / max(float(np.median(any_two)), 1e-9))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.photograph_order import SHIFTS
-from benchmark.auditing.statements import Stated
+from benchmark.auditing.statements import StatedData
 from objconnect.ingestion.georegister import fit_similarity
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
@@ -28,60 +28,71 @@ SCALE = "the world is in metres"
 EAST_NORTH = "positions lie where the photographs' GPS is"
 HEIGHTS = "heights are those of the photographs"
 
-FEWEST = 3
+MIN_POSITIONS = 3
 # Positions follow GPS if the residual is below this share of the flight's extent.
 _FOLLOWS = 0.3
 # Another reading of positions explains GPS if the residual shrinks to this share.
 _SHRINKS = 0.2
-# Scales within this of one are metric; errors of GPS and timing change it by a few per cent.
+# A world is metric if the logarithm of its scale is below this; errors of GPS positions and of
+# their times change the scale by a few per cent.
 _METRIC = 0.05
-# Uncertainty of the scale above which it is unknown.
-_VAGUE = 0.1
+# Relative uncertainty of the scale above which the scale is unknown.
+_MAX_SCALE_UNCERTAINTY = 0.1
 # Smallest constant offset (m) that is not an error of the receiver.
 _OFFSET_M = 6.0
 # Largest scatter (m) of the photographs' altitudes that still allows a comparison.
 _SCATTER_M = 8.0
 _FEET = 0.3048
-# Positions farther than this (m) from the photographs' are elsewhere; the earth curves between.
+# Only positions farther than this (m) from GPS are checked for mistakes in the coordinates.
+_MISTAKE_M = 1000.0
+# Positions farther than this (m) from GPS belong to another site. Heights are then not compared,
+# because the earth curves in between.
 _ELSEWHERE_M = 20_000.0
 
 
 @dataclass(frozen=True)
-class _Latlon:
-    """A frequent mistake in latitudes and longitudes."""
+class _LatlonFault:
+    """A frequent mistake in latitudes and longitudes.
+
+    Attributes:
+        fault: its short name in the finding.
+        description: its description in the finding.
+        correct: undoes it in rows of latitude, longitude and height, (N, 3).
+    """
 
     fault: str
-    looks: str
-    read: Callable[[Array], Array]
+    description: str
+    correct: Callable[[Array], Array]
 
 
-_LATLONS = (
-    _Latlon("latlon-swapped", "latitude and longitude are swapped", lambda p: p[:, [1, 0, 2]]),
-    _Latlon(
+_LATLON_FAULTS = (
+    _LatlonFault("latlon-swapped", "latitude and longitude are swapped", lambda p: p[:, [1, 0, 2]]),
+    _LatlonFault(
         "latlon-radians",
         "latitude and longitude are radians where degrees are expected",
         lambda p: np.column_stack([np.degrees(p[:, :2]), p[:, 2]]),
     ),
-    _Latlon("longitude-sign", "the sign of the longitude is lost", lambda p: p * [1, -1, 1]),
-    _Latlon("latitude-sign", "the sign of the latitude is lost", lambda p: p * [-1, 1, 1]),
+    _LatlonFault("longitude-sign", "the sign of the longitude is lost", lambda p: p * [1, -1, 1]),
+    _LatlonFault("latitude-sign", "the sign of the latitude is lost", lambda p: p * [-1, 1, 1]),
 )
 
 
 @dataclass(frozen=True)
-class _Compared:
+class _PositionPairs:
     """Stated and measured positions of the n photographs that have both, metres.
 
     Attributes:
         stated: (n, 3).
         measured: (n, 3) east, north, up.
-        absolute: whether both are in the same frame; else the stated ones have their own world.
-        high: whether the height of each was measured, (n,); else it is the stated one.
+        absolute: whether both are in the same frame; else ``stated`` is in another world.
+        has_height: whether each height in ``measured`` was measured, (n,); else it is the stated
+            one.
     """
 
     stated: Array
     measured: Array
     absolute: bool
-    high: NDArray[np.bool_]
+    has_height: NDArray[np.bool_]
 
     @property
     def extent(self) -> float:
@@ -91,7 +102,7 @@ class _Compared:
 
 
 def check_positions(
-    stated: Stated, positions: Array | None, exif: Sequence[Exif | None], named: bool
+    stated: StatedData, positions: Array | None, exif: Sequence[Exif | None], names_confirmed: bool
 ) -> tuple[list[Finding], Array]:
     """Check positions against the photographs' GPS.
 
@@ -103,147 +114,158 @@ def check_positions(
         positions: camera centres (N, 3) in its world, in the right convention; None for a table of
             geodetic positions.
         exif: metadata of each photograph; None if it cannot be read.
-        named: whether the photographs already showed that names and poses belong together; a
-            delayed GPS is then not taken for wrong names.
+        names_confirmed: whether the photographs already showed that names and poses belong
+            together; a delayed GPS is then not taken for wrong names.
     """
     findings: list[Finding] = []
-    places = [None if e is None else e.position for e in exif]
-    there = np.array([place is not None for place in places])
-    high = np.array([place is not None and not np.isnan(place.altitude) for place in places])
-    if stated.places is None:
-        there = high  # poses in a world of their own are compared in three dimensions
-    if there.sum() >= FEWEST:
-        read = stated.places
-        known = _with_heights(places, there, read)
-        if read is not None:
-            finding, read = _check_latlon(read[there], known)
+    measured = [None if e is None else e.position for e in exif]
+    has_gps = np.array([fix is not None for fix in measured])
+    has_height = np.array([fix is not None and not np.isnan(fix.altitude) for fix in measured])
+    if stated.geodetic is None:
+        has_gps = has_height  # poses in a world of their own are compared in three dimensions
+    if has_gps.sum() >= MIN_POSITIONS:
+        stated_geodetic = stated.geodetic
+        fixes = _fill_heights(measured, has_gps, stated_geodetic)
+        if stated_geodetic is not None:
+            finding, stated_geodetic = _check_latlon(stated_geodetic[has_gps], fixes)
             findings.append(finding)
-        own = None if positions is None else positions[there]
-        compared = _on_earth(known, read, own, high[there])
+        centres_with_gps = None if positions is None else positions[has_gps]
+        pairs = _pair_positions(fixes, stated_geodetic, centres_with_gps, has_height[has_gps])
     elif positions is not None and stated.measured is not None:
-        there = np.isfinite(stated.measured).all(1)
-        every = np.ones(int(there.sum()), bool)
-        compared = _Compared(positions[there], stated.measured[there], True, every)
+        has_gps = np.isfinite(stated.measured).all(1)
+        all_true = np.ones(int(has_gps.sum()), bool)
+        pairs = _PositionPairs(positions[has_gps], stated.measured[has_gps], True, all_true)
     else:
-        compared = None
-    if compared is None or len(compared.measured) < FEWEST:
-        return [*findings, _no_gps(stated, int(there.sum()))], np.zeros((0, 4))
-    findings += _compare(compared, named, positions is not None)
-    return findings, _plan(compared)
+        pairs = None
+    if pairs is None or len(pairs.measured) < MIN_POSITIONS:
+        return [*findings, _report_missing_gps(stated, int(has_gps.sum()))], np.zeros((0, 4))
+    findings += _compare(pairs, names_confirmed, positions is not None)
+    return findings, _plan(pairs)
 
 
-def _with_heights(
-    places: Sequence[Geodetic | None], there: NDArray[np.bool_], read: Array | None
+def _fill_heights(
+    measured: Sequence[Geodetic | None], has_gps: NDArray[np.bool_], stated_geodetic: Array | None
 ) -> list[Geodetic]:
-    """Return the measured places, with stated heights for those without an altitude.
+    """Return the measured positions of the photographs in ``has_gps``, each with a height.
 
-    The stated heights are shifted by their median difference to the measured ones, so that another
-    height system causes no step between the two.
+    Positions without an altitude get the stated heights, shifted by the median difference of
+    measured and stated heights, so that another height system causes no step between the two.
     """
-    known = [(row, place) for row, place in enumerate(places) if place is not None and there[row]]
-    if read is None:
-        return [place for _, place in known]
-    up = [place.altitude - float(read[row, 2]) for row, place in known]
-    known_up = [each for each in up if not np.isnan(each)]
-    above = float(np.median(known_up)) if known_up else 0.0
+    fixes = [(row, fix) for row, fix in enumerate(measured) if fix is not None and has_gps[row]]
+    if stated_geodetic is None:
+        return [fix for _, fix in fixes]
+    stated_height = stated_geodetic[:, 2].tolist()
+    differences = [fix.altitude - stated_height[row] for row, fix in fixes]
+    known_differences = [each for each in differences if not np.isnan(each)]
+    shift = float(np.median(known_differences)) if known_differences else 0.0
     return [
-        place._replace(altitude=float(read[row, 2]) + above) if np.isnan(place.altitude) else place
-        for row, place in known
+        fix._replace(altitude=stated_height[row] + shift) if np.isnan(fix.altitude) else fix
+        for row, fix in fixes
     ]
 
 
-def _plan(compared: _Compared) -> Array:
-    """Return the plan to draw; a world of its own is first aligned to the measured positions."""
-    stated = compared.stated
-    if not compared.absolute:
-        fitted, _ = _fit(stated, compared.measured)
+def _plan(pairs: _PositionPairs) -> Array:
+    """Return east and north (m) as stated and as measured, (n, 4), for the drawing.
+
+    Stated positions of another world are aligned to the measured ones.
+    """
+    stated = pairs.stated
+    if not pairs.absolute:
+        fitted, _ = _fit(stated, pairs.measured)
         stated = stated @ fitted[:, :3].T + fitted[:, 3]
-    return np.column_stack([stated[:, :2], compared.measured[:, :2]])
+    return np.column_stack([stated[:, :2], pairs.measured[:, :2]])
 
 
-def _no_gps(stated: Stated, count: int) -> Finding:
-    """Return the finding without GPS; coordinates that are nowhere on earth are still wrong."""
-    if stated.places is not None:
-        off = [not is_on_earth(Geodetic(*row)) for row in stated.places.tolist()]
-        if any(off):
-            name, row = stated.names[off.index(True)], stated.places[off.index(True)]
+def _report_missing_gps(stated: StatedData, count: int) -> Finding:
+    """Return the finding if too few photographs have GPS; invalid coordinates are still wrong."""
+    if stated.geodetic is not None:
+        is_off_earth = [not is_on_earth(Geodetic(*row)) for row in stated.geodetic.tolist()]
+        if any(is_off_earth):
+            first = is_off_earth.index(True)
+            name, row = stated.names[first], stated.geodetic[first]
             swapped = is_on_earth(Geodetic(float(row[1]), float(row[0]), float(row[2])))
-            fault, looks = (
+            fault, description = (
                 ("latlon-swapped", "latitude and longitude are swapped")
                 if swapped
                 else ("not-on-earth", "they are not degrees")
             )
-            detail = f"{name} is at {row[0]:g}, {row[1]:g}, which is not on earth: {looks}"
+            detail = f"{name} is at {row[0]:g}, {row[1]:g}, which is not on earth: {description}"
             return wrong(LATLON, fault, detail)
-    what = "a GPS position" if stated.places is not None else "a GPS position with its altitude"
-    return unknown(FOLLOW, f"{count} photographs have {what}, {FEWEST} are needed")
+    what = "a GPS position" if stated.geodetic is not None else "a GPS position with its altitude"
+    return unknown(FOLLOW, f"{count} photographs have {what}, {MIN_POSITIONS} are needed")
 
 
-def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Array]:
-    """Check latitudes and longitudes, and return them corrected."""
-    origin = median_place(known)
-    measured = np.array([enu_from_geodetic(place, origin) for place in known])
+def _check_latlon(stated_geodetic: Array, fixes: Sequence[Geodetic]) -> tuple[Finding, Array]:
+    """Check stated latitudes and longitudes (n, 3) against GPS, and return them corrected."""
+    origin = median_place(fixes)
+    measured = np.array([enu_from_geodetic(fix, origin) for fix in fixes])
 
-    def distance(read: Array) -> float:
-        enu = np.array([enu_from_geodetic(Geodetic(*row), origin) for row in read.tolist()])
+    def distance(geodetic: Array) -> float:
+        enu = np.array([enu_from_geodetic(Geodetic(*row), origin) for row in geodetic.tolist()])
         return float(np.median(np.linalg.norm((enu - measured)[:, :2], axis=1)))
 
-    ours = distance(places)
-    best, reading = min(
-        ((distance(one.read(places)), one) for one in _LATLONS), key=lambda item: item[0]
+    as_stated = distance(stated_geodetic)
+    best, mistake = min(
+        ((distance(each.correct(stated_geodetic)), each) for each in _LATLON_FAULTS),
+        key=lambda item: item[0],
     )
-    if best < _SHRINKS * ours and ours > 1000:
-        detail = f"{reading.looks}: so read they are {best:.0f} m from GPS, as stated {ours:.4g} m"
-        finding = wrong(LATLON, reading.fault, detail, metres=ours, explained_metres=best)
-        return finding, reading.read(places)
-    if ours > _ELSEWHERE_M:
-        why = f"they are {ours / 1000:.4g} km from GPS, however they are read"
-        return unknown(LATLON, why, metres=ours), places
-    return right(LATLON, f"median {ours:.1f} m from GPS", metres=ours), places
+    if best < _SHRINKS * as_stated and as_stated > _MISTAKE_M:
+        detail = (
+            f"{mistake.description}: so read they are {best:.0f} m from GPS, as stated "
+            f"{as_stated:.4g} m"
+        )
+        finding = wrong(LATLON, mistake.fault, detail, metres=as_stated, explained_metres=best)
+        return finding, mistake.correct(stated_geodetic)
+    if as_stated > _ELSEWHERE_M:
+        why = f"they are {as_stated / 1000:.4g} km from GPS, and no swap, sign or unit explains it"
+        return unknown(LATLON, why, metres=as_stated), stated_geodetic
+    return right(LATLON, f"median {as_stated:.1f} m from GPS", metres=as_stated), stated_geodetic
 
 
-def _on_earth(
-    known: Sequence[Geodetic],
-    places: Array | None,
+def _pair_positions(
+    fixes: Sequence[Geodetic],
+    geodetic: Array | None,
     positions: Array | None,
-    high: NDArray[np.bool_],
-) -> _Compared:
-    origin = median_place(known)
-    measured = np.array([enu_from_geodetic(place, origin) for place in known])
-    if places is not None:
-        rows = [enu_from_geodetic(Geodetic(*row), origin) for row in places.tolist()]
-        return _Compared(np.array(rows), measured, True, high)
+    has_height: NDArray[np.bool_],
+) -> _PositionPairs:
+    """Pair GPS fixes with stated geodetic positions or, without these, with camera centres."""
+    origin = median_place(fixes)
+    measured = np.array([enu_from_geodetic(fix, origin) for fix in fixes])
+    if geodetic is not None:
+        rows = [enu_from_geodetic(Geodetic(*row), origin) for row in geodetic.tolist()]
+        return _PositionPairs(np.array(rows), measured, True, has_height)
     assert positions is not None
-    return _Compared(positions, measured, False, high)
+    return _PositionPairs(positions, measured, False, has_height)
 
 
-def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]:
-    extent = compared.extent
+def _compare(pairs: _PositionPairs, names_confirmed: bool, has_poses: bool) -> Iterator[Finding]:
+    """Yield the findings on the course, the scale and the offsets of stated positions."""
+    extent = pairs.extent
     if extent < 1.0:
         yield unknown(FOLLOW, f"the photographs were taken within {extent:.1f} m")
         return
-    fitted, residual = _fit(compared.stated, compared.measured)
+    fitted, residual = _fit(pairs.stated, pairs.measured)
     scale = float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0)))
     if residual > _FOLLOWS * extent:
-        yield _explain(compared, residual, named)
+        yield _explain(pairs, residual, names_confirmed)
         return
     yield right(
         FOLLOW,
-        f"{residual:.2f} m (median) from GPS after the best motion and scale, over {extent:.0f} m",
+        f"{residual:.2f} m (median) from GPS after similarity alignment, over {extent:.0f} m",
         residual_m=residual,
     )
-    vague = 3 * residual / (extent * np.sqrt(len(compared.stated)))
-    if abs(np.log(max(scale, 1e-9))) > max(_METRIC, vague):
-        looks = "it is in feet" if abs(scale / _FEET - 1) < _METRIC else "it is not metric"
-        detail = f"one unit is {scale:.4g} m: {looks}"
+    uncertainty = 3 * residual / (extent * np.sqrt(len(pairs.stated)))
+    if abs(np.log(max(scale, 1e-9))) > max(_METRIC, uncertainty):
+        unit = "feet" if abs(scale / _FEET - 1) < _METRIC else "an unknown unit"
+        detail = f"one unit is {scale:.4g} m: the world is in {unit}"
         yield wrong(SCALE, "scale", detail, scale=scale)
-    elif vague > _VAGUE:
-        yield unknown(SCALE, f"GPS determines the scale to {vague:.0%} only", scale=scale)
+    elif uncertainty > _MAX_SCALE_UNCERTAINTY:
+        yield unknown(SCALE, f"GPS determines the scale to {uncertainty:.0%} only", scale=scale)
     else:
         yield right(SCALE, f"one unit is {scale:.3f} m by GPS", scale=scale)
-    if compared.absolute:
-        yield from _offsets(compared)
-    elif posed:
+    if pairs.absolute:
+        yield from _check_offsets(pairs)
+    elif has_poses:
         yield unknown(HEIGHTS, "the data set does not state where its world is on earth")
 
 
@@ -252,19 +274,19 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
     good = np.ones(len(stated), bool)
     for _ in range(4):
         fitted = fit_similarity(stated[good], measured[good])
-        off = np.linalg.norm(stated @ fitted[:, :3].T + fitted[:, 3] - measured, axis=1)
-        limit = 3 * SIGMA_OF_MEDIAN * float(np.median(off))
-        good = off <= max(limit, 1e-6)
-        if good.sum() < FEWEST:
+        residuals = np.linalg.norm(stated @ fitted[:, :3].T + fitted[:, 3] - measured, axis=1)
+        limit = 3 * SIGMA_OF_MEDIAN * float(np.median(residuals))
+        good = residuals <= max(limit, 1e-6)
+        if good.sum() < MIN_POSITIONS:
             break
-    return fitted, float(np.median(off))
+    return fitted, float(np.median(residuals))
 
 
-def _explain(compared: _Compared, residual: float, named: bool) -> Finding:
+def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> Finding:
     """Return why positions do not follow GPS: shifted, shuffled, mirrored or inexact."""
     figures = {"residual_m": residual}
-    stated, measured = compared.stated, compared.measured
-    if len(stated) > 2 * max(SHIFTS) and not named:
+    stated, measured = pairs.stated, pairs.measured
+    if len(stated) > 2 * max(SHIFTS) and not names_confirmed:
         shifted = {k: _fit(*_shift_pairs(stated, measured, k))[1] for k in SHIFTS}
         k = min(shifted, key=lambda key: shifted[key])
         if shifted[k] < _SHRINKS * residual:
@@ -278,74 +300,79 @@ def _explain(compared: _Compared, residual: float, named: bool) -> Finding:
     if mirrored < _SHRINKS * residual:
         detail = f"the world is mirrored (left-handed): mirrored back it is {mirrored:.1f} m off"
         return wrong(FOLLOW, "world-mirrored", detail, **figures)
-    if named:
+    if names_confirmed:
         why = (
             f"poses agree with the photographs, but GPS is {residual:.1f} m (median) from them "
-            "after the best motion and scale: it lags behind, or is too coarse to compare with"
+            "after similarity alignment: it lags behind, or is too coarse to compare with"
         )
         return unknown(FOLLOW, why, **figures)
-    if compared.absolute:
+    if pairs.absolute:
         distances = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
-        nearest, own = float(np.median(distances.min(1))), float(np.median(np.diag(distances)))
-        if nearest < _SHRINKS * own:
+        to_nearest = float(np.median(distances.min(1)))
+        to_same_name = float(np.median(np.diag(distances)))
+        if to_nearest < _SHRINKS * to_same_name:
             detail = (
-                f"names are shuffled: every position is {nearest:.1f} m from the GPS of some "
-                f"photograph, but {own:.1f} m from that of its own"
+                f"names are shuffled: positions are {to_nearest:.1f} m (median) from the nearest "
+                f"GPS position, but {to_same_name:.1f} m from that of the same name"
             )
             return wrong(FOLLOW, "names-shuffled", detail, **figures)
-    detail = f"{residual:.1f} m (median) from GPS after the best motion and scale"
+    detail = f"{residual:.1f} m (median) from GPS after similarity alignment"
     return wrong(FOLLOW, "positions-off", detail, **figures)
 
 
 def _shift_pairs(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:
-    """Return both without the ends, with the stated positions of photographs ``k`` later."""
+    """Return pairs of each measured position and the stated position ``k`` photographs later."""
     return (stated[k:], measured[:-k]) if k > 0 else (stated[:k], measured[-k:])
 
 
-def _offsets(compared: _Compared) -> Iterator[Finding]:
-    off = compared.stated - compared.measured
-    middle = np.median(off, 0)
-    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(off - middle), 0)
-    away = float(np.linalg.norm(middle[:2]))
+def _check_offsets(pairs: _PositionPairs) -> Iterator[Finding]:
+    """Yield the findings on constant offsets from GPS: horizontal, then of heights."""
+    differences = pairs.stated - pairs.measured
+    middle = np.median(differences, 0)
+    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(differences - middle), 0)
+    distance_m = float(np.linalg.norm(middle[:2]))
     spread = float(np.linalg.norm(scatter[:2]))
-    limit = max(_OFFSET_M, 3 * spread / np.sqrt(len(off)))
+    limit = max(_OFFSET_M, 3 * spread / np.sqrt(len(differences)))
     figures = {"east_m": float(middle[0]), "north_m": float(middle[1]), "scatter_m": spread}
     where = f"{middle[0]:+.1f} m east and {middle[1]:+.1f} m north of GPS"
-    if away > limit:
+    if distance_m > limit:
         detail = f"all are {where}, scattered by {spread:.1f} m: another datum, or another origin"
         yield wrong(EAST_NORTH, "positions-offset", detail, **figures)
     else:
         yield right(EAST_NORTH, f"{where} (median)", **figures)
-    up, rough, heights = _up(off, compared.high)
-    if away > _ELSEWHERE_M:
-        yield unknown(HEIGHTS, f"the photographs' GPS is {away / 1000:.4g} km away")
+    up, scatter_up, heights = _height_offset(differences, pairs.has_height)
+    if distance_m > _ELSEWHERE_M:
+        yield unknown(HEIGHTS, f"the photographs' GPS is {distance_m / 1000:.4g} km away")
         return
-    if heights < FEWEST:
-        why = f"{heights} photographs have an altitude (GPSAltitude), {FEWEST} are needed"
+    if heights < MIN_POSITIONS:
+        why = f"{heights} photographs have an altitude (GPSAltitude), {MIN_POSITIONS} are needed"
         yield unknown(HEIGHTS, why)
         return
-    if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(heights)):
-        yield right(HEIGHTS, f"{_height(up)} them (median)", up_m=up, scatter_m=rough)
-    elif rough > max(_SCATTER_M, abs(up) / 3):
-        why = f"the photographs' altitudes scatter by {rough:.1f} m, {_height(-up)} the heights"
-        yield unknown(HEIGHTS, why, up_m=up, scatter_m=rough)
+    if abs(up) <= max(_OFFSET_M, 3 * scatter_up / np.sqrt(heights)):
+        yield right(HEIGHTS, f"{_above_or_below(up)} them (median)", up_m=up, scatter_m=scatter_up)
+    elif scatter_up > max(_SCATTER_M, abs(up) / 3):
+        why = (
+            f"the photographs' altitudes scatter by {scatter_up:.1f} m, "
+            f"{_above_or_below(-up)} the heights"
+        )
+        yield unknown(HEIGHTS, why, up_m=up, scatter_m=scatter_up)
     else:
         detail = (
-            f"all are {_height(up)} those of the photographs, scattered by {rough:.1f} m: another "
-            "height system, such as sea level instead of the ellipsoid (-106 to 85 m), or the "
-            "take-off"
+            f"all are {_above_or_below(up)} those of the photographs, scattered by "
+            f"{scatter_up:.1f} m: another height system, such as above sea level instead of the "
+            "ellipsoid (they differ by -106 to 85 m), or above the take-off"
         )
-        yield wrong(HEIGHTS, "height-datum", detail, up_m=up, scatter_m=rough)
+        yield wrong(HEIGHTS, "height-datum", detail, up_m=up, scatter_m=scatter_up)
 
 
-def _up(off: Array, high: NDArray[np.bool_]) -> tuple[float, float, int]:
+def _height_offset(differences: Array, has_height: NDArray[np.bool_]) -> tuple[float, float, int]:
     """Return by how much stated heights are above measured ones, their scatter and their number."""
-    if not high.any():
+    if not has_height.any():
         return 0.0, 0.0, 0
-    up = off[high, 2]
+    up = differences[has_height, 2]
     middle = float(np.median(up))
     return middle, SIGMA_OF_MEDIAN * float(np.median(np.abs(up - middle))), len(up)
 
 
-def _height(up: float) -> str:
+def _above_or_below(up: float) -> str:
     return f"{abs(up):.1f} m {'above' if up >= 0 else 'below'}"

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedData:
     """N photographs in the order of their names, with the stated cameras, poses and positions.
 
     Attributes:
@@ -28,7 +28,7 @@ class Stated:
         cameras: camera of each photograph, or None where the data set states none.
         cam_from_world: poses (N, 4, 4) in the world of the data set, or None for a table of
             positions.
-        places: stated latitude, longitude (degrees) and height (m), unchecked, (N, 3); None where
+        geodetic: stated latitude, longitude (degrees) and height (m), unchecked, (N, 3); None where
             the data set has no position on earth. For a data set with poses they are the camera
             centres, converted by its origin.
         measured: measured positions (N, 3) that the data set itself stores: east, north, up in
@@ -42,7 +42,7 @@ class Stated:
     files: tuple[Path, ...] | None
     cameras: tuple[Camera | None, ...]
     cam_from_world: Array | None
-    places: Array | None = None
+    geodetic: Array | None = None
     measured: Array | None = None
     sparse_map: SparseMap | None = None
 
@@ -77,6 +77,6 @@ def sample(count: int, most: int, run: int) -> Sequence[int]:
     return sorted({int(start) + k for start in starts for k in range(run)})
 
 
-def places_of(positions: Array, origin: Geodetic) -> Array:
+def to_geodetic(positions: Array, origin: Geodetic) -> Array:
     """Return latitude, longitude (degrees) and height (m) of positions in metres, (N, 3)."""
     return np.array([geodetic_from_enu(position, origin) for position in positions]).reshape(-1, 3)

@@ -13,13 +13,28 @@ import yaml
 from objconnect.scene.errors import InputError
 
 if TYPE_CHECKING:
+    import typer
+
     from benchmark.datasets.dataset import Dataset
     from objconnect.scene.geo.crs import Projection
     from objconnect.scene.geometry.camera import Camera
     from objconnect.scene.localizer import Localizer
 
 # A plain value followed by a second KEY=VALUE.
-_ANOTHER: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
+_SECOND_SETTING: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
+
+
+def list_given(context: typer.Context) -> list[str]:
+    """Return the options that the command line gives, as ``--size``, in the order of the help."""
+    sources = {
+        parameter.opts[0]: context.get_parameter_source(parameter.name or "")
+        for parameter in context.command.params
+    }
+    return [
+        name
+        for name, source in sources.items()
+        if name.startswith("--") and source is not None and source.name == "COMMANDLINE"
+    ]
 
 
 def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
@@ -38,17 +53,19 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
             raise InputError(f"--set takes KEY=VALUE, got {word!r}")
         if key in settings:
             raise InputError(f"--set {key} is given twice: give each key one value")
-        if _ANOTHER.match(value) and not Path(value).exists():
+        if _SECOND_SETTING.match(value) and not Path(value).exists():
             raise InputError(
                 f"--set {key}: {value!r} holds another KEY=VALUE: --set is given once per value"
             )
         try:
             settings[key] = yaml.safe_load(value)
         except (yaml.YAMLError, ValueError, RecursionError):
-            raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
+            raise InputError(f"--set {key}: {value!r} is not a YAML value: quote it") from None
         # null switches an option off; an empty value is an error.
         if settings[key] is None and not value.strip():
-            raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
+            raise InputError(
+                f"--set {key}: {value!r} is no value: leave --set {key} out for the default"
+            )
     return settings
 
 
@@ -110,7 +127,7 @@ def parse_camera(words: str | None) -> Camera | None:
         raise InputError(f"--camera: {error}") from None
 
 
-def parse_crs(words: str | None) -> Projection | None:
+def parse_crs(code: str | None) -> Projection | None:
     """Read the value of ``--crs``, the code of a coordinate reference system.
 
     Raises:
@@ -120,7 +137,7 @@ def parse_crs(words: str | None) -> Projection | None:
     from objconnect.scene.geo.crs import Projection
 
     try:
-        return None if words is None else Projection(words)
+        return None if code is None else Projection(code)
     except InputError as error:
         raise InputError(f"--crs: {error}") from None
 
@@ -133,11 +150,10 @@ def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:
             would overwrite each other's results.
     """
     from benchmark.datasets.open import open_datasets
+    from objconnect.scene.storage.files import require_distinct
 
     paths = list(paths)
-    for resolved, count in Counter(path.resolve() for path in paths).items():
-        if count > 1:
-            raise InputError(f"{resolved} is given {count} times: give it once")
+    require_distinct(paths)
     datasets = [dataset for path in paths for dataset in open_datasets(path)]
     names = set()
     for dataset in datasets:
@@ -149,7 +165,7 @@ def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:
     return datasets
 
 
-def claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
+def check_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
     """Refuse output folders that lie inside an input of the command.
 
     Files written there would change the input: the next run would read another data set.

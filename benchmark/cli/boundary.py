@@ -28,7 +28,7 @@ REGRESSION: Final = 1
 PROGRAM_AT_FAULT: Final = 3
 # Shells report a process that a signal ended as 128 plus the number of the signal.
 _SIGNALLED: Final = 128
-_CLOSED_PIPE: Final = _SIGNALLED + 13
+_CLOSED_PIPE: Final = _SIGNALLED + 13  # SIGPIPE
 
 # Exceptions of libraries on input that they cannot process, beside InputError.
 _INPUT_ERRORS: Final = (
@@ -39,8 +39,8 @@ _INPUT_ERRORS: Final = (
     csv.Error,
     RecursionError,
 )
-# The most characters of an error message, which may quote a long argument.
-_LONGEST: Final = 1000
+# Longer error messages are cut, because they may quote a long argument.
+_MAX_CHARACTERS: Final = 1000
 
 
 class Terminated(KeyboardInterrupt):
@@ -82,7 +82,7 @@ class Boundary(TyperGroup):
         """Run a command and end the process with its exit code; never returns."""
         _open_standard_streams()
         _never_fail_to_print()
-        # typer then raises errors instead of printing them on several lines.
+        # Without standalone mode, typer raises errors instead of printing them on several lines.
         extra["standalone_mode"] = False
         with _end_like_ctrl_c():
             sys.exit(_run_command(lambda: super(Boundary, self).main(*args, **extra)))
@@ -119,17 +119,17 @@ def _run_command(run: Callable[[], Any]) -> int:
 
 def _print_error(message: str, code: int) -> int:
     """Print one line on standard error and return the exit code."""
-    level = "error: " if code in (INPUT_AT_FAULT, PROGRAM_AT_FAULT) else ""
+    prefix = "error: " if code in (INPUT_AT_FAULT, PROGRAM_AT_FAULT) else ""
     with suppress(OSError, ValueError):  # standard error is closed or full
-        print(f"objconnect: {level}{_one_line(message)}", file=sys.stderr)
+        print(f"objconnect: {prefix}{_one_line(message)}", file=sys.stderr)
     return _abandon_output(code)
 
 
 def _one_line(message: str) -> str:
     """Return a message as one printable line; a long one is cut in the middle."""
     line = for_terminal(" ".join(message.split()))
-    half = _LONGEST // 2
-    return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
+    half = _MAX_CHARACTERS // 2
+    return line if len(line) <= _MAX_CHARACTERS else f"{line[:half]} ... {line[-half:]}"
 
 
 def _abandon_output(code: int) -> int:

@@ -14,12 +14,13 @@ from benchmark.cli.boundary import Boundary
 COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "simulation": {
         "simulate": "Render a scene with exact camera poses.",
-        "track": "Render and map the sites of a leaderboard track.",
+        "track": "Render and map the places of a leaderboard track, or check its flights.",
         "calibrate": "Calibrate the simulated camera from rendered chessboards.",
     },
     "scenes": {
         "ingest": "Turn a folder of photographs with GPS positions into a scene.",
         "export": "Write the poses and cameras of a scene in the format of another program.",
+        "publish": "Write scenes as a data set that a hub takes, with a card and metadata.",
         "validate": "Check the conventions and the exactness of a scene or a flight.",
         "audit": "Check the poses of any data set against its photographs, without ground truth.",
     },
@@ -35,18 +36,23 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "evaluate": "Localize the queries of data sets and score the poses.",
         "basin": "Measure how recall falls with the error of the prior pose.",
         "score": "Score the poses that another program estimated.",
-        "submit": "Write the poses of all query images in the format of visuallocalization.net.",
+    },
+    "submissions": {
+        "submit": "Write the poses of all queries, to hand them in.",
+        "submission": "Check a submission to a track, and score its poses without photographs.",
     },
     "methods": {
         "options": "List the options of a localizer with their defaults.",
         "train": "Train a method on rendered scenes, or resume its training.",
+        "publish-weights": "Write weights as a model that a hub takes, with a card and results.",
     },
     "planning": {
         "forecast": "Forecast where along a flight a method finds a fix, by season and light.",
     },
     "reports": {
         "leaderboard": "Compare results in one table per data set and starting information.",
-        "regress": "Compare recall with recorded results and exit with 1 if it dropped.",
+        "gate-scene": "Write a small flight data set that comes with the package.",
+        "regress": "Compare results with recorded ones and exit with 1 if a figure dropped.",
         "view": "Write a scene as an interactive page and as a picture.",
     },
     "environment": {

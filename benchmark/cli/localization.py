@@ -8,14 +8,28 @@ from typing import Annotated
 import typer
 
 from benchmark.cli.arguments import (
+    check_folders,
     check_jobs,
     check_methods,
-    claim_folders,
     create_at_risk,
     open_distinct_datasets,
     parse_camera,
     parse_crs,
     parse_settings,
+)
+from benchmark.cli.localize_options import (
+    AdditionalOutputs,
+    Crs,
+    GimbalSigma,
+    GpsSigma,
+    Images,
+    Poses,
+    Priors,
+    Rate,
+    Sequenced,
+    Subtitles,
+    Undulation,
+    VideoFile,
 )
 from benchmark.cli.options import (
     Cache,
@@ -35,93 +49,11 @@ from objconnect.scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
-Poses = Annotated[
-    Path,
-    typer.Option(metavar="POSES", help="Text file of the poses; a CSV file is written beside it."),
-]
-Images = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of new photographs.")]
-VideoFile = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Video of a flight, instead of photographs."),
-]
-Subtitles = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Subtitles of the video with the drone's telemetry. By default those of the same "
-        "name beside the video.",
-    ),
-]
-Sequenced = Annotated[
-    bool,
-    typer.Option(
-        "--sequence",
-        help="Localize the photographs as one flight: earlier poses give the prior of the next.",
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        help="Number of frames per second of the video to localize. With --sequence, number of "
-        "photographs per second, in the order of their names, instead of the times in EXIF.",
-        min=0.01,
-        max=240,
-        show_default="2 for a video",
-    ),
-]
-Priors = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="CSV",
-        help="Table of positions: name,e,n,u in metres in the map's frame or name,lat,lon,alt, "
-        "optionally with sigma_m and attitudes. By default they are read from EXIF and XMP.",
-    ),
-]
-GpsSigma = Annotated[
-    float,
-    typer.Option(
-        help="Standard deviation of EXIF positions, metres, and of positions in --priors without "
-        "sigma_m. Fixed RTK positions use the standard deviations in their XMP instead.",
-        min=0.01,
-        max=1e6,
-    ),
-]
-GimbalSigma = Annotated[
-    float,
-    typer.Option(
-        help="Standard deviation of gimbal attitudes in XMP, degrees, and of attitudes in "
-        "--priors without sigma_deg.",
-        min=0.01,
-        max=180,
-    ),
-]
-AdditionalOutputs = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="FILE",
-        help="Additional file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe, a "
-        "MAVLink telemetry log (.tlog) for an autopilot's filter, or a ROS 2 bag (.mcap); repeat "
-        "the option for several.",
-    ),
-]
-Undulation = Annotated[
-    float | None,
-    typer.Option(
-        help="Height of the geoid above the ellipsoid, metres, for heights above sea level. By "
-        "default it is read from PROJ's grid us_nga_egm96_15.tif where that is installed; "
-        "otherwise KML placemarks lie on the ground.",
-        min=-200,
-        max=200,
-        show_default="unknown",
-    ),
-]
-Crs = Annotated[
+
+ContainerImage = Annotated[
     str | None,
     typer.Option(
-        metavar="EPSG:N",
-        help="Coordinate reference system of additional columns x (east), y (north) and h, such "
-        "as EPSG:32632, or EPSG:7415 with heights of its own.",
-        show_default="none",
+        metavar="IMAGE", help="Image of Docker that finds the poses, instead of a method."
     ),
 ]
 
@@ -160,7 +92,7 @@ def localize(
     Without --camera, the calibration is the first of these that is known: the map's camera of the
     same size, the calibration in XMP, the map's camera scaled, the focal length in EXIF, an
     estimate. With a video or --sequence, each pose gives the prior of the next; a JSON file beside
-    POSES records how. An interrupted run goes on where it stopped.
+    POSES records the method and its options. An interrupted run goes on where it stopped.
     """
     from objconnect.localization.pipeline import localize as job
     from objconnect.localization.pipeline.localization_map import open_map
@@ -183,7 +115,7 @@ def localize(
         projection=parse_crs(crs),
         cache=cache,
     )
-    claim_folders([source, queries], cache)
+    check_folders([source, queries], cache)
     localizer = create_at_risk(method, settings, risk)
     run = job.localize if video is None else job.localize_video
     answers = run(open_map(source), queries, localizer, out, options)
@@ -204,7 +136,8 @@ def _choose_queries(
     """Return the folder of photographs or the video to localize.
 
     Raises:
-        InputError: neither or both are given, or an option belongs to the other one.
+        InputError: neither or both are given, or an option is for photographs and a video is given,
+            or the reverse.
     """
     if video is not None and images is None:
         if priors is not None or sequence:
@@ -232,6 +165,7 @@ def evaluate(
     cache: Cache = None,
     jobs: Jobs = 1,
     cluster: ClusterAddress = None,
+    container: ContainerImage = None,
     as_json: Json = False,
 ) -> None:
     """Localize the queries of data sets and score the poses.
@@ -239,23 +173,38 @@ def evaluate(
     Writes RESULTS/<dataset>/<method>.json, a picture of the query with the median error, and once
     per data set album.h5 with the pictures of the leaderboard's page. An interrupted run goes on
     where it stopped. Replaces older results of the same name unless score wrote them.
+
+    With --container, a program in a container finds the poses. It reads /data and writes
+    /output/poses.txt, without a network. --method is its name in the results, and --set takes its
+    limits memory_gb, cpus and minutes. An interrupted run starts again.
     """
-    from benchmark.evaluation.evaluate import claim_evaluation, results_path
+    from benchmark.containers.command import evaluate_container as run_image
+    from benchmark.evaluation.evaluate import check_evaluation_outputs, results_path
     from benchmark.evaluation.evaluate import evaluate as run
     from benchmark.evaluation.starts import parse_start
     from objconnect.methods import create
 
-    # Everything that can be wrong is checked before the first minute is spent.
+    # All arguments and outputs are checked before the first query is localized.
     check_jobs(jobs, cluster)
     check_methods(method)
     settings = parse_settings(overrides)
+    if container is not None:
+        if len(method) > 1 or cache is not None or cluster is not None or jobs != 1:
+            raise InputError(
+                "--container runs one --method, and takes neither --cache, --jobs nor --cluster"
+            )
+        check_folders(datasets, out)
+        opened = open_distinct_datasets(datasets)
+        results = run_image(container, method[0], settings, opened, out, parse_start(start))
+        emit(_summarize(results), as_json)
+        return
     localizers = {name: create(name, settings) for name in method}
     starting_information = parse_start(start)
     opened = open_distinct_datasets(datasets)
-    claim_folders(datasets, out, cache)
+    check_folders(datasets, out, cache)
     for dataset in opened:
         for localizer in localizers.values():
-            claim_evaluation(dataset, localizer, out)
+            check_evaluation_outputs(dataset, localizer, out)
     written = []
     for dataset in opened:
         for localizer in localizers.values():
@@ -300,7 +249,7 @@ def basin(
     settings = parse_settings(overrides)
     localizers = [create(name, settings) for name in method]
     opened = open_distinct_datasets(datasets)
-    claim_folders(datasets, out, cache)
+    check_folders(datasets, out, cache)
     basins = {}
     for dataset in opened:
         for localizer in localizers:
@@ -344,35 +293,9 @@ def score(
     from benchmark.evaluation.external_poses import score as run
 
     opened = open_distinct_datasets(reference)
-    claim_folders(reference, out)
+    check_folders(reference, out)
     name = poses.stem if method is None else method
     emit(_summarize(run(poses, opened, name, out, start)), as_json)
-
-
-@app.command()
-def submit(
-    path: Annotated[
-        Path, typer.Argument(metavar="CMU", help="Extended CMU Seasons, or one slice of it.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for submission.txt.")],
-    method: Method = "sift",
-    overrides: Settings = None,
-    cache: Cache = None,
-    as_json: Json = False,
-) -> None:
-    """Write the poses of all query images in the format of visuallocalization.net.
-
-    An interrupted run goes on after the last finished slice.
-    """
-    from benchmark.evaluation.submission import SUBMISSION
-    from benchmark.evaluation.submission import submit as run
-    from objconnect.methods import create
-
-    claim_folders([path], out, cache)
-    localized, images = run(path, create(method, parse_settings(overrides)), out, cache)
-    text = f"{out / SUBMISSION}: {localized} of {images} images found"
-    values = {"submission": str(out / SUBMISSION), "images": images, "found": localized}
-    emit(Summary(text, values), as_json)
 
 
 def _summarize(results: list[Path]) -> Summary:
@@ -380,6 +303,6 @@ def _summarize(results: list[Path]) -> Summary:
     from benchmark.report.markdown import markdown
     from benchmark.report.tables import tables
 
-    boards = tables(results)
-    values = {"results": [str(path) for path in results], "tables": boards}
-    return Summary(markdown(boards), values)
+    all_tables = tables(results)
+    values = {"results": [str(path) for path in results], "tables": all_tables}
+    return Summary(markdown(all_tables), values)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli.options import ClusterAddress, DeviceName, Json, MappedScene
+from benchmark.cli.options import ClusterAddress, DeviceName, Json, MappedScene, Undulation
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.errors import InputError
 
@@ -43,23 +43,12 @@ SurfaceModel = Annotated[
     ),
 ]
 
-Undulation = Annotated[
-    float | None,
-    typer.Option(
-        metavar="METRES",
-        help="Height of the geoid above the ellipsoid, for a surface model with heights above sea "
-        "level. By default heights are taken as above the ellipsoid, as with 0.",
-        min=-200,
-        max=200,
-    ),
-]
-
 Altitude = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
         help="Height of the virtual cameras above the ground, such as that of your flights.",
-        show_default="a pixel of a view covers one of the orthophoto",
+        show_default="one pixel of a view covers one pixel of the orthophoto",
         min=1,
         max=10_000,
     ),
@@ -88,7 +77,7 @@ Tilt = Annotated[
 ]
 
 
-Horizontal = Annotated[
+HorizontalSigma = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
@@ -100,7 +89,7 @@ Horizontal = Annotated[
     ),
 ]
 
-Vertical = Annotated[
+VerticalSigma = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
@@ -136,8 +125,8 @@ def build_map(
     method: Annotated[
         MapMethod,
         typer.Option(
-            help="Triangulate points with the exact poses, or run structure from motion and align "
-            "it to them."
+            help="Triangulate points with the scene's poses, or run structure from motion and "
+            "align its result to these poses."
         ),
     ] = MapMethod.TRIANGULATE,
     ortho: Orthophoto = None,
@@ -149,8 +138,8 @@ def build_map(
     altitude: Altitude = None,
     overlap: Overlap = None,
     tilt: Tilt = None,
-    georeference: Horizontal = None,
-    georeference_height: Vertical = None,
+    georeference: HorizontalSigma = None,
+    georeference_height: VerticalSigma = None,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
@@ -173,10 +162,12 @@ def build_map(
             raise InputError("give the SCENE to map, or --ortho, --dsm and --out")
         emit(run(scene, method.value, cluster), as_json)
         return
-    if scene is not None or dsm is None or out is None:
-        raise InputError("--ortho needs --dsm and --out, and no SCENE")
+    if scene is not None:
+        raise InputError("--ortho makes a new scene in --out: leave SCENE out")
+    if dsm is None or out is None:
+        raise InputError("--ortho needs --dsm and --out: give both")
     if georeference is None and georeference_height is not None:
-        raise InputError("--georeference-height needs --georeference, the horizontal accuracy")
+        raise InputError("--georeference-height needs --georeference: give both")
     from objconnect.ingestion.virtual.command import photograph_orthophoto
     from objconnect.ingestion.virtual.options import ViewOptions
     from objconnect.scene.bundle.georeference import Georeference
@@ -324,7 +315,7 @@ def supplement(
 
     if remove:
         if weights is not None or masks is not None:
-            raise InputError("--remove removes all added points and takes no other option")
+            raise InputError("--remove takes no other option: leave out --weights and --masks")
         removed = remove_from_map(scene)
         emit(Summary(f"{removed} points removed from the map", {"removed": removed}), as_json)
         return

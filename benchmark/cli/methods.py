@@ -85,14 +85,78 @@ def train(
 ) -> None:
     """Train a method on rendered scenes, or resume its training.
 
+    Scenes with a condition, preset, lens or seed that a track holds out are refused.
     Under torchrun, several processes train together. To use the weights, pass --set weights=FILE to
     evaluate or localize.
     """
+    from benchmark.tracks.description import held_out
     from objconnect.learning.training.command import train as run
     from objconnect.learning.training.config import TrainConfig
     from objconnect.methods import trainable
     from objconnect.scene.config import load_config
 
     settings = load_config(TrainConfig, config, parse_settings(overrides))
-    weights = str(run(method, trainable(method), data, out, settings, validation or []))
+    constructor = trainable(method)
+    weights = str(run(method, constructor, data, out, settings, validation or [], held_out()))
     emit(Summary(weights, {"weights": weights}), as_json)
+
+
+@app.command()
+# More than six parameters: each is an option or argument of the command.
+def publish_weights(
+    weights: Annotated[
+        str,
+        typer.Argument(
+            metavar="WEIGHTS",
+            help="Weights that come with objconnect (objconnect, objconnect-objects, pixloc, "
+            "d2net), or a .safetensors file with its card beside it.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="New or empty folder; its name is that of the model."),
+    ],
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RESULTS",
+            help="Results of evaluate for the card; repeat the option for several. Results of "
+            "other weights are left out.",
+        ),
+    ] = None,
+    benchmark: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Published data set on the hub, hf://OWNER/NAME@COMMIT, whose scores the hub is "
+            "to show. The results must cover all its scenes.",
+        ),
+    ] = None,
+    license_id: Annotated[
+        str | None,
+        typer.Option(
+            "--license",
+            metavar="SPDX",
+            help="Licence of the weights, such as CC-BY-4.0. Your own weights need it.",
+            show_default="Apache-2.0 for those that come with objconnect",
+        ),
+    ] = None,
+    creator: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Person or organization that made the weights."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Write nothing, and report the bytes.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Write weights as a model that a hub takes, with a card and results.
+
+    DIR holds the file of weights as it is, the calibration files beside it, a model card, the
+    results and checksums. It appears when it is complete. --set weights=DIR uses it.
+    """
+    from benchmark.publishing.description import Release
+    from benchmark.publishing.weights.command import publish_weights as run
+
+    release = Release(license_id, creator)
+    emit(run(weights, out, results or [], benchmark or [], release, dry_run), as_json)

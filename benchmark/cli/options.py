@@ -18,9 +18,21 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Set one option of the method, or of its training in train; repeat for each option. "
-        "'objconnect options METHOD' lists those of a method. Options of a sequence or a forecast "
+        help="Set one option of the method, of its training in train, or of the queries of --pair "
+        "in ingest; repeat for each option. 'objconnect options METHOD' lists those of a method, "
+        "docs/pairs.md those of --pair. Options of a sequence or a forecast "
         "are written sequence.KEY and forecast.KEY.",
+    ),
+]
+
+Undulation = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Height of the geoid above the ellipsoid, for a surface model with heights above sea "
+        "level. By default heights are taken as above the ellipsoid, as with 0.",
+        min=-200,
+        max=200,
     ),
 ]
 
@@ -54,7 +66,8 @@ Datasets = Annotated[
     list[Path],
     typer.Argument(
         metavar="DATASET",
-        help="Scene, folder of a flight, Extended CMU Seasons or one slice of it. A flight with a "
+        help="Scene, folder of a flight, folder that publish wrote or hf://OWNER/NAME@COMMIT, "
+        "Extended CMU Seasons or one slice of it, AerialExtreMatch-Localization. A flight with a "
         "hard split is two data sets; FLIGHT-sparse names the hard split alone.",
     ),
 ]
@@ -167,9 +180,9 @@ def options_of(
 
     def with_options(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
-        others = list(signature.parameters.values())
-        index = [parameter.name for parameter in others].index("settings")
-        parameters = [*others[:index], *options, *others[index + 1 :]]
+        own = list(signature.parameters.values())
+        index = [parameter.name for parameter in own].index("settings")
+        parameters = [*own[:index], *options, *own[index + 1 :]]
 
         def run(**values: Any) -> None:
             command(settings={name: values.pop(name) for name in fields}, **values)

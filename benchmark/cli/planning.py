@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli.arguments import claim_folders, parse_settings
+from benchmark.cli.arguments import check_folders, parse_settings
 from benchmark.cli.options import Cache, Jobs, Json, Method, Settings, Start
 from benchmark.cli.output import emit
 from objconnect.scene.errors import InputError
@@ -94,7 +94,7 @@ def forecast(
         localizer = create(method, settings)
     except InputError as error:
         raise InputError(f"{error}{forecast_hint(settings)}") from None
-    claim_folders([scene, *([twin] if twin is not None else [])], out, cache)
+    check_folders([scene, *([twin] if twin is not None else [])], out, cache)
     route = f"plan={plan}" if plan is not None else str(flight)
     report = run(scene, route, localizer, out, config, twin=twin, cache=cache, jobs=jobs)
     emit(report, as_json)

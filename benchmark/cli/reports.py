@@ -68,11 +68,12 @@ def leaderboard(
     file, with charts, paired comparisons, and every query with its pictures. The page shows the
     albums and basins beside the results.
 
-    With --board, the queries of all sites of a track are pooled by start, season and part.
+    With --board, the queries of all places of a track are pooled by start, season and part of the
+    track.
     """
     from benchmark.report.board.command import board as run_board
     from benchmark.report.leaderboard import leaderboard as run
-    from benchmark.tracks.compact import store as keep
+    from benchmark.tracks.compact import store as store_results
     from benchmark.tracks.compact import targets_of
 
     if (board is None) == (not results):
@@ -85,7 +86,32 @@ def leaderboard(
     paths = results or []
     targets = {} if store is None else targets_of(paths, store)
     text = run(paths, out)
-    emit(_Leaderboard(paths, text, keep(targets)), as_json)
+    emit(_Leaderboard(paths, text, store_results(targets)), as_json)
+
+
+@app.command()
+def gate_scene(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for the data set, new or empty.")
+    ],
+    name: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="gate: 90 queries of the map's season. gate-snow: 40 queries, 32 in snow.",
+        ),
+    ] = "gate",
+    as_json: Json = False,
+) -> None:
+    """Write a small flight data set that comes with the package.
+
+    The rendered photographs of a town in summer, of 256 x 192 pixels (3 to 4 MB). Use it for a
+    first evaluation, or in continuous integration before you have data of your own.
+    """
+    from benchmark.gate.scene import gate_scene as run
+
+    written = str(run(out, name))
+    emit(Summary(written, {"dataset": written}), as_json)
 
 
 @app.command()
@@ -99,10 +125,12 @@ def regress(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Compare recall with recorded results and exit with 1 if it dropped.
+    """Compare results with recorded ones and exit with 1 if a figure dropped.
 
-    A drop is a loss that is significant in McNemar's exact test on the same queries, at 5 % over
-    all comparisons of a method on a data set. Use it in continuous integration.
+    The figures are recall, and integrity: the shares of queries without a false fix, without an
+    answer wrong by more than 1 m, and without one worse than its prior. A drop is a loss that is
+    significant in McNemar's exact test on the same queries, at 5 % over all comparisons of recall
+    of a method on a data set, and at 5 % over those of integrity. Use it in continuous integration.
     """
     from benchmark.regression import regress as run
     from benchmark.regression import update as record

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli.arguments import claim_folders, parse_camera
+from benchmark.cli.arguments import check_folders, list_given, parse_camera, parse_settings
 from benchmark.cli.boundary import INPUT_AT_FAULT
 from benchmark.cli.choices import describe_choices, list_choices, one_of
-from benchmark.cli.options import Cache, CameraWords, Json
+from benchmark.cli.ingest_options import (
+    Homography,
+    MapOrthophoto,
+    PairSurface,
+    Photographs,
+    PositionTable,
+    Residual,
+)
+from benchmark.cli.options import Cache, CameraWords, Json, Settings, Undulation
 from benchmark.cli.output import Summary, emit
+from objconnect.mapping.pairs.options import PairQueryOptions
+from objconnect.scene.config import load_config
+from objconnect.scene.errors import InputError
 from objconnect.scene.exports.formats import FORMATS
 
 app = typer.Typer(rich_markup_mode=None)
@@ -40,6 +52,29 @@ class SplitBy(StrEnum):
     NONE = "none"
 
 
+class LayerName(StrEnum):
+    """The dense layers of a scene; see ``objconnect.scene.bundle.frames.LAYERS``."""
+
+    DEPTH = "depth"
+    INSTANCE = "instance"
+    SEMANTIC = "semantic"
+    NORMAL = "normal"
+
+
+LongerSide = Annotated[
+    int, typer.Option(help="Longer side of photographs in the scene, pixels.", min=64)
+]
+MapperOption = Annotated[
+    MapperName,
+    typer.Option(help="Structure from motion: one photograph after another, or all at once."),
+]
+SplitUnit = Annotated[
+    SplitBy, typer.Option(help="What becomes queries: photographs, flight lines or nothing.")
+]
+EveryNth = Annotated[
+    int,
+    typer.Option(help="One in this many photographs or flight lines becomes a query.", min=2),
+]
 GivenPoses = Annotated[
     Path | None,
     typer.Option(
@@ -87,25 +122,28 @@ ControlSigma = Annotated[
 ]
 
 
+# Options of ``ingest`` that belong to --pair, and those that are for photographs and for --pair.
+_PAIR_OPTIONS: Final = ("--pair", "--homography", "--dsm", "--undulation", "--residual", "--set")
+_SHARED_OPTIONS: Final = ("--out", "--json")
+
+
+def _check_options(given: Sequence[str], pair: Path | None) -> None:
+    """Refuse options of --pair without --pair, and options of photographs with --pair."""
+    for_pairs = [name for name in given if name in _PAIR_OPTIONS]
+    for_photographs = [name for name in given if name not in (*_PAIR_OPTIONS, *_SHARED_OPTIONS)]
+    if pair is None and for_pairs:
+        raise InputError(f"{for_pairs[0]} is for two orthophotos: give --pair too")
+    if pair is not None and for_photographs:
+        raise InputError(f"{for_photographs[0]} is for photographs, not for --pair: leave it out")
+
+
 @app.command()
 # More than six parameters: each is an option or argument of the command.
 def ingest(
-    photographs: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PHOTOS",
-            help="Folder of JPEG files with GPS positions in their EXIF or in a table.",
-        ),
-    ],
+    context: typer.Context,
+    photographs: Photographs,
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
-    gps: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="Table of positions with the columns name,lat,lon,alt. Without it, positions are "
-            "read from EXIF.",
-        ),
-    ] = None,
+    gps: PositionTable = None,
     poses: GivenPoses = None,
     poses_frame: PosesFrame = None,
     add: AddTo = None,
@@ -113,29 +151,43 @@ def ingest(
     gcp_check: CheckPoints = None,
     gcp_sigma: ControlSigma = 0.05,
     camera: CameraWords = None,
-    size: Annotated[
-        int, typer.Option(help="Longer side of photographs in the scene, pixels.", min=64)
-    ] = 1600,
-    mapper: Annotated[
-        MapperName,
-        typer.Option(help="Structure from motion: one photograph after another, or all at once."),
-    ] = MapperName.INCREMENTAL,
-    split: Annotated[
-        SplitBy, typer.Option(help="What becomes queries: photographs, flight lines or nothing.")
-    ] = SplitBy.PHOTO,
-    every: Annotated[
-        int,
-        typer.Option(help="One in this many photographs or flight lines becomes a query.", min=2),
-    ] = 4,
+    size: LongerSide = 1600,
+    mapper: MapperOption = MapperName.INCREMENTAL,
+    split: SplitUnit = SplitBy.PHOTO,
+    every: EveryNth = 4,
+    pair: MapOrthophoto = None,
+    homography: Homography = None,
+    dsm: PairSurface = None,
+    undulation: Undulation = None,
+    residual: Residual = None,
+    overrides: Settings = None,
     as_json: Json = False,
 ) -> None:
     """Turn a folder of photographs with GPS positions into a scene.
 
     Writes SCENE with its map, the report ingest.json and a picture of the flight. The reference
     poses come from structure from motion over all photographs, aligned to GPS, from --poses, or
-    from the map of the scene that --add names. Without --camera, focal lengths are read from there
-    or from EXIF. An interrupted run goes on where it stopped.
+    from the map of the scene that --add names. Without --camera, focal lengths are read from
+    --poses, that scene or EXIF. An interrupted run goes on where it stopped.
+
+    With --pair, SCENE becomes a flight of two orthophotos of different dates.
     """
+    _check_options(list_given(context), pair)
+    if pair is not None:
+        from objconnect.mapping.pairs.command import ingest_pair
+
+        flight = ingest_pair(
+            pair,
+            photographs,
+            out,
+            homography=homography,
+            dsm=dsm,
+            undulation=undulation,
+            residual=residual,
+            options=load_config(PairQueryOptions, None, parse_settings(overrides)),
+        )
+        emit(flight, as_json)
+        return
     from objconnect.ingestion.command import ingest as run
     from objconnect.ingestion.options import IngestOptions
 
@@ -212,6 +264,72 @@ def export(
     emit(Summary(text, summary), as_json)
 
 
+Published = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SCENE", help="Scene, or folder of scenes, such as those that track renders."
+    ),
+]
+Layers = Annotated[
+    list[LayerName] | None,
+    typer.Option(
+        help="Dense layer to publish with each photograph; repeat the option for several.",
+    ),
+]
+License = Annotated[
+    str | None,
+    typer.Option(
+        "--license",
+        metavar="SPDX",
+        help="Licence of the data set, such as CC-BY-4.0. Scenes that show a real site need it.",
+        show_default="CC-BY-4.0 for invented sites",
+    ),
+]
+Creator = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Person or organization that made the data set.")
+]
+Url = Annotated[str | None, typer.Option(metavar="URL", help="Page of the data set.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing, and report the bytes.")]
+Sealed = Annotated[
+    bool, typer.Option("--sealed", help="Leave out the poses of queries (see track --sealed).")
+]
+Day = Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of publication.")]
+
+
+@app.command()
+# More than six parameters: each is an option or argument of the command.
+def publish(
+    scenes: Published,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="New or empty folder; its name is that of the data set."),
+    ],
+    layer: Layers = None,
+    license_id: License = None,
+    creator: Creator = None,
+    url: Url = None,
+    date: Day = None,
+    release: Annotated[
+        str, typer.Option(metavar="VERSION", help="Version of the data set.")
+    ] = "1.0.0",
+    dry_run: DryRun = False,
+    sealed: Sealed = False,
+    as_json: Json = False,
+) -> None:
+    """Write scenes as a data set that a hub takes, with a card and metadata.
+
+    DIR holds Parquet files of the photographs with their poses, cameras, priors and difficulty,
+    the maps, a data card, metadata in Croissant 1.1, preview pictures and checksums. It appears
+    when it is complete. evaluate reads it without Blender.
+    """
+    from benchmark.publishing.command import publish as run
+    from benchmark.publishing.description import Release
+
+    description = Release(license_id, creator, url, date, release)
+    layers = [name.value for name in layer or ()]
+    emit(run(scenes, out, layers, description, dry_run, sealed), as_json)
+
+
 @app.command()
 def validate(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene or flight to check.")],
@@ -225,7 +343,7 @@ def validate(
     """
     from benchmark.validation import validate as run
 
-    claim_folders([scene], cache)
+    check_folders([scene], cache)
     report = run(scene, cache)
     emit(report, as_json)
     if not report.ok:

@@ -1,4 +1,4 @@
-"""Commands that render scenes, the sites of a track, and chessboards."""
+"""Commands that render scenes, the places of a track, and chessboards."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Sessions = Annotated[
         "several. FLIGHT is nadir, grid, oblique, corridor, free, street, plan=FILE (a plan of "
         "QGroundControl) or flown=SCENE (the poses of a scene's photographs). ROLE is map or "
         "query; by default the first flight builds the map and the others are queries. CHANGE "
-        "changes the site, such as "
+        "changes the place, such as "
         "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
     ),
 ]
@@ -57,6 +57,23 @@ SiteTime = Annotated[
         metavar="TIME",
         help="When the photographs of the preset site were taken, such as 2026-07-01T10:30:00Z, "
         "to soften the shadows in them. By default the time of --from.",
+    ),
+]
+
+
+Flights = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        envvar="OBJCONNECT_REAL",
+        help="Folder of the flights of a track that is not rendered, such as real-seasons.",
+    ),
+]
+KeyFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="KEYFILE",
+        help="File of at least 16 random bytes, from which the seeds of sealed places follow.",
     ),
 ]
 
@@ -113,21 +130,21 @@ def simulate(
     from objconnect.scene.exports.export import export as write
     from objconnect.scene.storage.outputs import require_empty
     from simulate.command import simulate as run
-    from simulate.twin.report import REPORT, SiteReport
+    from simulate.twin.report import REPORT_FILE, SiteReport
 
     check_jobs(jobs, cluster)
     site = {"ortho": ortho, "dsm": dsm, "scene": from_scene, "classes": classes, "taken": taken}
     site_settings = {f"site.{name}": value for name, value in site.items()}
-    chosen = SimulateConfig.load(config, settings | site_settings | {"sessions": session})
+    chosen_config = SimulateConfig.load(config, settings | site_settings | {"sessions": session})
     target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
     if target is not None and file_format is not None:
         FORMATS.load(file_format)
         require_empty(target)
-    scene = run(chosen, out, jobs, cluster)
+    scene = run(chosen_config, out, jobs, cluster)
     text = f"{scene.path}: {', '.join(scene.sessions)}"
     values: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
-    if chosen.site is not None:
-        report = read_json(out / REPORT, SiteReport, "report of the site")
+    if chosen_config.site is not None:
+        report = read_json(out / REPORT_FILE, SiteReport, "report of the site")
         text = "\n".join((text, report.text()))
         values["site"] = report.model_dump(mode="json")
     if target is not None and file_format is not None:
@@ -148,14 +165,18 @@ def track(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of the scenes, one for each site.")
-    ],
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of the scenes, one for each place. A track of flights needs none.",
+        ),
+    ] = None,
     place: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PLACE",
-            help="Site to render, such as park-1; repeat the option for several.",
-            show_default="all sites",
+            help="Place to render, such as park-1; repeat the option for several.",
+            show_default="all places",
         ),
     ] = None,
     jobs: Jobs = 1,
@@ -175,22 +196,27 @@ def track(
             help="Record the digests and the difficulty of each query in the folder of --board.",
         ),
     ] = False,
+    flights: Flights = None,
+    sealed: KeyFile = None,
     as_json: Json = False,
 ) -> None:
-    """Render and map the sites of a leaderboard track.
+    """Render and map the places of a leaderboard track, or check its flights.
 
-    Prints one line per site: its digest, and whether the data set is the one behind the
-    leaderboard's results. Sites with streets are also exported in the layout of Extended CMU
-    Seasons. An interrupted run goes on where it stopped, and finished sites are not rendered again.
+    Prints one line per place: its digest, and whether the data set is the one behind the
+    leaderboard's results. Places with streets are also exported in the layout of Extended CMU
+    Seasons. An interrupted run goes on where it stopped, and finished places are not rendered
+    again.
     """
     from benchmark.tracks.command import track as run
-    from benchmark.tracks.description import BOARD
+    from benchmark.tracks.description import TRACKS_FOLDER
     from objconnect.scene.errors import InputError
 
     check_jobs(jobs, cluster)
     if update and board is None:
-        raise InputError("--update writes into the board: name its folder by --board")
-    emit(run(name, out, place or (), jobs, cluster, board or BOARD, update), as_json)
+        raise InputError("--update records into a folder of tracks: name it with --board")
+    tracks_folder = board or TRACKS_FOLDER
+    report = run(name, out, place or (), jobs, cluster, tracks_folder, update, flights, sealed)
+    emit(report, as_json)
 
 
 @app.command()
@@ -205,7 +231,7 @@ def calibrate(
         ),
     ] = None,
     views: Annotated[int, typer.Option(help="Number of chessboard views.", min=4, max=1000)] = 20,
-    seed: Annotated[int, typer.Option(help="Random seed of the board's poses.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the chessboard's poses.", min=0)] = 0,
     as_json: Json = False,
 ) -> None:
     """Calibrate the simulated camera from rendered chessboards.
@@ -217,7 +243,7 @@ def calibrate(
     from simulate.calibration import calibrate as run
     from simulate.camera.lens import CameraConfig
 
-    scene = SimulateConfig()
-    chosen = None if camera is None else load_config(CameraConfig, camera, {})
-    truth = chosen.build(scene.size) if chosen else scene.photo_camera()
+    defaults = SimulateConfig()
+    camera_config = None if camera is None else load_config(CameraConfig, camera, {})
+    truth = camera_config.build(defaults.size) if camera_config else defaults.photo_camera()
     emit(run(truth, out, views, seed), as_json)

@@ -56,7 +56,7 @@ def refuse_taken_options(command: Any, words: Sequence[str]) -> None:
             continue
         value = next(following, None)
         if value is not None and value.partition("=")[0] in options:
-            raise InputError(f"{word} has no value: {value} follows it")
+            raise InputError(f"{word} has no value: {value} follows it; give {word} a value")
 
 
 def _options(command: Any) -> dict[str, Any]:

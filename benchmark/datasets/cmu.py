@@ -1,7 +1,7 @@
 """Reader of Extended CMU Seasons: the slices whose query poses are public.
 
-The reader takes the download as it is. In some points it differs from its README and from public
-loaders: pose files hold the camera's centre, not a translation; the name of each image states its
+The reader takes the download as it is, which differs from its README and from what public loaders
+expect: pose files hold the camera's centre, not a translation; the name of each image states its
 camera, c0 or c1; pose files may be empty; images are distorted, although an example calls them
 "rect"; the reference traversal is that of April 21, 2011, as its timestamps show.
 """
@@ -9,15 +9,15 @@ camera, c0 or c1; pose files may be empty; images are distorted, although an exa
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
 from objconnect.scene.errors import InputError
-from objconnect.scene.exports.cmu_names import CAMERAS, SIMULATED, ImageName, surroundings
+from objconnect.scene.exports.cmu_names import CAMERAS, SIMULATED_HEADER, ImageName, surroundings
 from objconnect.scene.flights.textfiles import read_cameras, read_poses
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -27,8 +27,9 @@ from objconnect.scene.storage.listing import list_files
 
 TRACK: Final = "cmu"
 SIMULATED_TRACK: Final = "cmu-sim"
+INTRINSICS: Final = "intrinsics.txt"
+"""Name of the file of the cameras."""
 
-_INTRINSICS: Final = "intrinsics.txt"
 _SLICE: Final = re.compile(r"slice(\d+)")
 
 # Descriptions of the days in the data set's README; other days are named by their date alone.
@@ -49,10 +50,14 @@ _DAYS: Final = {
 
 def is_cmu(path: Path) -> bool:
     """Return whether a folder is the data set, or one slice of it."""
+    root = root_of(path)
+    return (root / INTRINSICS).is_file() and bool(slice_folders(root))
+
+
+def root_of(path: Path) -> Path:
+    """Return the folder of the data set that a path is, or that the slice at a path is in."""
     root = path.resolve()
-    if _SLICE.fullmatch(root.name):
-        root = root.parent
-    return (root / _INTRINSICS).is_file() and bool(_slices(root))
+    return root.parent if _SLICE.fullmatch(root.name) else root
 
 
 def open_cmu(path: Path) -> list[Dataset]:
@@ -62,10 +67,13 @@ def open_cmu(path: Path) -> list[Dataset]:
         InputError: a file is missing or wrong, a name is not one of this data set, or no slice has
             a public query pose.
     """
-    folders, cameras = _find(path)
+    folders, cameras = _find_slices(path)
     datasets = [d for folder in folders if (d := _open_slice(folder, cameras)) is not None]
     if not datasets:
-        raise InputError(f"{path} has no public query pose in any camera-poses folder")
+        raise InputError(
+            f"{path} has no public query pose in any camera-poses folder: for slices with hidden "
+            "poses, use submit"
+        )
     return datasets
 
 
@@ -73,7 +81,7 @@ class CmuReader:
     """Reads Extended CMU Seasons; see ``benchmark.datasets.open.Reader``."""
 
     name = "cmu"
-    holds = f"{_INTRINSICS} and slice folders (Extended CMU Seasons)"
+    holds = f"{INTRINSICS} and slice folders (Extended CMU Seasons)"
 
     def is_one(self, path: Path) -> bool:
         """Return whether a path is the folder of the data set, or of one slice of it."""
@@ -87,7 +95,7 @@ class CmuReader:
 READER: Final = CmuReader()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Slice:
     """The query images of a slice, whether their poses are public or hidden.
 
@@ -105,6 +113,10 @@ class Slice:
         """Return the camera that the name of an image states."""
         return self.cameras[ImageName.parse(name).camera]
 
+    def restrict(self, names: Collection[str]) -> Slice:
+        """Return the slice with those query images alone that are among some names."""
+        return replace(self, queries=tuple(name for name in self.queries if name in names))
+
 
 def open_slices(path: Path) -> list[Slice]:
     """Find every slice with query images, or open the one slice that a path names.
@@ -114,32 +126,60 @@ def open_slices(path: Path) -> list[Slice]:
             query image.
     """
     if not is_cmu(path):
-        raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
-    folders, cameras = _find(path)
+        raise InputError(
+            f"{path} is not Extended CMU Seasons, nor a slice of it: give the folder that holds "
+            f"{INTRINSICS}, or one of its slices"
+        )
+    folders, cameras = _find_slices(path)
     slices = []
     for folder in folders:
-        photographs = folder / "query"
-        images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
-        names = tuple(image.name for image in images)
+        names = list_queries(folder)
         for name in names:
             ImageName.parse(name)
         if names:
             slices.append(Slice(folder, names, cameras))
     if not slices:
-        raise InputError(f"{path} holds no query image")
+        raise InputError(f"{path} holds no query image: add the folders slice*/query")
     return slices
 
 
-def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
+def _find_slices(path: Path) -> tuple[list[Path], dict[str, Camera]]:
     """Return the folders of the slices at a path, and the two cameras."""
-    root = path.resolve()
-    chosen = _slices(root)
-    if _SLICE.fullmatch(root.name):
-        chosen, root = [root], root.parent
-    cameras = read_cameras(root / _INTRINSICS)
+    return slice_folders(path), read_intrinsics(root_of(path))
+
+
+def list_queries(folder: Path) -> tuple[str, ...]:
+    """Return the names of the query images of a slice, sorted; of no image without a folder."""
+    photographs = folder / "query"
+    images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
+    return tuple(image.name for image in images)
+
+
+def path_of_test_list(folder: Path) -> Path:
+    """Return the path of the list of a slice's test images."""
+    return folder / f"test-images-{folder.name}.txt"
+
+
+def read_test_list(folder: Path) -> set[str]:
+    """Read the names in the list of a slice's test images, one on each line.
+
+    Raises:
+        InputError: the file is missing or no text.
+    """
+    text = read_text(path_of_test_list(folder), "list of test images")
+    return {line.strip() for line in text.splitlines()} - {""}
+
+
+def read_intrinsics(root: Path) -> dict[str, Camera]:
+    """Read the cameras c0 and c1.
+
+    Raises:
+        InputError: the file is missing or wrong, or has other cameras.
+    """
+    cameras = read_cameras(root / INTRINSICS)
     if set(cameras) != set(CAMERAS):
-        raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
-    return chosen, cameras
+        raise InputError(f"{root / INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
+    return cameras
 
 
 def condition(name: str) -> str:
@@ -152,8 +192,11 @@ def condition(name: str) -> str:
     return f"{day} {_DAYS[day]}" if day in _DAYS else day
 
 
-def _slices(root: Path) -> list[Path]:
-    """Return the slice folders, sorted by number."""
+def slice_folders(path: Path) -> list[Path]:
+    """Return the folders of all slices, sorted by number, or of the one slice that a path is."""
+    root = path.resolve()
+    if _SLICE.fullmatch(root.name):
+        return [root]
     numbered = {
         int(match.group(1)): folder
         for folder in root.glob("slice*")
@@ -162,20 +205,33 @@ def _slices(root: Path) -> list[Path]:
     return [numbered[number] for number in sorted(numbered)]
 
 
-def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
-    """Open one slice, or return None when none of its query poses is public."""
+def read_references(poses: Path) -> dict[str, Pose]:
+    """Read the public query poses in the folder ``camera-poses`` of a slice, by image.
+
+    Raises:
+        InputError: a file is wrong, or two files have a pose of one image.
+    """
     references: dict[str, Pose] = {}
-    listed = folder / "camera-poses"
-    for file in list_files(listed, (".txt",)) if listed.is_dir() else []:
+    for file in list_files(poses, (".txt",)) if poses.is_dir() else []:
         for name, pose in read_poses(file, centres=True).items():
             if name in references:
-                raise InputError(f"{file}: {name} has a pose in another file already")
+                raise InputError(f"{file}: {name} has a pose in another file already: remove one")
             references[name] = pose
+    return references
+
+
+def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
+    """Open one slice, or return None when none of its query poses is public."""
+    pose_folder = folder / "camera-poses"
+    references = read_references(pose_folder)
     if not references:
         return None
     for name in references:
         if not (folder / "query" / name).is_file():
-            raise InputError(f"{folder / 'query' / name} does not exist, but {listed} has its pose")
+            raise InputError(
+                f"{folder / 'query' / name} does not exist, but {pose_folder} has its pose: add "
+                "the image, or remove the pose"
+            )
     sparse_map = read_model(folder / "sparse")
     queries = tuple(
         BenchmarkQuery(
@@ -204,5 +260,5 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
 
 def _track(root: Path) -> str:
     """Return the track: simulated photographs, or those of the data set itself."""
-    simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
+    simulated = read_text(root / INTRINSICS, "cameras").startswith(SIMULATED_HEADER)
     return SIMULATED_TRACK if simulated else TRACK

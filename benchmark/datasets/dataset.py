@@ -1,4 +1,4 @@
-"""The types of a data set: a map, and queries whose poses are known.
+"""The types of a data set: a map, and queries whose poses are known or sealed.
 
 The readers beside this module build them from the files of each kind of data set.
 """
@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.datasets.courses import find_courses
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
@@ -21,10 +25,13 @@ from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.names import is_utf8
 
+if TYPE_CHECKING:  # it loads torch
+    from objconnect.scene.geometry.pose import Pose
+
 
 @dataclass(frozen=True)
-class BenchmarkQuery:
-    """A query and its reference pose, which no localizer sees.
+class TaskQuery:
+    """A query without its reference pose.
 
     Attributes:
         name: unique within the data set.
@@ -33,7 +40,6 @@ class BenchmarkQuery:
         camera: calibrated.
         image: file of the photograph.
         prior: starting information, or None where the data set has none for this query.
-        reference: ``cam_from_world`` that an estimate is scored against.
     """
 
     name: str
@@ -42,7 +48,6 @@ class BenchmarkQuery:
     camera: Camera
     image: Path
     prior: Prior | None
-    reference: Pose
 
     def load(self, prior: Prior | None = None, references: tuple[str, ...] | None = None) -> Query:
         """Read the photograph and return the query as a localizer gets it.
@@ -59,8 +64,24 @@ class BenchmarkQuery:
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """A map, and queries with reference poses.
+class BenchmarkQuery(TaskQuery):
+    """A query and its reference pose, which no localizer sees.
+
+    Attributes:
+        reference: ``cam_from_world`` that an estimate is scored against.
+    """
+
+    reference: Pose
+
+    def without_reference(self) -> TaskQuery:
+        """Return the query without its reference pose."""
+        values = vars(self)
+        return TaskQuery(**{each.name: values[each.name] for each in fields(TaskQuery)})
+
+
+@dataclass(frozen=True)
+class Task:
+    """A map and queries. A method can localize them; nothing here says whether it is right.
 
     Attributes:
         name: name of the data set and of the folder of its results.
@@ -83,7 +104,7 @@ class Dataset:
     model: Path
     load_map: Callable[[], SparseMap]
     images: Path
-    queries: tuple[BenchmarkQuery, ...]
+    queries: tuple[TaskQuery, ...]
 
     def __post_init__(self) -> None:
         """Check that a results file can hold every name.
@@ -98,4 +119,30 @@ class Dataset:
     @cached_property
     def sha256(self) -> str:
         """Digest of all parts, their names and their order; one changed byte changes it."""
-        return sha256(json.dumps(list(self.parts.items())))
+        return digest_of_parts(self.parts)
+
+
+@dataclass(frozen=True)
+class Dataset(Task):
+    """A map, and queries with reference poses.
+
+    Attributes:
+        unjudged: thresholds, as ``0.25 m 2°``, and ``1 m`` for the bound of wrong answers, that the
+            reference poses are too inexact for.
+    """
+
+    queries: tuple[BenchmarkQuery, ...]
+    unjudged: tuple[str, ...] = ()
+
+    @cached_property
+    def courses(self) -> dict[str, str]:
+        """Course of each flight or drive by the group of its queries, see ``find_courses``."""
+        centres: dict[str, list[NDArray[np.float64]]] = {}
+        for query in self.queries:
+            centres.setdefault(query.group, []).append(query.reference.centre().numpy())
+        return find_courses({group: np.stack(rows) for group, rows in centres.items()})
+
+
+def digest_of_parts(parts: Mapping[str, str]) -> str:
+    """Return the digest of a data set from the digests of its parts."""
+    return sha256(json.dumps(list(parts.items())))

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
+from benchmark.scoring.score import list_unjudged
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.origin import read_origin
 from objconnect.scene.flights.priors import AssumedSigmas, MapFrame, PriorTable
+from objconnect.scene.flights.reference_error import read_reference_error
 from objconnect.scene.flights.textfiles import (
     read_cameras,
     read_conditions,
@@ -30,13 +32,14 @@ from objconnect.scene.maps.sparse_map import SparseMap
 TRACK: Final = "flight"
 SPARSE_SUFFIX: Final = "-sparse"
 
-# Without a table of conditions, map and queries come from one flight: season and light are equal.
-_CONDITION: Final = "same-flight"
+# Condition of all photographs of a flight without a table of conditions: map and queries count as
+# photographs of one flight, under the same season and light.
+_DEFAULT_CONDITION: Final = "same-flight"
 
 # Fewer residuals than this do not tell how accurate the GPS is.
 _MIN_FIXES = 3
 # A sigma of zero would make a prior that no measurement can move.
-_MIN_SIGMA = 0.01
+_MIN_SIGMA_M = 0.01
 
 
 def is_flight(path: Path) -> bool:
@@ -59,10 +62,10 @@ def open_flight(path: Path, sparse: bool = False) -> list[Dataset]:
     name = path.resolve().name
     hard = path / "sparse" / "map_sparse"
     if sparse:
-        return [_open(path, name + SPARSE_SUFFIX, hard, "_sparse")]
-    datasets = [_open(path, name, path / "sparse" / "map", "")]
+        return [_open_split(path, name + SPARSE_SUFFIX, hard, "_sparse")]
+    datasets = [_open_split(path, name, path / "sparse" / "map", "")]
     if hard.exists():
-        datasets.append(_open(path, name + SPARSE_SUFFIX, hard, "_sparse"))
+        datasets.append(_open_split(path, name + SPARSE_SUFFIX, hard, "_sparse"))
     return datasets
 
 
@@ -76,15 +79,15 @@ class FlightReader:
         """Return whether a path is a flight's folder, or that folder with the ending "-sparse"."""
         if path.is_dir():
             return is_flight(path)
-        whole = _without_suffix(path)
-        return whole != path and is_flight(whole)
+        folder = _without_suffix(path)
+        return folder != path and is_flight(folder)
 
     def open(self, path: Path) -> list[Dataset]:
         """Open a flight; ``open_flight`` says which errors are raised."""
         if path.is_dir():
             return open_flight(path)
-        opened = open_flight(_without_suffix(path), sparse=True)
-        return [dataset for dataset in opened if dataset.name == path.name]
+        datasets = open_flight(_without_suffix(path), sparse=True)
+        return [dataset for dataset in datasets if dataset.name == path.name]
 
 
 READER: Final = FlightReader()
@@ -95,7 +98,7 @@ def _without_suffix(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
 
 
-def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
+def _open_split(path: Path, name: str, model: Path, ending: str) -> Dataset:
     """Open one split of a flight.
 
     Args:
@@ -109,21 +112,32 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     cameras = read_cameras(query_list)
     references = read_poses(pose_file)
     if not cameras:
-        raise InputError(f"{query_list} lists no query")
+        raise InputError(f"{query_list} lists no query: add lines NAME MODEL WIDTH HEIGHT PARAMS")
     for query in cameras.keys() - references.keys():
-        raise InputError(f"{query_list}: query {query} has no reference pose in {pose_file}")
+        raise InputError(
+            f"{query_list}: query {query} has no reference pose in {pose_file}: add the pose, or "
+            "remove the query"
+        )
     for query in references.keys() - cameras.keys():
-        raise InputError(f"{pose_file}: {query} is not a query of {query_list}")
+        raise InputError(
+            f"{pose_file}: {query} is not a query of {query_list}: add the query, or remove the "
+            "pose"
+        )
     images = path / "images"
     for query in cameras:
         if not (images / query).is_file():
-            raise InputError(f"image {images / query} does not exist, but {query_list} lists it")
+            raise InputError(
+                f"image {images / query} does not exist, but {query_list} lists it: add the image, "
+                "or remove the query"
+            )
 
     sparse_map = read_model(model)
     for query in cameras.keys() & sparse_map.images.keys():
-        raise InputError(f"{query_list}: query {query} is a photograph of the map {model}")
+        raise InputError(
+            f"{query_list}: query {query} is a photograph of the map {model}: remove the query"
+        )
     priors = _priors(path, sparse_map, {*cameras, *sparse_map.images})
-    conditions = _conditions(path, sparse_map.images.keys(), cameras.keys())
+    conditions = photograph_conditions(path, sparse_map.images.keys(), cameras.keys())
     queries = tuple(
         BenchmarkQuery(
             query,
@@ -145,18 +159,30 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
         load_map=lambda: sparse_map,
         images=images,
         queries=queries,
+        unjudged=_list_unjudged(path),
     )
 
 
-def _conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, str]:
+def _list_unjudged(path: Path) -> tuple[str, ...]:
+    """Return the thresholds that the reference poses of a flight are too inexact for."""
+    error = read_reference_error(path)
+    return () if error is None else list_unjudged(error)
+
+
+def photograph_conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, str]:
     """Return the condition of each photograph of the map and of each query.
+
+    Args:
+        path: folder of the flight.
+        mapped: names of the map's photographs.
+        queries: names of the queries.
 
     Raises:
         InputError: the table of conditions is wrong, or lacks one of them.
     """
     photographs, table = sorted({*mapped, *queries}), path / "conditions.csv"
     if not os.path.lexists(table):
-        return dict.fromkeys(photographs, _CONDITION)
+        return dict.fromkeys(photographs, _DEFAULT_CONDITION)
     conditions = read_conditions(table)
     require_same_case(table, conditions, photographs)
     for name in photographs:
@@ -167,12 +193,12 @@ def _conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, st
 
 def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
     """Return the prior of each photograph that has one."""
-    # lexists: a broken link is an error, because somebody meant the file to be read.
+    # lexists is true of a broken link, which is then an error instead of a missing file.
     if os.path.lexists(path / "priors.csv"):
-        stated = read_priors(path / "priors.csv")
-        require_same_case(path / "priors.csv", stated.rows, photographs)
+        table = read_priors(path / "priors.csv")
+        require_same_case(path / "priors.csv", table.rows, photographs)
         frame = MapFrame.of(sparse_map, read_origin(path))
-        return stated.priors(frame, photographs, _assume_sigmas(stated, frame, sparse_map))
+        return table.priors(frame, photographs, _assume_sigmas(table, frame, sparse_map))
     if not os.path.lexists(path / "gps.csv"):
         return {}
     fixes = read_gps(path / "gps.csv")
@@ -181,11 +207,11 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
     return {name: Prior(position, sigma) for name, position in fixes.items()}
 
 
-def _assume_sigmas(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> AssumedSigmas:
+def _assume_sigmas(table: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> AssumedSigmas:
     """Return the standard deviations to assume for priors whose table states none."""
-    if stated.states_all_sigmas:
+    if table.states_all_sigmas:
         return AssumedSigmas()
-    sigma = gps_sigma(stated.positions(frame, sparse_map.images), sparse_map)
+    sigma = gps_sigma(table.positions(frame, sparse_map.images), sparse_map)
     return AssumedSigmas(sigma, source_m="they are measured on the photographs of the map")
 
 
@@ -213,4 +239,4 @@ def gps_sigma(
     if len(residuals) < _MIN_FIXES:
         return None
     rms = np.sqrt(np.square(np.stack(residuals)).mean(0))
-    return np.asarray(np.maximum(rms, _MIN_SIGMA))
+    return np.asarray(np.maximum(rms, _MIN_SIGMA_M))

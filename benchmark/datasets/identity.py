@@ -12,19 +12,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset, Task, TaskQuery, digest_of_parts
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES
 from objconnect.scene.storage.digests import digests, digests_in, sha256
+from objconnect.scene.storage.jpeg import read_bare_jpeg
+from objconnect.scene.storage.names import name_some
 
-# Digest of a map photograph that does not exist: methods that need it report it themselves.
+# Digest of a map photograph that does not exist. A method that needs the photograph reports it.
 _MISSING: Final = "missing"
-# Number of parts that a message names when more differ.
-_NAMED: Final = 3
 
 
 def parts_of(
-    model: Path, images: Path, map_names: Iterable[str], queries: Sequence[BenchmarkQuery]
+    model: Path, images: Path, map_names: Iterable[str], queries: Sequence[TaskQuery]
 ) -> dict[str, str]:
     """Return digests of everything a data set is made of, by descriptive names.
 
@@ -37,28 +37,48 @@ def parts_of(
     Raises:
         InputError: a photograph of a query or a file of the map is missing or cannot be read.
     """
-    parts = {f"map file {name}": of for name, of in digests_in(model, MODEL_FILES).items()}
+    parts = {f"map file {name}": digest for name, digest in digests_in(model, MODEL_FILES).items()}
     photographs = digests_in(images, sorted(map_names), _MISSING)
-    parts |= {f"map photograph {name}": of for name, of in photographs.items()}
+    parts |= {f"map photograph {name}": digest for name, digest in photographs.items()}
     query_digests = digests(query.image for query in queries)
     for query, photograph in zip(queries, query_digests, strict=True):
-        parts[f"query photograph {query.name}"] = photograph
-        parts[f"condition, camera, prior or reference pose of {query.name}"] = _digest_values(query)
+        parts |= _parts_of_query(query, photograph)
     return parts
 
 
-def changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
+def sealed_sha256(dataset: Dataset) -> str:
+    """Return the digest of the public half of a data set whose query poses are sealed.
+
+    It covers no reference pose, and the photographs of the queries without their metadata.
+
+    Raises:
+        InputError: a photograph of a query is no JPEG file, or cannot be read.
+    """
+    parts = {part: digest for part, digest in dataset.parts.items() if part.startswith("map ")}
+    for query in dataset.queries:
+        photograph = sha256(read_bare_jpeg(query.image))
+        parts |= _parts_of_query(query.without_reference(), photograph)
+    return digest_of_parts(parts)
+
+
+def _parts_of_query(query: TaskQuery, photograph: str) -> dict[str, str]:
+    values = "prior or reference pose" if isinstance(query, BenchmarkQuery) else "or prior"
+    return {
+        f"query photograph {query.name}": photograph,
+        f"condition, camera, {values} of {query.name}": digest_values(query),
+    }
+
+
+def describe_changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
     """Describe in words which parts differ; the text is empty when none does."""
-    every = dict.fromkeys([*before, *after])
-    differing = [part for part in every if before.get(part) != after.get(part)]
+    parts = dict.fromkeys([*before, *after])
+    differing = [part for part in parts if before.get(part) != after.get(part)]
     if not differing and list(before) != list(after):
         return "the order of the queries"
-    named = ", ".join(differing[:_NAMED])
-    more = len(differing) - _NAMED
-    return f"{named} and {more} more" if more > 0 else named
+    return name_some(differing)
 
 
-def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
+def require_unchanged(dataset: Task, map_names: Iterable[str]) -> None:
     """Refuse a data set that has changed since it was opened.
 
     Args:
@@ -69,20 +89,24 @@ def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
         InputError: the data set has changed, or ``parts_of`` raises it.
     """
     now = parts_of(dataset.model, dataset.images, map_names, dataset.queries)
-    if changed := changes(dataset.parts, now):
-        raise InputError(f"the data set {dataset.name} was changed during the run: {changed}")
+    if changed := describe_changes(dataset.parts, now):
+        raise InputError(
+            f"the data set {dataset.name} was changed during the run: {changed}; run again"
+        )
 
 
-def _digest_values(query: BenchmarkQuery) -> str:
-    """Return the digest of a query's condition, camera, prior and reference pose.
+def digest_values(query: TaskQuery) -> str:
+    """Return the digest of a query's condition, camera, prior and, if it is known, reference pose.
 
     Numbers are rounded to nine decimals, because their last bits depend on the processor.
     """
-    reference, prior = query.reference, query.prior
-    values: list[list[float] | None] = [
-        reference.rotation.flatten().tolist(),
-        reference.translation.tolist(),
-    ]
+    values: list[list[float] | None] = []
+    if isinstance(query, BenchmarkQuery):
+        values += [
+            query.reference.rotation.flatten().tolist(),
+            query.reference.translation.tolist(),
+        ]
+    prior = query.prior
     if prior is not None:
         sigma, attitude = prior.position_sigma, prior.cam_from_world_rotation
         values += [

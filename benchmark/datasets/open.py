@@ -43,9 +43,11 @@ READERS: Final[Registry[Reader]] = Registry(
     "reader",
     "objconnect.datasets",
     {
+        "published": Lazy("benchmark.publishing.reader:READER"),
         "scene": Lazy("benchmark.datasets.simulated:READER"),
         "cmu": Lazy("benchmark.datasets.cmu:READER"),
         "flight": Lazy("benchmark.datasets.flight:READER"),
+        "aerialextrematch": Lazy("benchmark.datasets.aerialextrematch:READER"),
     },
     accepts=lambda reader: isinstance(reader, Reader),
 )
@@ -54,7 +56,8 @@ READERS: Final[Registry[Reader]] = Registry(
 def open_datasets(path: Path) -> list[Dataset]:
     """Open the data sets of a path with the first reader that knows it.
 
-    A scene is one data set. A flight is one, or two with its hard split, whose name ends in
+    A scene is one data set, and a published folder or ``hf://OWNER/NAME@COMMIT`` one for each of
+    its scenes. A flight is one, or two with its hard split, whose name ends in
     ``-sparse``; a path with that ending opens the hard split alone. Extended CMU Seasons is one
     data set for each slice with public query poses; the folder of a slice opens it alone.
 
@@ -64,16 +67,21 @@ def open_datasets(path: Path) -> list[Dataset]:
     Raises:
         InputError: the path does not exist, no reader knows it, or anything inside it is wrong.
     """
-    is_folder = path.is_dir()
-    readers = []
+    reader = reader_of(path)
+    if reader is not None:
+        with READERS.blame(reader.name, f"cannot read {path}"):
+            return reader.open(path)
+    if not path.exists():
+        raise InputError(f"data set {path} does not exist: check the path")
+    kinds = ", nor ".join(READERS.load(name).holds for name in READERS)
+    raise InputError(f"{path} is not a data set: it has neither {kinds}")
+
+
+def reader_of(path: Path) -> Reader | None:
+    """Return the first reader that knows a path; None if there is none."""
     for name in READERS:
         reader = READERS.load(name)
         with READERS.blame(name, f"cannot read {path}"):
             if reader.is_one(path):
-                return reader.open(path)
-        readers.append(reader)
-    if not is_folder:
-        raise InputError(f"data set {path} does not exist")
-    raise InputError(
-        f"{path} is not a data set: it has neither {', nor '.join(r.holds for r in readers)}"
-    )
+                return reader
+    return None

@@ -1,6 +1,6 @@
 """Reader of scenes.
 
-Simulated scenes have exact reference poses and show one site under many conditions. Scenes of real
+Simulated scenes have exact reference poses and show one place under many conditions. Scenes of real
 photographs have reference poses from structure from motion.
 """
 
@@ -33,11 +33,16 @@ def open_scene(path: Path) -> Dataset:
     scene = Scene.open(path)
     queries = tuple(query for session in scene.splits.queries for query in _queries(scene, session))
     if not queries:
-        raise InputError(f"scene {path} has no query: its splits name map frames only")
+        raise InputError(
+            f"scene {path} has no query: its splits name map frames only; make a scene with a "
+            "session or photographs of role query"
+        )
     sparse_map = scene.sparse_map()
     for query in queries:
         if query.name in sparse_map.images:
-            raise InputError(f"scene {path}: query {query.name} is a photograph of the map")
+            raise InputError(
+                f"scene {path}: query {query.name} is a photograph of the map: build the map again"
+            )
     return Dataset(
         name=scene.name,
         track=TRACK if scene.manifest.reference == "exact" else FLIGHT,
@@ -74,17 +79,42 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
     row_of = {name: row for row, name in enumerate(frames.names)}
     for name in scene.splits.queries[session]:
         if name not in row_of:
-            raise InputError(f"scene {scene.path}: query {name} is no frame of session {session}")
-        row = row_of[name]
-        yield BenchmarkQuery(
-            name=name,
-            condition=scene.sessions[session].condition,
-            group=session,
-            camera=frames.cameras[row],
-            image=scene.images_root / name,
-            prior=_prior(frames, row, f"scene {scene.path}: prior of {name}"),
-            reference=Pose.from_matrix(frames.cam_from_world[row]),
-        )
+            raise InputError(
+                f"scene {scene.path}: query {name} is no frame of session {session}: remove it "
+                "from splits.json"
+            )
+        condition = scene.sessions[session].condition
+        image = scene.images_root / name
+        where = f"scene {scene.path}"
+        yield query_of(frames, row_of[name], image, session, condition, where)
+
+
+def query_of(
+    frames: Frames, row: int, image: Path, session: str, condition: str, where: str
+) -> BenchmarkQuery:
+    """Return a frame of a scene as a query.
+
+    Args:
+        frames: frames of a session.
+        row: row of the frame.
+        image: file of the photograph.
+        session: name of the session.
+        condition: its condition.
+        where: the scene, for messages.
+
+    Raises:
+        InputError: the attitude of its prior is not a rotation, or the position is not finite.
+    """
+    name = frames.names[row]
+    return BenchmarkQuery(
+        name=name,
+        condition=condition,
+        group=session,
+        camera=frames.cameras[row],
+        image=image,
+        prior=_prior(frames, row, f"{where}: prior of {name}"),
+        reference=Pose.from_matrix(frames.cam_from_world[row]),
+    )
 
 
 def _prior(frames: Frames, row: int, what: str) -> Prior | None:
@@ -113,5 +143,7 @@ def _condition(scene: Scene, name: str) -> str:
     """Return the condition of a photograph; its session is the first part of its name."""
     session = name.split("/")[0]
     if session not in scene.sessions:
-        raise InputError(f"scene {scene.path}: map image {name} belongs to no session")
+        raise InputError(
+            f"scene {scene.path}: map image {name} belongs to no session: build the map again"
+        )
     return scene.sessions[session].condition

@@ -20,16 +20,18 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Final, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.evaluation.evaluate import require_folder
 from benchmark.evaluation.scored_query import score_query
 from benchmark.evaluation.starts import move_prior
-from benchmark.results.query_result import MOST, QueryResult
+from benchmark.results.query_result import MAX_STORED, QueryResult
 from benchmark.results.results import DatasetId
 from benchmark.results.results_files import BASIN, method_in
-from benchmark.scoring.score import THRESHOLDS, is_correct, wilson
+from benchmark.scoring.intervals import share_of_counts
+from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.scoring.summary import Recall
 from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.provenance import Environment, Method
@@ -45,7 +47,7 @@ from objconnect.scene.storage.scratch import cache_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
-Count = Annotated[int, Field(ge=0, le=MOST)]
+Count = Annotated[int, Field(ge=0, le=MAX_STORED)]
 
 
 class Size(NamedTuple):
@@ -63,6 +65,13 @@ DEFAULT_SIZES: Final = tuple(
 )
 
 
+class CourseCounts(Record):
+    """The queries of one course, and how many are correct by the key of a threshold."""
+
+    queries: int = Field(ge=1, le=MAX_STORED)
+    correct: dict[str, Count]
+
+
 class Level(Record):
     """The counts of one size of error.
 
@@ -73,28 +82,42 @@ class Level(Record):
         failed: number of queries without a pose.
         fallback: number of queries whose pose is only the prior's; they count as wrong.
         correct: number of correct queries by the key of a threshold, such as "0.25m_2deg".
+        by_course: number of queries and of correct ones in each course; None in files of earlier
+            versions, whose recalls have no intervals.
     """
 
     prior_t_m: float = Field(ge=0)
     prior_r_deg: float = Field(ge=0)
-    queries: int = Field(ge=1, le=MOST)
+    queries: int = Field(ge=1, le=MAX_STORED)
     failed: Count
     fallback: Count
     correct: dict[str, Count]
+    by_course: dict[str, CourseCounts] | None = None
 
     @model_validator(mode="after")
     def _adds_up(self) -> Level:
-        if set(self.correct) != {threshold.key for threshold in THRESHOLDS}:
-            raise ValueError(f"thresholds are {sorted(self.correct)}")
+        keys = {threshold.key for threshold in THRESHOLDS}
+        if set(self.correct) != keys:
+            raise ValueError(f"the thresholds are {sorted(self.correct)}, not {sorted(keys)}")
         if max(self.correct.values()) + self.failed + self.fallback > self.queries:
-            raise ValueError("more answers than queries")
+            raise ValueError("correct, failed and fallback queries are more than all queries")
+        if self.by_course is not None:
+            counts = self.by_course.values()
+            summed = {key: sum(c.correct.get(key, 0) for c in counts) for key in self.correct}
+            if summed != self.correct or sum(c.queries for c in counts) != self.queries:
+                raise ValueError("the counts by course do not add up to those of all queries")
         return self
 
     def recall(self, threshold: str) -> Recall:
-        """Return the percentage of correct queries with its Wilson 95 % interval."""
-        correct = self.correct[threshold]
-        low, high = wilson(correct, self.queries)
-        return Recall(value=100 * correct / self.queries, low=100 * low, high=100 * high)
+        """Return the percentage of correct queries with its 95 % interval by course."""
+        if self.by_course is None:
+            return Recall(value=100 * self.correct[threshold] / self.queries, low=None, high=None)
+        counts = self.by_course.values()
+        interval = share_of_counts(
+            np.array([c.correct[threshold] for c in counts], np.float64),
+            np.array([c.queries for c in counts], np.int64),
+        )
+        return Recall(**interval._asdict())
 
 
 class Basin(Record):
@@ -112,7 +135,7 @@ class Basin(Record):
         lines = []
         for level in self.levels:
             recalls = [
-                f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}] % at {threshold}"
+                f"{recall.text()} % at {threshold}"
                 for threshold in THRESHOLDS
                 for recall in [level.recall(threshold.key)]
             ]
@@ -142,7 +165,7 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
                 f"an attitude error is at most 180 degrees; got {size.degrees:g} degrees"
             )
         if size in sizes:
-            raise InputError(f"the error {size} is listed twice")
+            raise InputError(f"the error {size} is listed twice: list it once")
         sizes.append(size)
     return tuple(sizes)
 
@@ -179,7 +202,7 @@ def basin(
     require_folder(out)
     target = basin_path(out, dataset, localizer)
     check_outputs([target], within=out)
-    method_in(target)
+    method_in(target)  # another program's file must not be replaced
     sparse_map = dataset.load_map()
     with cache_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)
@@ -195,14 +218,16 @@ def basin(
                 began = perf_counter()
                 estimate = localize_safely(localizer, replace(loaded, prior=prior))
                 seconds = perf_counter() - began
-                answers[level].append(score_query(query, estimate, sparse_map, seconds))
+                course = dataset.courses[query.group]
+                answer = score_query(query, course, estimate, sparse_map, seconds)
+                answers[level].append(answer)
                 advance(number * len(sizes) + level + 1)
     result = Basin(
         method=Method.of(localizer),
         dataset=DatasetId.of(dataset),
         seed=seed,
         environment=Environment.current(),
-        levels=tuple(_level(*pair) for pair in zip(sizes, answers, strict=True)),
+        levels=tuple(_count_level(*pair) for pair in zip(sizes, answers, strict=True)),
     )
     text = result.model_dump_json(indent=1, by_alias=True) + "\n"
     write_text(target, text)
@@ -218,15 +243,29 @@ def load_basin(path: Path) -> Basin:
     return read_json(path, Basin, "basin file")
 
 
-def _level(size: Size, answers: Sequence[QueryResult]) -> Level:
+def _count_level(size: Size, answers: Sequence[QueryResult]) -> Level:
+    """Return the counts of the answers from priors with one size of error."""
     return Level(
         prior_t_m=size.metres,
         prior_r_deg=size.degrees,
         queries=len(answers),
         failed=sum(answer.status is Status.FAILED for answer in answers),
         fallback=sum(answer.status is Status.FALLBACK for answer in answers),
-        correct={
-            threshold.key: sum(is_correct(answer, threshold) for answer in answers)
-            for threshold in THRESHOLDS
+        correct=_count_correct(answers),
+        by_course={
+            course: CourseCounts(queries=len(flown), correct=_count_correct(flown))
+            for course, flown in _by_course(answers).items()
         },
     )
+
+
+def _count_correct(answers: Sequence[QueryResult]) -> dict[str, int]:
+    """Return the number of correct answers by the key of a threshold."""
+    return {t.key: sum(is_correct(answer, t) for answer in answers) for t in THRESHOLDS}
+
+
+def _by_course(answers: Sequence[QueryResult]) -> dict[str, list[QueryResult]]:
+    courses: dict[str, list[QueryResult]] = {}
+    for answer in answers:
+        courses.setdefault(answer.cluster, []).append(answer)
+    return courses

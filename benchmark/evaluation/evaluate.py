@@ -6,15 +6,15 @@ import logging
 from contextlib import closing
 from pathlib import Path
 
-from benchmark.datasets.dataset import Dataset
-from benchmark.datasets.identity import changes, require_unchanged
+from benchmark.datasets.dataset import Dataset, Task
+from benchmark.datasets.identity import describe_changes, require_unchanged
 from benchmark.evaluation.run import Run, prepare_method
 from benchmark.evaluation.starts import NONE, PRIOR, Start
 from benchmark.report.album import ALBUM, ALBUM_MARK, album_parts, keep_album
 from benchmark.report.pictures import median_query, query_overlay
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results import DatasetId, Results
-from benchmark.results.results_files import claim_results, load
+from benchmark.results.results_files import check_results_output, load
 from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.errors import InputError
@@ -70,26 +70,26 @@ def evaluate(
             cannot be written, or there is no such cluster.
     """
     require_folder(out)
-    start = _available_start(start, dataset)
+    start = available_start(start, dataset)
     method = Method.of(localizer)
     target = results_path(out, dataset, localizer)
-    claim_evaluation(dataset, localizer, out)
-    earlier = _earlier(target, DatasetId.of(dataset), method, start)
+    check_evaluation_outputs(dataset, localizer, out)
+    earlier = _read_replaced(target, DatasetId.of(dataset), method, start)
     # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
     run = Run(dataset, localizer, start, cache, None if cluster else out)
-    key = _key(method, dataset, start)
+    key = _journal_key(method, dataset, start)
     with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
         _warn_of_changes(dataset, target, earlier, journal)
         with (
             prepare_method(run, jobs, cluster) as (seconds, localize),
             closing(
                 localize([q for q in dataset.queries if q.name not in journal.done], journal.add)
-            ) as scored,
+            ) as peak_memories,
             progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
         ):
             peak = None if cluster else peak_megabytes()
             advance(len(journal.done))
-            for memory in scored:
+            for memory in peak_memories:
                 peak = max(filter(None, (peak, memory)), default=None)
                 advance(len(journal.done))
         try:
@@ -106,10 +106,12 @@ def evaluate(
     return results
 
 
-def _earlier(target: Path, dataset: DatasetId, method: Method, start: Start) -> Results | None:
+def _read_replaced(
+    target: Path, dataset: DatasetId, method: Method, start: Start
+) -> Results | None:
     """Return the results that a run will replace, or None.
 
-    Log whether they are of the same data set, but of other options or another start.
+    Log a warning if they are of the same data set, but of other options or another start.
     """
     if not target.is_file():
         return None
@@ -117,13 +119,13 @@ def _earlier(target: Path, dataset: DatasetId, method: Method, start: Start) -> 
         earlier = load(target)
     except InputError:
         return None  # the file holds no results
-    other = [f"start {earlier.start}"] if earlier.start != start.name else []
-    other += ["other options or weights"] if earlier.method != method else []
-    if other and earlier.dataset == dataset:
+    differences = [f"start {earlier.start}"] if earlier.start != start.name else []
+    differences += ["other options or weights"] if earlier.method != method else []
+    if differences and earlier.dataset == dataset:
         log.warning(
-            "%s holds results of %s and will be replaced: choose another --out to keep both",
+            "%s holds results with %s and will be replaced: choose another --out to keep both",
             target,
-            " and ".join(other),
+            " and ".join(differences),
         )
     return earlier
 
@@ -142,7 +144,11 @@ def _warn_of_changes(
             before = album_parts(target.with_name(ALBUM), written) or {}
     if before is None or before == dataset.parts:
         return
-    changed = changes(before, dataset.parts) if before else "which part was not recorded"
+    changed = (
+        describe_changes(before, dataset.parts)
+        if before
+        else "the earlier run did not record its parts"
+    )
     log.warning("the data set %s changed since %s was written: %s", dataset.name, path, changed)
 
 
@@ -153,7 +159,7 @@ def require_folder(out: Path) -> None:
         InputError: ``out`` exists and is not a folder.
     """
     if out.exists() and not out.is_dir():
-        raise InputError(f"cannot write results to {out}: it is not a folder")
+        raise InputError(f"cannot write results to {out}: it is not a folder; choose another --out")
 
 
 def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
@@ -166,19 +172,19 @@ def _picture_path(results: Path) -> Path:
     return results.with_name(f"{results.stem}-query.png")
 
 
-def claim_evaluation(dataset: Dataset, localizer: Localizer, out: Path) -> None:
+def check_evaluation_outputs(dataset: Dataset, localizer: Localizer, out: Path) -> None:
     """Refuse, before any work, an evaluation whose files would replace files of another command.
 
     Raises:
         InputError: a file would be replaced, or cannot be written.
     """
     target = results_path(out, dataset, localizer)
-    claim_results(target, Method.of(localizer), out)
+    check_results_output(target, Method.of(localizer), out)
     picture = OutputFile(_picture_path(target), b"" if target.is_file() else PNG_MARK)
     check_outputs([picture, OutputFile(target.with_name(ALBUM), ALBUM_MARK)], within=out)
 
 
-def _available_start(start: Start, dataset: Dataset) -> Start:
+def available_start(start: Start, dataset: Task) -> Start:
     """Return the start, or "none" where it is "prior" and no query of the data set has a prior."""
     if start.kind != "prior":
         return start
@@ -190,7 +196,7 @@ def _available_start(start: Start, dataset: Dataset) -> Start:
     return PRIOR
 
 
-def _key(method: Method, dataset: Dataset, start: Start) -> str:
+def _journal_key(method: Method, dataset: Dataset, start: Start) -> str:
     """Return the digest of everything that determines the results of a run."""
     environment = Environment.current().model_dump_json()
     return digest_of(method.model_dump_json(), dataset.sha256, start.name, environment)
@@ -198,8 +204,8 @@ def _key(method: Method, dataset: Dataset, start: Start) -> str:
 
 def _draw_median(dataset: Dataset, sparse_map: SparseMap, results: Results, path: Path) -> None:
     """Draw the query of median error; without a localized query there is no picture."""
-    chosen = median_query(results.queries)
-    if chosen is None or chosen.cam_from_world is None:
+    result = median_query(results.queries)
+    if result is None or result.cam_from_world is None:
         return
-    query = next(query for query in dataset.queries if query.name == chosen.name)
-    query_overlay(query, sparse_map, pose_of(chosen.cam_from_world), path, results.method.name)
+    query = next(query for query in dataset.queries if query.name == result.name)
+    query_overlay(query, sparse_map, pose_of(result.cam_from_world), path, results.method.name)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.evaluation.scored_query import score_query
-from benchmark.evaluation.starts import parse_start
+from benchmark.evaluation.starts import Start, parse_start
+from benchmark.results.query_result import QueryResult
 from benchmark.results.results import DatasetId, Results
-from benchmark.results.results_files import BASIN, claim_results
+from benchmark.results.results_files import BASIN, check_results_output
 from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_poses
+from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Status
+from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.outputs import require_name
 
@@ -43,9 +46,7 @@ def score(
         InputError: the file cannot be read, a pose belongs to no query, a query has two poses, the
             method cannot name a file, or results there are from another command.
     """
-    require_name(method, "method")
-    if f"{method}.json".endswith(BASIN):
-        raise InputError(f"method {method!r}: the ending {BASIN} is reserved for basin files")
+    require_method_name(method)
     starting_information = parse_start(start)
     pose_of = read_poses(poses)
     digest = sha256_of(poses)
@@ -56,47 +57,87 @@ def score(
         if not names:
             continue
         unused -= set(names.values())
-        sparse_map = dataset.load_map()
-        queries = []
-        for query in dataset.queries:
-            if query.name in names:
-                estimate = Estimate(Status.OK, pose_of[names[query.name]])
-            else:
-                estimate = Estimate(Status.FAILED, reason=f"no line in {poses.name}")
-            queries.append(score_query(query, estimate, sparse_map, None))
+        found = {query: pose_of[name] for query, name in names.items()}
+        queries = score_poses(
+            dataset, found, dataset.load_map(), starting_information, f"no line in {poses.name}"
+        )
         made_by = Method.external(method, digest)
         target = out / dataset.name / f"{method}.json"
-        claim_results(target, made_by, out)
+        check_results_output(target, made_by, out)
         results[target] = Results.of(
             made_by, DatasetId.of(dataset), starting_information.name, queries
         )
     if unused:
         raise InputError(
             f"{poses}: {len(unused)} poses belong to no query of the data sets, such as "
-            f"{min(unused)}"
+            f"{min(unused)}: remove these lines, or give their data set with --reference"
         )
     if not results:
-        raise InputError(f"{poses} contains no pose")
+        raise InputError(f"{poses} contains no pose: write lines name qw qx qy qz tx ty tz")
     for target, scores in results.items():
         scores.write(target)
     return list(results)
 
 
+def require_method_name(method: str) -> None:
+    """Refuse a name of a method that cannot name its results file.
+
+    Raises:
+        InputError: the name cannot name a file, or has the ending of basin files.
+    """
+    require_name(method, "method")
+    if f"{method}.json".endswith(BASIN):
+        raise InputError(
+            f"method {method!r}: the ending {BASIN} is reserved for basin files: choose another "
+            "--method"
+        )
+
+
+def score_poses(
+    dataset: Dataset,
+    poses: Mapping[str, Pose],
+    sparse_map: SparseMap,
+    start: Start,
+    missing: str,
+) -> list[QueryResult]:
+    """Score poses of another program.
+
+    Args:
+        dataset: data set of the queries.
+        poses: cam_from_world by name of the query.
+        sparse_map: its map.
+        start: what the program was told about each query besides its image.
+        missing: reason why a query without a pose failed.
+    """
+    queries = []
+    for query in dataset.queries:
+        if query.name in poses:
+            estimate = Estimate(Status.OK, poses[query.name])
+        else:
+            estimate = Estimate(Status.FAILED, reason=missing)
+        course = dataset.courses[query.group]
+        prior = query.prior if start.kind == "prior" else None
+        queries.append(score_query(query, course, estimate, sparse_map, None, prior))
+    return queries
+
+
 def _match_names(in_file: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
     """Return the name in the file by the name of the query, for queries that have a line."""
-    short: dict[str, list[str]] = {}
+    by_last_part: dict[str, list[str]] = {}
     for query in dataset.queries:
-        short.setdefault(Path(query.name).name, []).append(query.name)
+        by_last_part.setdefault(Path(query.name).name, []).append(query.name)
     names: dict[str, str] = {}
-    whole = {query.name for query in dataset.queries}
+    full_names = {query.name for query in dataset.queries}
     for name in in_file:
-        matching = [name] if name in whole else short.get(name, [])
+        matching = [name] if name in full_names else by_last_part.get(name, [])
         if len(matching) > 1:
             raise InputError(
                 f"{poses}: {name} may be {matching[0]} or {matching[1]}; write the full names"
             )
         for match in matching:
             if match in names:
-                raise InputError(f"{poses}: {match} has two poses, {names[match]} and {name}")
+                raise InputError(
+                    f"{poses}: {match} has two poses, {names[match]} and {name}: remove one"
+                )
             names[match] = name
     return names

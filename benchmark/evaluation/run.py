@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from functools import cached_property, partial
 from pathlib import Path
-from threading import Event
 from time import perf_counter
 from typing import Any
 
@@ -21,23 +19,25 @@ from objconnect.scene.localizer import Localizer, MapPart, PreparesParts
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.cluster import WorkerPool, split_work, worker_pool
 from objconnect.scene.runtime.memory import peak_megabytes, reset_peak
+from objconnect.scene.runtime.threads import map_unordered
 from objconnect.scene.storage.scratch import cache_or_scratch, scratch
 
-# Largest number of queries that a worker of a cluster gets at once.
+# A worker of a cluster gets at most this many queries at once.
 _MOST_QUERIES_AT_ONCE = 16
-# Number of map photographs that a worker prepares at once.
+# Smallest and largest number of map photographs that a worker prepares at once.
 _FEWEST_PREPARED, _MOST_PREPARED = 8, 64
 # Work without a query: a worker only prepares the method.
 _ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 
-Scored = tuple[QueryResult, float | None]
+ResultAndMemory = tuple[QueryResult, float | None]
 """The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
-Keep = Callable[[QueryResult], None]
+StoreResult = Callable[[QueryResult], None]
 """Stores the result of a query. Worker threads call it, so that no signal interrupts between
 localizing a query and storing its result."""
 Unit = Sequence[BenchmarkQuery] | MapPart
 """Work for a worker of a cluster: queries to localize, or a part of the map to prepare."""
-LocalizeAll = Callable[[Sequence[BenchmarkQuery], Keep], Generator[float | None, None, None]]
+LocalizeAll = Callable[[Sequence[BenchmarkQuery], StoreResult], Generator[float | None, None, None]]
+"""Localizes queries, stores each result, and yields the peak memory of its process (1e6 bytes)."""
 
 
 class Run:
@@ -89,16 +89,18 @@ class Run:
             self._load = self._start.loader(self._dataset, sparse_map, cache)
         return seconds
 
-    def localize(self, query: BenchmarkQuery) -> Scored:
+    def localize(self, query: BenchmarkQuery) -> ResultAndMemory:
         """Localize a query and score its pose."""
         assert self._load is not None
         loaded = self._load(query)
         began = perf_counter()
         estimate = localize_safely(self._localizer, loaded)
         seconds = perf_counter() - began
-        return score_query(query, estimate, self.sparse_map, seconds), peak_megabytes()
+        course = self._dataset.courses[query.group]
+        scored = score_query(query, course, estimate, self.sparse_map, seconds, loaded.prior)
+        return scored, peak_megabytes()
 
-    def __call__(self, unit: Unit) -> Iterator[Scored]:
+    def __call__(self, unit: Unit) -> Iterator[ResultAndMemory]:
         """Localize queries in a worker, after preparing the method once; or compute the cache of a
         part of the map and yield nothing."""
         if isinstance(unit, MapPart):
@@ -114,7 +116,8 @@ class Run:
     def parts(self, cores: int) -> Iterator[Sequence[MapPart]]:
         """Divide the preparation among the cores of a cluster, if the method supports parts.
 
-        The files of the parts exist while the block runs; it prepares the whole map from them.
+        The files of the parts exist while the ``with`` block runs, in which a worker prepares the
+        whole map from them.
         """
         if self._cache is None or not isinstance(self._localizer, PreparesParts):
             yield []
@@ -138,62 +141,44 @@ def prepare_method(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[f
         and yields the peak memory of the process that localized it.
     """
     if cluster is None:
-        yield run.prepare(), lambda queries, keep: _localize_in_threads(run, queries, jobs, keep)
+        yield run.prepare(), lambda queries, store: _localize_in_threads(run, queries, jobs, store)
         return
     with worker_pool(cluster, run) as workers:
         yield _prepare_workers(run, workers), partial(_localize_on_cluster, workers)
 
 
 def _localize_on_cluster(
-    workers: WorkerPool[Unit, Scored],
+    workers: WorkerPool[Unit, ResultAndMemory],
     queries: Sequence[BenchmarkQuery],
-    keep: Keep,
+    store: StoreResult,
 ) -> Generator[float | None, None, None]:
     parts = split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
     with closing(workers.map(parts)) as answers:
         for result, memory in answers:
-            keep(result)
+            store(result)
             yield memory
 
 
-def _prepare_workers(run: Run, workers: WorkerPool[Unit, Scored]) -> float:
+def _prepare_workers(run: Run, workers: WorkerPool[Unit, ResultAndMemory]) -> float:
     """Prepare the map in parts on all workers, then whole on one; return the time in seconds.
 
     This fills the cache, so that the other workers read it instead of preparing the same again.
     """
     began = perf_counter()
     with run.parts(workers.cores) as parts:
-        nothing = [*workers.map(parts), *workers.map([_ONLY_PREPARE])]
-    assert not nothing
+        results = [*workers.map(parts), *workers.map([_ONLY_PREPARE])]
+    assert not results  # preparation localizes no query
     return perf_counter() - began
 
 
 def _localize_in_threads(
-    run: Run, queries: Sequence[BenchmarkQuery], jobs: int, keep: Keep
+    run: Run, queries: Sequence[BenchmarkQuery], jobs: int, store: StoreResult
 ) -> Generator[float | None, None, None]:
     """Localize queries in threads, and yield the peak memory whenever a result is stored."""
-    failed = Event()
 
     def localize(query: BenchmarkQuery) -> float | None:
-        if failed.is_set():
-            return None
-        try:
-            result, memory = run.localize(query)
-            keep(result)
-        except BaseException:
-            failed.set()
-            raise
+        result, memory = run.localize(query)
+        store(result)
         return memory
 
-    with ThreadPoolExecutor(jobs) as pool:
-        try:
-            order = {pool.submit(localize, query): k for k, query in enumerate(queries)}
-            waiting = set(order)
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                # If several queries raise at once, the error of the first query is raised.
-                for future in sorted(done, key=order.__getitem__):
-                    yield future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    yield from map_unordered(localize, queries, jobs)

@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.sift import SiftConfig
-from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset, Task, TaskQuery
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import map_features
-from objconnect.localization.matching.retrieval import OnDemand, VladIndex
+from objconnect.localization.matching.retrieval import LazyDescriptors, VladIndex
 from objconnect.localization.matching.sift import Sift
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_pairs
@@ -34,14 +34,14 @@ from objconnect.scene.storage.images import read_rgb
 _ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
 _GRAVITY: Final = re.compile(r"gravity(?:=([0-9.]+)deg)?")
 _GPS: Final = re.compile(r"gps=([0-9.]+)m")
-_TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
-_USUAL_TOP: Final = 10
-# Usual error of a gimbal's tilt.
-_USUAL_TILT_DEG: Final = 3.0
+_RETRIEVAL: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
+_DEFAULT_TOP: Final = 10
+# Tilt of ``gravity`` without a size: the usual error of a gimbal.
+_DEFAULT_TILT_DEG: Final = 3.0
 # No rotation has a larger angle.
-_MOST_DEG: Final = 180.0
+_MAX_DEG: Final = 180.0
 
-LoadQuery = Callable[[BenchmarkQuery], Query]
+LoadQuery = Callable[[TaskQuery], Query]
 """Reads the photograph of a query and adds the starting information to it."""
 
 
@@ -70,9 +70,7 @@ class Start:
     degrees: float = 0.0
     pairs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def loader(
-        self, dataset: Dataset, sparse_map: SparseMap, cache: Path | None = None
-    ) -> LoadQuery:
+    def loader(self, dataset: Task, sparse_map: SparseMap, cache: Path | None = None) -> LoadQuery:
         """Return the function that loads a query with this starting information.
 
         Args:
@@ -81,19 +79,21 @@ class Start:
             cache: folder for the features that retrieval needs; None keeps none.
 
         Raises:
-            InputError: a query has no pair, or a pair names a photograph that the map lacks.
+            InputError: a query has no pair, a pair names a photograph that the map lacks, or the
+                start is made from reference poses and these are sealed.
         """
+        self.require_references(dataset)
         if self.kind == "prior":
             return lambda query: query.load(query.prior)
         if self.kind == "error":
             return lambda query: query.load(
-                move_prior(query.reference, query.name, self.metres, self.degrees)
+                move_prior(_reference(query), query.name, self.metres, self.degrees)
             )
         if self.kind == "gravity":
-            return lambda query: query.load(tilt_prior(query.reference, query.name, self.degrees))
+            return lambda query: query.load(tilt_prior(_reference(query), query.name, self.degrees))
         if self.kind == "gps":
             return lambda query: query.load(
-                position_prior(query.reference, query.name, self.metres)
+                position_prior(_reference(query), query.name, self.metres)
             )
         if self.kind == "retrieval":
             similar = _create_retriever(dataset, sparse_map, self.top, cache)
@@ -101,16 +101,31 @@ class Start:
         if self.kind == "pairs":
             self._check_pairs(dataset, sparse_map)
             return lambda query: query.load(references=self.pairs[query.name])
-        return BenchmarkQuery.load
+        return TaskQuery.load
 
-    def _check_pairs(self, dataset: Dataset, sparse_map: SparseMap) -> None:
+    def require_references(self, dataset: Task) -> None:
+        """Refuse a start that is made from reference poses where these are sealed.
+
+        Raises:
+            InputError: the data set has no reference poses, and the start needs them.
+        """
+        if self.kind in ("error", "gravity", "gps") and not isinstance(dataset, Dataset):
+            raise InputError(
+                f"start {self.name} is made from the reference poses, which are sealed in "
+                f"{dataset.name}: take none, prior, retrieval or pairs"
+            )
+
+    def _check_pairs(self, dataset: Task, sparse_map: SparseMap) -> None:
         for query in dataset.queries:
             if query.name not in self.pairs:
-                raise InputError(f"the pair list has no photograph of the map for {query.name}")
+                raise InputError(
+                    f"the pair list has no photograph of the map for {query.name}: add a line"
+                )
             for name in self.pairs[query.name]:
                 if name not in sparse_map.images:
                     raise InputError(
-                        f"the pair list names {name} for {query.name}: the map has no such image"
+                        f"the pair list names {name} for {query.name}: the map has no such image; "
+                        "remove the line"
                     )
 
 
@@ -129,15 +144,15 @@ def parse_start(text: str) -> Start:
     """
     if text in ("prior", "none"):
         return PRIOR if text == "prior" else NONE
-    if match := _TOP.fullmatch(text):
-        top = int(match.group(1) or _USUAL_TOP)
+    if match := _RETRIEVAL.fullmatch(text):
+        top = int(match.group(1) or _DEFAULT_TOP)
         return Start(f"retrieval={top}", "retrieval", top=top)
     if match := _ERROR.fullmatch(text):
         metres, degrees = _parse_size(text, match.group(1)), _parse_size(text, match.group(2))
         name = f"error={_format_size(metres)}m,{_format_size(degrees)}deg"
         return Start(name, "error", metres=metres, degrees=degrees)
     if match := _GRAVITY.fullmatch(text):
-        degrees = _parse_size(text, match.group(1) or str(_USUAL_TILT_DEG))
+        degrees = _parse_size(text, match.group(1) or str(_DEFAULT_TILT_DEG))
         return Start(f"gravity={_format_size(degrees)}deg", "gravity", degrees=degrees)
     if match := _GPS.fullmatch(text):
         metres = _parse_size(text, match.group(1))
@@ -156,9 +171,10 @@ def _parse_size(text: str, number: str) -> float:
         size = float(number)
     except ValueError:
         raise InputError(f"start {text!r}: {number!r} is not a number") from None
-    if size > FARTHEST_M or (f"{number}deg" in text and size > _MOST_DEG):
+    if size > FARTHEST_M or (f"{number}deg" in text and size > _MAX_DEG):
         raise InputError(
-            f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} degrees"
+            f"start {text!r}: {number} is too large: position errors are at most {FARTHEST_M:g} "
+            f"metres, attitude errors {_MAX_DEG:g} degrees"
         )
     return size
 
@@ -166,6 +182,12 @@ def _parse_size(text: str, number: str) -> float:
 def _format_size(size: float) -> str:
     """Return a number without an exponent, which ``parse_start`` cannot read."""
     return np.format_float_positional(size, trim="-")
+
+
+def _reference(query: TaskQuery) -> Pose:
+    """Return the reference pose of a query of a ``Dataset``."""
+    assert isinstance(query, BenchmarkQuery)
+    return query.reference
 
 
 def _generator(name: str) -> np.random.Generator:
@@ -182,14 +204,14 @@ def tilt_prior(reference: Pose, name: str, degrees: float) -> Prior:
         degrees: angle between the prior's gravity and the true one.
     """
     rng = _generator(name)
-    towards, heading = rng.uniform(0, 2 * np.pi, 2)
-    axis = np.radians(degrees) * np.array([np.cos(towards), np.sin(towards), 0.0])
+    tilt_direction, heading = rng.uniform(0, 2 * np.pi, 2)
+    axis = np.radians(degrees) * np.array([np.cos(tilt_direction), np.sin(tilt_direction), 0.0])
     tilt = so3_exp(torch.from_numpy(axis))
-    turn = so3_exp(torch.tensor([0.0, 0.0, heading], dtype=torch.float64))
+    heading_rotation = so3_exp(torch.tensor([0.0, 0.0, heading], dtype=torch.float64))
     return Prior(
         position=np.zeros(3),
         position_sigma=np.full(3, np.inf),
-        cam_from_world_rotation=(reference.rotation @ tilt @ turn).numpy(),
+        cam_from_world_rotation=(reference.rotation @ tilt @ heading_rotation).numpy(),
         attitude_sigma_deg=max(degrees, 0.01),
         heading_sigma_deg=np.inf,
     )
@@ -229,23 +251,23 @@ def move_prior(reference: Pose, name: str, metres: float, degrees: float) -> Pri
 
 
 def _create_retriever(
-    dataset: Dataset, sparse_map: SparseMap, top: int, cache: Path | None
-) -> Callable[[BenchmarkQuery], tuple[str, ...]]:
+    dataset: Task, sparse_map: SparseMap, top: int, cache: Path | None
+) -> Callable[[TaskQuery], tuple[str, ...]]:
     """Return a function that retrieves the ``top`` map photographs most similar to a query.
 
     It compares VLAD descriptors of SIFT features and is the same for every method.
     """
     sift = Sift(SiftConfig().max_features)
-    with open_cache(sparse_map, dataset.images, cache) as kept:
-        features = map_features(kept, sift)
+    with open_cache(sparse_map, dataset.images, cache) as map_cache:
+        features = map_features(map_cache, sift)
     names = sparse_map.names
 
     def describe(row: int) -> NDArray[np.float32]:
         return sift.unit(features[names[row]].descriptors).numpy()
 
-    index = VladIndex.build(OnDemand(describe, len(names)))
+    index = VladIndex.build(LazyDescriptors(describe, len(names)))
 
-    def similar(query: BenchmarkQuery) -> tuple[str, ...]:
+    def similar(query: TaskQuery) -> tuple[str, ...]:
         descriptors = sift.unit(sift(read_rgb(query.image, query.camera)).descriptors)
         return tuple(names[row] for row in index.rank(descriptors.numpy(), top))
 

@@ -1,8 +1,8 @@
 """Probability of a fix from views of a twin: pooled evidence and a logistic model.
 
-A twin is not the site, and rendered snow is not the next winter's snow, so that the share of
-localized views is not yet a probability. A small logistic model turns the evidence around a
-waypoint into one. Its parameters were fitted to training towns, whose true winters are known
+A twin is not the site, and rendered snow is not the next winter's snow, so that the share of views
+with a fix is not yet a probability. A small logistic model turns the evidence around a waypoint
+into one. Its parameters were fitted to training towns, whose true winters are known
 (``experiments.forecast``), and regularized towards the smoothed share itself, which is the
 probability for methods without a calibration.
 """
@@ -22,16 +22,21 @@ from objconnect.scene.storage.records import Record
 
 Array = NDArray[np.float64]
 
-FEATURES: Final = ("constant", "logit of the share found", "log of inliers", "log of points")
-_PRIOR: Final = np.array([0.0, 1.0, 0.0, 0.0])  # the smoothed share itself
-_CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])  # usual values, so that the constant is small
-_RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])  # strength of the ridge penalty towards the prior
-_STEPS: Final = 50
-_ADDED: Final = 0.5  # pseudo-counts of localized and of failed views
-# Pseudo-count of views with the usual false-fix share, in the false-fix risk.
+FEATURES: Final = ("constant", "logit of the share of fixes", "log of inliers", "log of points")
+# With these weights, the probability is the smoothed share of views with a fix.
+_PRIOR_WEIGHTS: Final = np.array([0.0, 1.0, 0.0, 0.0])
+# Usual values of the features. They are subtracted, so that the weight of the constant is small.
+_CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])
+# Strength of the ridge penalty on the difference from ``_PRIOR_WEIGHTS``.
+_RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])
+_ITERATIONS: Final = 50  # of Newton's method
+_PSEUDO_COUNT: Final = 0.5  # added to the number of views with a fix and to that of the others
+# The risk of a false fix is computed as if there were this many more views, of which a share of
+# ``Calibration.false_share`` were false fixes.
 _USUAL_VIEWS: Final = 6.0
-# Views of a neighbour at this distance (m) count 61 % of a waypoint's own: one sigma.
-_POOL_M: Final = 20.0
+# Standard deviation (m) of the Gaussian weights of neighbours: a view of a waypoint this far away
+# has 61 % of the weight of a view of the waypoint itself.
+POOL_M: Final = 20.0
 
 
 class Calibration(Record):
@@ -80,7 +85,7 @@ class Evidence(NamedTuple):
     sigma_up_m: Array
 
 
-class Seen(NamedTuple):
+class ViewResult(NamedTuple):
     """The result of one view, from which evidence is pooled; sigmas are NaN without a fix."""
 
     waypoint: int
@@ -92,22 +97,23 @@ class Seen(NamedTuple):
     sigma_up_m: float
 
 
-def pool(seen: Sequence[Seen], centres: Array) -> Evidence:
+def pool(results: Sequence[ViewResult], centres: Array) -> Evidence:
     """Pool the views of one season over neighbouring waypoints.
 
     The weight of a view is a Gaussian of the distance between its waypoint and the pooled one, with
     a standard deviation of 20 m.
 
     Args:
-        seen: the views.
+        results: the views.
         centres: positions of all waypoints, (N, 3) metres.
     """
-    at = np.array([view.waypoint for view in seen])
-    distance = np.linalg.norm(centres[:, None] - centres[at][None], axis=-1)
-    weight = np.exp(-0.5 * np.square(distance / _POOL_M))  # (N, views)
-    fix = np.array([view.fix for view in seen], float)
+    waypoint_of = np.array([view.waypoint for view in results])
+    distance = np.linalg.norm(centres[:, None] - centres[waypoint_of][None], axis=-1)
+    weight = np.exp(-0.5 * np.square(distance / POOL_M))  # (N, views)
+    fix = np.array([view.fix for view in results], float)
 
     def mean(values: Array, counts: Array) -> Array:
+        """Return the weighted mean over the views that count (1, not 0), at each waypoint."""
         total = weight @ counts
         return np.divide(
             weight @ np.where(counts > 0, counts * values, 0.0),
@@ -116,24 +122,24 @@ def pool(seen: Sequence[Seen], centres: Array) -> Evidence:
             where=total > 1e-9,
         )
 
-    everything = np.ones(len(seen))
-    sigma = np.array([(view.sigma_across_m, view.sigma_up_m) for view in seen]).reshape(-1, 2)
-    known = fix * (np.isfinite(sigma) & (sigma > 0)).all(1)
-    log_sigma = np.log(np.where(known[:, None] > 0, sigma, 1.0))
+    ones = np.ones(len(results))
+    sigma = np.array([(view.sigma_across_m, view.sigma_up_m) for view in results]).reshape(-1, 2)
+    has_sigma = fix * (np.isfinite(sigma) & (sigma > 0)).all(1)
+    log_sigma = np.log(np.where(has_sigma[:, None] > 0, sigma, 1.0))
     return Evidence(
         views=weight.sum(1),
         found=weight @ fix,
-        false=weight @ np.array([view.false for view in seen], float),
-        inliers=mean(np.log1p([view.inliers for view in seen]), everything),
-        points=mean(np.log1p([view.points for view in seen]), everything),
-        sigma_across_m=np.exp(mean(log_sigma[:, 0], known)),
-        sigma_up_m=np.exp(mean(log_sigma[:, 1], known)),
+        false=weight @ np.array([view.false for view in results], float),
+        inliers=mean(np.log1p([view.inliers for view in results]), ones),
+        points=mean(np.log1p([view.points for view in results]), ones),
+        sigma_across_m=np.exp(mean(log_sigma[:, 0], has_sigma)),
+        sigma_up_m=np.exp(mean(log_sigma[:, 1], has_sigma)),
     )
 
 
 def features(evidence: Evidence) -> Array:
     """Return the features (N, 4) of the logistic model, see ``FEATURES``."""
-    share = (evidence.found + _ADDED) / (evidence.views + 2 * _ADDED)
+    share = (evidence.found + _PSEUDO_COUNT) / (evidence.views + 2 * _PSEUDO_COUNT)
     columns = (np.ones(len(share)), np.log(share / (1 - share)), evidence.inliers, evidence.points)
     return np.asarray(np.stack(columns, -1) - _CENTRE)
 
@@ -145,21 +151,25 @@ def probability(evidence: Evidence, calibration: Calibration) -> Array:
 
 def false_risk(evidence: Evidence, calibration: Calibration) -> Array:
     """Return the probability of a false fix at each waypoint, (N,)."""
-    usual = _USUAL_VIEWS * calibration.false_share
-    return np.asarray((evidence.false + usual) / (evidence.views + _USUAL_VIEWS))
+    usual_false = _USUAL_VIEWS * calibration.false_share
+    return np.asarray((evidence.false + usual_false) / (evidence.views + _USUAL_VIEWS))
 
 
-def fit(rows: Array, happened: NDArray[np.bool_]) -> tuple[float, float, float, float]:
-    """Return the weights of the features (M, 4) that best predict whether a fix happened (M,).
+def fit(rows: Array, is_fix: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+    """Return the weights of the features that best predict fixes.
 
-    They minimize the logarithmic loss plus a quadratic penalty on the difference from the smoothed
-    share, by Newton's method.
+    They minimize the logarithmic loss plus a quadratic penalty on the difference from the weights
+    that give the smoothed share, by Newton's method.
+
+    Args:
+        rows: features (M, 4) at M waypoints.
+        is_fix: whether the true query at each was a fix, (M,).
     """
-    weights = _PRIOR.copy()
-    truth = happened.astype(float)
-    for _ in range(_STEPS):
+    weights = _PRIOR_WEIGHTS.copy()
+    truth = is_fix.astype(float)
+    for _ in range(_ITERATIONS):
         p = _sigmoid(rows @ weights)
-        slope = rows.T @ (p - truth) + _RIDGE * (weights - _PRIOR)
+        slope = rows.T @ (p - truth) + _RIDGE * (weights - _PRIOR_WEIGHTS)
         curve = (rows * (p * (1 - p))[:, None]).T @ rows + np.diag(_RIDGE)
         step = np.linalg.solve(curve, slope)
         weights = weights - step / max(1.0, float(np.abs(step).max()))
@@ -175,7 +185,7 @@ def calibration_of(method: str, wanted: bool = True) -> Calibration:
 @cache
 def _load_shipped() -> dict[str, Calibration]:
     text = (files("benchmark.forecasting") / "calibration.json").read_text(encoding="utf-8")
-    return {name: Calibration.model_validate(own) for name, own in parse_json(text).items()}
+    return {name: Calibration.model_validate(values) for name, values in parse_json(text).items()}
 
 
 def _sigmoid(x: Array) -> Array:

@@ -28,12 +28,12 @@ from simulate.base_place import base_place
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.config import PlanFlight
-from simulate.twin.report import REPORT, SiteReport
+from simulate.twin.report import REPORT_FILE, SiteReport
 
 VIEWS = "views"
 """Folder of the rendered views, a scene."""
 
-_USUAL = ForecastConfig()
+_DEFAULT_CONFIG = ForecastConfig()
 _GEOJSON, _PICTURE, _PAGE, _REPORT = (
     f"forecast.{ending}" for ending in ("geojson", "png", "html", "json")
 )
@@ -45,7 +45,7 @@ def forecast(
     flight: str,
     localizer: Localizer,
     out: Path,
-    config: ForecastConfig = _USUAL,
+    config: ForecastConfig = _DEFAULT_CONFIG,
     *,
     twin: Path | None = None,
     cache: Path | None = None,
@@ -71,40 +71,40 @@ def forecast(
         InputError: the scene has no map, the flight lies outside it or has no waypoints, the twin
             is of another site, or ``out`` cannot be written.
     """
-    opened = Scene.open(scene)
-    start_of(config.start)
-    sparse_map = opened.sparse_map()
+    opened_scene = Scene.open(scene)
+    start_of(config.start)  # refuses a start that is unknown or cannot name views
+    sparse_map = opened_scene.sparse_map()
     opened_twin = None if twin is None else Scene.open(twin)
-    views = views_config(opened, sparse_map, flight, config, opened_twin)
+    render_config = views_config(opened_scene, sparse_map, flight, config, opened_twin)
     _check_outputs(out, scene, twin)
     with scratch(cache):
         pass  # fails if the cache cannot be written, before an hour of rendering
     with write_lock(out):
         remove_partial(out)  # leftovers of a killed run
-        rendered = simulate(views, out / VIEWS, jobs, twin=twin)
-        with cache_or_scratch(cache, out) as kept:
-            observations = observe(opened, rendered, localizer, config, kept)
-        route = route_of(views, out / VIEWS)
+        views = simulate(render_config, out / VIEWS, jobs, twin=twin)
+        with cache_or_scratch(cache, out) as cache_folder:
+            observations = observe(opened_scene, views, localizer, config, cache_folder)
+        route = route_of(render_config, out / VIEWS)
         calibration = _calibration(localizer, config.calibrated)
-        waypoints = waypoints_of(observations, route, views.origin, config, calibration)
-        first = views.sessions[0].flight
+        waypoints = waypoints_of(observations, route, render_config.origin, config, calibration)
+        planned = render_config.sessions[0].flight
         report = Forecast(
-            scene=opened.name,
+            scene=opened_scene.name,
             scene_sha256=sparse_map.sha256,
-            flight=first.file.name if isinstance(first, PlanFlight) else flight,
-            flight_sha256=first.sha256 if isinstance(first, PlanFlight) else None,
+            flight=planned.file.name if isinstance(planned, PlanFlight) else flight,
+            flight_sha256=planned.sha256 if isinstance(planned, PlanFlight) else None,
             twin=None if opened_twin is None else opened_twin.name,
             method=Method.of(localizer),
             config=config,
             calibration=calibration,
             environment=Environment.current(),
-            notes=_notes(out, views, localizer, calibration.queries),
+            notes=_notes(out, render_config, localizer, calibration.queries),
             seasons=seasons_of(waypoints, config),
             waypoints=waypoints,
             photographs=request_photographs(waypoints, config),
             views=tuple(o.model_dump(mode="json") for o in observations),
         )
-        _write(report, views, out)
+        _write(report, render_config, out)
     return report
 
 
@@ -134,27 +134,28 @@ def _check_outputs(out: Path, scene: Path, twin: Path | None) -> None:
 
 
 def _notes(
-    out: Path, views: SimulateConfig, localizer: Localizer, calibrated_on: int
+    out: Path, render_config: SimulateConfig, localizer: Localizer, calibration_queries: int
 ) -> tuple[str, ...]:
     """Return notes on the twin and on the probabilities."""
-    report = read_json(out / VIEWS / REPORT, SiteReport, "report of the site")
+    report = read_json(out / VIEWS / REPORT_FILE, SiteReport, "report of the site")
     notes = list(report.notes)
-    if not calibrated_on:
+    if not calibration_queries:
         notes.append(
             f"{localizer.name} is not calibrated with these settings: probabilities are the "
-            "smoothed shares of localized views of the twin"
+            "smoothed shares of the twin's views with a fix"
         )
-    longest = max(views.photo_camera().width, views.photo_camera().height)
-    notes.append(f"views have {longest} pixels on their longer side")
+    camera = render_config.photo_camera()
+    side = max(camera.width, camera.height)
+    notes.append(f"views have {side} pixels on their longer side")
     return tuple(notes)
 
 
-def _write(report: Forecast, views: SimulateConfig, out: Path) -> None:
+def _write(report: Forecast, render_config: SimulateConfig, out: Path) -> None:
     """Write all files; the report is the last."""
-    world, _ = base_place(views, out / VIEWS)
+    world, _ = base_place(render_config, out / VIEWS)
     ground = ground_from_above(world)
-    draw(report, ground, views.area, out / _PICTURE)
-    write_text(out / _PAGE, page(report, ground, views.area))
+    draw(report, ground, render_config.area, out / _PICTURE)
+    write_text(out / _PAGE, page(report, ground, render_config.area))
     features = geojson(report.waypoints, report.seasons)
     write_text(out / _GEOJSON, json.dumps(features, indent=1, allow_nan=False) + "\n")
     write_text(out / _REPORT, report.model_dump_json(indent=1) + "\n")

@@ -47,7 +47,7 @@ class ForecastConfig(Config):
     calibrated: bool = Field(
         True,
         description="Whether to calibrate the probabilities if there is a calibration for the "
-        "method; otherwise they are the smoothed share of localized views.",
+        "method; otherwise they are the smoothed share of views with a fix.",
     )
     weak: float = Field(
         0.5,
@@ -67,10 +67,10 @@ class ForecastConfig(Config):
     @field_validator("seasons")
     @classmethod
     def _check_names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        known = tuple(condition(name).name for name in names)
-        if len(set(known)) < len(known):
-            raise ValueError(f"a season is named twice: {', '.join(known)}")
-        return known
+        conditions = tuple(condition(name).name for name in names)
+        if len(set(conditions)) < len(conditions):
+            raise ValueError(f"a season is named twice: {', '.join(conditions)}")
+        return conditions
 
 
 _DEFAULTS: Final = ForecastConfig()
@@ -94,15 +94,15 @@ def forecast_config(settings: dict[str, Any], options: Mapping[str, Any]) -> For
         InputError: a key of the forecast is unknown, its value is bad, or the command has an option
             for it.
     """
-    own = {key: settings.pop(key) for key in list(settings) if is_of_forecast(key)}
-    for key in own:
+    forecast_settings = {key: settings.pop(key) for key in list(settings) if is_of_forecast(key)}
+    for key in forecast_settings:
         name = key.removeprefix(_PREFIX)
         if name == key:
-            raise InputError(f"--set {key}: name one value, as {_PREFIX}size")
+            raise InputError(f"--set {key}: set one option of the forecast, as {_PREFIX}size")
         if name in _OPTIONS:
             raise InputError(f"--set {key}: give {_OPTIONS[name]} instead")
-    own |= {f"{_PREFIX}{key}": value for key, value in options.items()}
-    return load_config(_Settings, None, own).forecast
+    forecast_settings |= {f"{_PREFIX}{key}": value for key, value in options.items()}
+    return load_config(_Settings, None, forecast_settings).forecast
 
 
 # Fields for which the command has an option.
@@ -115,6 +115,9 @@ def is_of_forecast(key: str) -> bool:
 
 
 def forecast_hint(settings: Mapping[str, Any]) -> str:
-    """Return a hint for a setting that lacks the prefix of the forecast; empty for no such one."""
+    """Return a hint for a setting that lacks the prefix of the forecast; empty if there is none."""
     named = [key for key in settings if key in ForecastConfig.model_fields]
-    return f"; of the forecast it is --set {_PREFIX}{named[0]}=VALUE" if named else ""
+    if not named:
+        return ""
+    option = _OPTIONS.get(named[0], f"--set {_PREFIX}{named[0]}=VALUE")
+    return f"; the option of the forecast is {option}"

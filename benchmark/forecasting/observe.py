@@ -26,15 +26,15 @@ from objconnect.scene.localizer import Estimate, Localizer, Prior, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.answers import Named
+from objconnect.scene.storage.answers import NamedRecord
 from objconnect.scene.storage.digests import digest_of
 
-# A point counts as visible if the rendered surface is nearer by at most this share of the depth
-# plus so many metres, because maps and twins are not exact.
-_HIDDEN, _HIDDEN_M = 0.03, 1.0
+# A point counts as visible if the rendered surface in front of it is nearer by at most this share
+# of the surface's depth plus this many metres, because maps and twins are not exact.
+_DEPTH_SHARE, _DEPTH_M = 0.03, 1.0
 
 
-class Observation(Named):
+class Observation(NamedRecord):
     """The answer to one view.
 
     Attributes:
@@ -116,7 +116,7 @@ def observe(
         queries=tuple(queries),
     )
     out = views.path.parent
-    key = _key(scene, views, localizer, start, sparse_map)
+    key = _journal_key(scene, views, localizer, start, sparse_map)
     done: dict[str, Observation]
     with Journal(journal_path(out / "forecast.json"), key, Observation) as journal:
         done = journal.done
@@ -131,11 +131,11 @@ def observe(
     return [done[query.name] for query in queries]
 
 
-def _key(
+def _journal_key(
     scene: Scene, views: Scene, localizer: Localizer, start: Start, sparse_map: SparseMap
 ) -> str:
-    known = journal_key(sparse_map, scene.images_root, localizer)
-    return digest_of(known, start.name, *views.manifest.sha256.values())
+    map_and_method = journal_key(sparse_map, scene.images_root, localizer)
+    return digest_of(map_and_method, start.name, *views.manifest.sha256.values())
 
 
 def _queries(views: Scene, session: str) -> Iterator[BenchmarkQuery]:
@@ -162,6 +162,7 @@ def _queries(views: Scene, session: str) -> Iterator[BenchmarkQuery]:
 def _observation(
     views: Scene, query: BenchmarkQuery, estimate: Estimate, points: int
 ) -> Observation:
+    """Return the answer to a view; names of session and file hold numbers of view and waypoint."""
     session, view = query.group, int(query.group.rpartition("-")[2]) - 1
     create = partial(
         Observation,
@@ -178,7 +179,7 @@ def _observation(
     if pose is None:
         return create()
     t_err, r_err = pose.error_to(query.reference)
-    off = (pose.centre() - query.reference.centre()).numpy()
+    error = (pose.centre() - query.reference.centre()).numpy()
     sigmas = Located(query.name, estimate, None).sigmas
     across, up = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
     return create(
@@ -186,8 +187,8 @@ def _observation(
         r_err_deg=float(r_err),
         sigma_across_m=across,
         sigma_up_m=up,
-        h_err_m=float(np.hypot(*off[:2])),
-        v_err_m=abs(float(off[2])),
+        h_err_m=float(np.hypot(*error[:2])),
+        v_err_m=abs(float(error[2])),
     )
 
 
@@ -196,24 +197,33 @@ def _points_in_view(views: Scene, sparse_map: SparseMap) -> Iterator[int]:
     points = torch.from_numpy(np.asarray(sparse_map.xyz, np.float64))
     for session in views.sessions:
         frames = views.frames(session)
-        with views.dense(session) as dense:
+        with views.layers(session) as layers:
             for row, camera in enumerate(frames.cameras):
-                local = Pose.from_matrix(frames.cam_from_world[row]).transform(points)
-                projected = camera.project(local)
-                depth = dense.read("depth", row)
-                yield _count(projected.xy.numpy(), projected.valid.numpy(), local.numpy(), depth)
+                in_camera = Pose.from_matrix(frames.cam_from_world[row]).transform(points)
+                projected = camera.project(in_camera)
+                depth = layers.read("depth", row)
+                yield _count_visible(
+                    projected.xy.numpy(), projected.valid.numpy(), in_camera.numpy()[:, 2], depth
+                )
 
 
-def _count(
+def _count_visible(
     xy: NDArray[np.float64],
     valid: NDArray[np.bool_],
-    local: NDArray[np.float64],
+    point_depth: NDArray[np.float64],
     depth: NDArray[np.float32],
 ) -> int:
-    """Count the points that project into a picture and are not behind its surface."""
+    """Count the map points that project into a view and are not behind its surface.
+
+    Args:
+        xy: (M, 2) pixels of the points.
+        valid: (M,) whether a point can be projected.
+        point_depth: (M,) depth of the points along the optical axis, metres.
+        depth: (H, W) rendered depth of the surface, metres; 0 without a surface.
+    """
     height, width = depth.shape
     inside = valid & (xy >= 0).all(1) & (xy[:, 0] < width) & (xy[:, 1] < height)
     column, row = xy[inside].astype(int).T
-    surface, own = depth[row, column], local[inside, 2]
-    seen = (surface <= 0) | (own <= surface * (1 + _HIDDEN) + _HIDDEN_M)
-    return int(seen.sum())
+    surface = depth[row, column]
+    farthest = surface * (1 + _DEPTH_SHARE) + _DEPTH_M
+    return int(((surface <= 0) | (point_depth[inside] <= farthest)).sum())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.forecasting.calibration import (
     Calibration,
     Evidence,
-    Seen,
+    ViewResult,
     false_risk,
     pool,
     probability,
@@ -49,15 +49,24 @@ def waypoints_of(
     config: ForecastConfig,
     calibration: Calibration,
 ) -> tuple[Waypoint, ...]:
-    """Return every waypoint with its outlook in every season."""
+    """Return every waypoint with its outlook in every season.
+
+    Args:
+        observations: answers to all views.
+        centres: positions of the waypoints (N, 3), world metres.
+        origin: geodetic coordinates of the world's origin.
+        config: options of the forecast.
+        calibration: calibration of the method.
+    """
     evidence = evidence_by_season(observations, centres, config)
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
-    own: dict[int, list[Observation]] = {k: [] for k in range(len(centres))}
+    by_waypoint: dict[int, list[Observation]] = {k: [] for k in range(len(centres))}
     for observation in observations:
-        own[observation.waypoint].append(observation)
+        by_waypoint[observation.waypoint].append(observation)
     points = [
-        float(np.expm1(np.mean(np.log1p([o.points for o in own[k]])))) for k in range(len(centres))
+        float(np.expm1(np.mean(np.log1p([o.points for o in by_waypoint[k]]))))
+        for k in range(len(centres))
     ]
     outlooks = {
         season: _outlooks(evidence[season], calibration, points, config)
@@ -68,7 +77,7 @@ def waypoints_of(
         position = geodetic_from_enu(centre, origin)
         seasons = {}
         for season in config.seasons:
-            views = [o for o in own[k] if o.season == season]
+            views = [o for o in by_waypoint[k] if o.season == season]
             fixes = sum(o.is_fix(config.fix_m, config.fix_deg) for o in views)
             counts = {"found": fixes, "views": len(views)}
             seasons[season] = outlooks[season][k].model_copy(update=counts)
@@ -95,15 +104,15 @@ def seasons_of(waypoints: Sequence[Waypoint], config: ForecastConfig) -> tuple[S
 
 def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) -> Season:
     outlooks = [waypoint.seasons[name] for waypoint in waypoints]
-    chances = [outlook.probability for outlook in outlooks]
-    share = sum(chances) / len(chances)
+    probabilities = [outlook.probability for outlook in outlooks]
+    share = sum(probabilities) / len(probabilities)
     stretches = weak_stretches(waypoints, name, config)
     gap_m = max((stretch.gap_m for stretch in stretches), default=_longest_leg(waypoints))
     return Season(
         name=name,
         verdict=verdict_of(share, gap_m if stretches else 0.0, config),
         share=round(share, 4),
-        lowest=min(chances),
+        lowest=min(probabilities),
         longest_gap_m=round(gap_m, 1),
         false_risk=round(sum(o.false_risk for o in outlooks) / len(outlooks), 4),
         sigma_across_m=_median(o.sigma_across_m for o in outlooks),
@@ -126,17 +135,18 @@ def _median(values: Iterable[float | None]) -> float | None:
 def _outlooks(
     evidence: Evidence, calibration: Calibration, points: Sequence[float], config: ForecastConfig
 ) -> list[Outlook]:
-    """Return the outlooks of all waypoints in a season, with counts of views of 0."""
-    chances, risks = probability(evidence, calibration), false_risk(evidence, calibration)
+    """Return the outlooks of all waypoints in a season; the caller adds the counts of views."""
+    probabilities = probability(evidence, calibration)
+    risks = false_risk(evidence, calibration)
     outlooks = []
-    for k, chance in enumerate(chances.tolist()):
+    for k, fix_probability in enumerate(probabilities.tolist()):
         cause = None
-        if chance < config.weak:
+        if fix_probability < config.weak:
             cause = "few points" if points[k] < FEW_POINTS else "look"
         outlooks.append(
             Outlook.model_validate(
                 {
-                    "probability": round(chance, 4),
+                    "probability": round(fix_probability, 4),
                     "false_risk": round(float(risks[k]), 4),
                     "sigma_across_m": _scale(evidence.sigma_across_m[k], calibration.across_scale),
                     "sigma_up_m": _scale(evidence.sigma_up_m[k], calibration.up_scale),
@@ -153,9 +163,9 @@ def _scale(sigma: float, scale: float) -> float | None:
     return round(float(sigma) * scale, 4) if np.isfinite(sigma) else None
 
 
-def _summarize(observation: Observation, config: ForecastConfig) -> Seen:
+def _summarize(observation: Observation, config: ForecastConfig) -> ViewResult:
     nan = float("nan")
-    return Seen(
+    return ViewResult(
         observation.waypoint,
         observation.is_fix(config.fix_m, config.fix_deg),
         observation.is_false,

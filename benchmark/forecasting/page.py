@@ -8,16 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.forecasting.calibration import POOL_M
 from benchmark.forecasting.picture import COLOURS, as_jpeg
-from benchmark.forecasting.report import CAUSES, VERDICTS, Forecast
+from benchmark.forecasting.report import CAUSES, FEW_POINTS, VERDICTS, Forecast
 from benchmark.report.self_contained import fill
 
 MARK = b"<title>ObjConnect forecast</title>"
-"""These bytes stand near the beginning of every page."""
+"""Bytes near the beginning of every page, by which an earlier page is recognized and replaced."""
 
 
 def page(forecast: Forecast, ground: NDArray[np.uint8], area_m: float) -> str:
-    """Return the page; it contains the picture of the ground (n, n, 3), north up."""
+    """Return the page as HTML.
+
+    Args:
+        forecast: the report.
+        ground: the site from above, (n, n, 3) sRGB, north up.
+        area_m: side of the site, metres.
+    """
     picture = base64.b64encode(as_jpeg(ground)).decode()
     data: dict[str, Any] = forecast.as_dict()
     data |= {
@@ -26,5 +33,7 @@ def page(forecast: Forecast, ground: NDArray[np.uint8], area_m: float) -> str:
         "colours": list(COLOURS),
         "ground": f"data:image/jpeg;base64,{picture}",
         "area_m": area_m,
+        "few_points": FEW_POINTS,
+        "pool_m": POOL_M,
     }
     return fill("forecast", data, base="shared")

@@ -24,22 +24,23 @@ COLOURS = ("#c0261c", "#f2b134", "#1f6fb4")
 """Colours of the probabilities 0, 0.5 and 1, which the colour-blind can also tell apart."""
 
 _SCALE = LinearSegmentedColormap.from_list("probability", COLOURS)
-_SIDE, _DPI = 5.0, 110
-_MOST_PIXELS = 900
+_SIDE, _DPI = 5.0, 110  # side of a panel, inches, and resolution
+_MOST_PIXELS = 900  # largest side of the orthophoto, pixels
+_BRIGHTNESS = 1.25  # factor on the albedo, which is darker than a photograph
 _MOST_NUMBERED = 60  # with more waypoints, every tenth is numbered
-_FADED = 0.35  # share of white over the ground, on which the colours are seen
+_FADED = 0.35  # share of white mixed into the ground, so that coloured waypoints stand out
 
 
 def ground_from_above(world: World) -> NDArray[np.uint8]:
     """Return the orthophoto of a site in its original season, (n, n, 3) sRGB, north up."""
     imagery = world.imagery
     assert imagery is not None
-    whole = len(imagery.albedo)
-    margin = round(whole * world.margin_m / (world.area_m + 2 * world.margin_m))
-    inner = imagery.albedo[margin : whole - margin, margin : whole - margin][::-1]
+    pixels = len(imagery.albedo)
+    margin = round(pixels * world.margin_m / (world.area_m + 2 * world.margin_m))
+    inner = imagery.albedo[margin : pixels - margin, margin : pixels - margin][::-1]
     side = min(_MOST_PIXELS, len(inner))
     small = cv2.resize(np.ascontiguousarray(inner), (side, side), interpolation=cv2.INTER_AREA)
-    return np.asarray(np.clip(small * 1.25, 0, 255), np.uint8)
+    return np.asarray(np.clip(small * _BRIGHTNESS, 0, 255), np.uint8)
 
 
 def as_jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -79,8 +80,8 @@ def draw(forecast: Forecast, ground: NDArray[np.uint8], area_m: float, path: Pat
     for panel in panels[len(forecast.seasons) :]:
         panel.set_axis_off()
     panels[0].set_ylabel("north (m)")
-    shades = figure.colorbar(panels[0].collections[0], ax=list(panels), shrink=0.8, pad=0.01)
-    shades.set_label(
+    colour_bar = figure.colorbar(panels[0].collections[0], ax=list(panels), shrink=0.8, pad=0.01)
+    colour_bar.set_label(
         f"probability of a fix within {forecast.config.fix_m:g} m and "
         f"{forecast.config.fix_deg:g}° by {for_figure(forecast.method.name)}"
     )
@@ -89,15 +90,17 @@ def draw(forecast: Forecast, ground: NDArray[np.uint8], area_m: float, path: Pat
 
 
 def _draw_route(panel: Axes, forecast: Forecast, season: str) -> None:
-    at = np.array([waypoint.enu_m[:2] for waypoint in forecast.waypoints])
-    chances = [waypoint.seasons[season].probability for waypoint in forecast.waypoints]
-    panel.plot(*at.T, color="0.15", linewidth=1.0)
-    x, y = at.T
-    panel.scatter(x, y, c=chances, cmap=_SCALE, vmin=0, vmax=1, s=70, edgecolors="white", zorder=3)
-    for number in _choose_numbers(len(at)):
+    positions = np.array([waypoint.enu_m[:2] for waypoint in forecast.waypoints])
+    probabilities = [waypoint.seasons[season].probability for waypoint in forecast.waypoints]
+    panel.plot(*positions.T, color="0.15", linewidth=1.0)
+    x, y = positions.T
+    panel.scatter(
+        x, y, c=probabilities, cmap=_SCALE, vmin=0, vmax=1, s=70, edgecolors="white", zorder=3
+    )
+    for number in _choose_numbers(len(positions)):
         panel.annotate(
             str(number + 1),
-            at[number],
+            positions[number],
             (5, 5),
             textcoords="offset points",
             fontsize=7,

@@ -16,7 +16,7 @@ Verdict = Literal["holds", "gaps", "fails"]
 
 SCHEMA = "objconnect forecast 2"
 FEW_POINTS: Final = 40
-"""With fewer points of the map in view, more photographs of the map would help."""
+"""If fewer map points are in view, more photographs for the map would help."""
 
 CAUSES: Mapping[Cause, str] = {
     "few points": "few points of the map are in view: photograph the ground there for the map",
@@ -37,11 +37,11 @@ class Outlook(Record):
         probability: probability of a fix.
         false_risk: probability of a false fix.
         sigma_across_m: expected horizontal standard deviation of a fix within the map, metres;
-            None if no view of the waypoint or its neighbours was localized.
+            None if no view of the waypoint or its neighbours had a fix.
         sigma_up_m: the vertical one.
-        found: number of localized views of this waypoint.
+        found: number of views of this waypoint with a fix.
         views: number of its views.
-        cause: why the probability is low; None if it is not.
+        cause: why the probability is below ``ForecastConfig.weak``; None if it is not.
     """
 
     probability: float
@@ -61,8 +61,8 @@ class Waypoint(Record):
         enu_m: position in the map's world: east, north, up, metres.
         longitude: degrees.
         latitude: degrees.
-        altitude_m: height above the ellipsoid.
-        along_m: distance flown up to here.
+        altitude_m: height above the ellipsoid, metres.
+        along_m: distance flown from the first waypoint, metres.
         points: number of map points in view, geometric mean over the views.
         seasons: outlook by season.
     """
@@ -81,11 +81,11 @@ class Stretch(Record):
     """Successive waypoints at which a fix is unlikely.
 
     Attributes:
-        first: number of the first one.
-        last: number of the last one.
-        gap_m: distance between the likely fixes before and after it.
-        probability: mean probability on it.
-        cause: the cause at most of its waypoints.
+        first: number of the first waypoint, counted from 1.
+        last: number of the last waypoint, counted from 1.
+        gap_m: distance between the likely fixes before and after the stretch.
+        probability: mean probability of a fix at the waypoints.
+        cause: the cause at most of the waypoints.
     """
 
     first: int
@@ -100,7 +100,7 @@ class Season(Record):
 
     Attributes:
         name: condition.
-        verdict: whether the flight can rely on these fixes.
+        verdict: whether the flight can rely on its fixes.
         share: mean probability of a fix.
         lowest: lowest probability.
         longest_gap_m: longest distance between two likely fixes.
@@ -125,8 +125,8 @@ class Request(Record):
     """A part of the flight where more map photographs would help.
 
     Attributes:
-        first: number of its first waypoint.
-        last: number of its last one.
+        first: number of its first waypoint, counted from 1.
+        last: number of its last waypoint, counted from 1.
         points: mean number of map points in view.
         lost: expected number of missing fixes there, over all seasons.
         longitude: longitude of its middle, degrees.
@@ -158,7 +158,7 @@ class Forecast(Record):
         notes: notes on the twin and on the probabilities.
         seasons: forecasts by season, in the requested order.
         waypoints: waypoints in flying order.
-        photographs: where more map photographs would help, the most first.
+        photographs: where more map photographs would help, the largest loss of fixes first.
         views: every view: season, waypoint, answer and errors.
     """
 
@@ -189,8 +189,8 @@ class Forecast(Record):
     def _lines(self) -> Iterator[str]:
         yield f"{for_terminal(self.flight)} by {self.method.name}: {len(self.waypoints)} waypoints"
         for season in self.seasons:
-            across = season.sigma_across_m
-            sigma = "" if across is None else f", sigma across {across:.2f} m within the map"
+            metres = season.sigma_across_m
+            sigma = "" if metres is None else f", horizontal sigma {metres:.2f} m within the map"
             yield (
                 f"{season.name}: {VERDICTS[season.verdict]}; a fix at {100 * season.share:.0f} % "
                 f"of the waypoints, longest gap {season.longest_gap_m:.0f} m, false fixes "
@@ -207,12 +207,12 @@ def weak_stretches(
     waypoints: Sequence[Waypoint], season: str, config: ForecastConfig
 ) -> tuple[Stretch, ...]:
     """Return the weak stretches of a flight in a season, the longest gap first."""
-    found = []
-    for first, last in runs([w.seasons[season].probability < config.weak for w in waypoints]):
+    stretches = []
+    for first, last in find_runs([w.seasons[season].probability < config.weak for w in waypoints]):
         part = [w.seasons[season] for w in waypoints[first : last + 1]]
         before, after = max(first - 1, 0), min(last + 1, len(waypoints) - 1)
         few = sum(outlook.cause == "few points" for outlook in part)
-        found.append(
+        stretches.append(
             Stretch(
                 first=first + 1,
                 last=last + 1,
@@ -221,7 +221,7 @@ def weak_stretches(
                 cause="few points" if 2 * few > len(part) else "look",
             )
         )
-    return tuple(sorted(found, key=lambda stretch: -stretch.gap_m))
+    return tuple(sorted(stretches, key=lambda stretch: -stretch.gap_m))
 
 
 def request_photographs(
@@ -233,12 +233,12 @@ def request_photographs(
         weakest = min(outlook.probability for outlook in waypoint.seasons.values())
         return waypoint.points < FEW_POINTS and weakest < config.weak
 
-    found = []
-    for first, last in runs([is_wanted(w) for w in waypoints]):
+    requests = []
+    for first, last in find_runs([is_wanted(w) for w in waypoints]):
         part = waypoints[first : last + 1]
         middle = part[len(part) // 2]
         lost = sum(1 - o.probability for w in part for o in w.seasons.values())
-        found.append(
+        requests.append(
             Request(
                 first=first + 1,
                 last=last + 1,
@@ -248,7 +248,7 @@ def request_photographs(
                 latitude=middle.latitude,
             )
         )
-    return tuple(sorted(found, key=lambda request: -request.lost))
+    return tuple(sorted(requests, key=lambda request: -request.lost))
 
 
 def verdict_of(share: float, longest_gap_m: float, config: ForecastConfig) -> Verdict:
@@ -258,12 +258,12 @@ def verdict_of(share: float, longest_gap_m: float, config: ForecastConfig) -> Ve
     return "gaps" if longest_gap_m > config.gap_m else "holds"
 
 
-def runs(flags: Sequence[bool]) -> list[tuple[int, int]]:
+def find_runs(flags: Sequence[bool]) -> list[tuple[int, int]]:
     """Return the first and last index of each run of true values."""
-    found: list[tuple[int, int]] = []
+    runs: list[tuple[int, int]] = []
     for k, flag in enumerate(flags):
-        if flag and found and found[-1][1] == k - 1:
-            found[-1] = (found[-1][0], k)
+        if flag and runs and runs[-1][1] == k - 1:
+            runs[-1] = (runs[-1][0], k)
         elif flag:
-            found.append((k, k))
-    return found
+            runs.append((k, k))
+    return runs

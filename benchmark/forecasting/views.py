@@ -30,14 +30,15 @@ from simulate.twin.options import SiteConfig
 
 Array = NDArray[np.float64]
 
-# Largest difference of height between equal origins of map and twin, metres.
+# Origins of map and twin count as equal if their heights differ by at most this, metres.
 _SAME_UP_M = 0.1
 # Standard deviation of the views from the waypoint per axis (m) and of their attitude (deg), as the
 # wind of ``simulate``.
 _DEVIATION_M: Final = 0.7
 _DEVIATION_DEG: Final = 1.5
-# A flight with more waypoints is refused, because it would take hours.
+# A flight with more waypoints is refused, because its views would take hours to render.
 _MOST_WAYPOINTS: Final = 300
+_SECONDS_PER_VIEW: Final = 3  # rough estimate of the rendering time
 
 
 def views_config(
@@ -46,7 +47,7 @@ def views_config(
     """Return the configuration of the scene that holds all views.
 
     A session is one view of every waypoint in one season, and is called SEASON-NUMBER. The first
-    one has the role "map" because a scene has such a session.
+    session has the role "map", because every scene needs a session of this role.
 
     Args:
         scene: the scene of the map.
@@ -75,7 +76,7 @@ def views_config(
         "preset": SITE,
         "seed": config.seed,
         "frames": config.waypoints,
-        "camera": usual_camera(sparse_map, config.size),
+        "camera": most_common_camera(sparse_map, config.size),
         "site": site,
         "sessions": sessions,
         "map_plan": QUERY_PLAN,
@@ -83,40 +84,46 @@ def views_config(
         "attitude_jitter_deg": _DEVIATION_DEG,
     }
     try:
-        views = SimulateConfig.model_validate(values)
+        render_config = SimulateConfig.model_validate(values)
     except ValidationError as error:
         raise InputError(describe(error, SimulateConfig, "forecast")) from None
-    _check_plan(views, config)
-    return views
+    _check_plan(render_config, config)
+    return render_config
 
 
-def route_of(views: SimulateConfig, folder: Path) -> Array:
-    """Return the waypoints (N, 3) of rendered views without wind, world metres."""
-    world, _ = base_place(views, folder)
-    calm = views.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
+def route_of(render_config: SimulateConfig, folder: Path) -> Array:
+    """Return the waypoints (N, 3) of rendered views without wind, world metres.
+
+    Args:
+        render_config: configuration of the views.
+        folder: scene of the views.
+    """
+    world, _ = base_place(render_config, folder)
+    calm = render_config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     session = _as_query(calm.sessions[0])
     poses = plan_session(session, calm, calm.photo_camera(session), world, np.random.default_rng(0))
     return camera_centres(poses)
 
 
 def _as_query(session: SessionConfig) -> SessionConfig:
+    """Return a session with the role "query"."""
     return session.model_copy(update={"role": "query"})
 
 
-def usual_camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
+def most_common_camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
     """Return the camera of most photographs of a map, at most ``size`` pixels on a side."""
     cameras: list[Camera] = [image.camera for image in sparse_map.images.values()]
-    usual = max(cameras, key=cameras.count)
+    common = max(cameras, key=cameras.count)
     # One scale for both axes, because some models have a single focal length.
-    scale = min(1.0, size / max(usual.width, usual.height))
+    scale = min(1.0, size / max(common.width, common.height))
     lengths = ("f", "fx", "fy", "cx", "cy")
     return {
-        "model": usual.model,
-        "width": max(16, round(scale * usual.width)),
-        "height": max(16, round(scale * usual.height)),
+        "model": common.model,
+        "width": max(16, round(scale * common.width)),
+        "height": max(16, round(scale * common.height)),
         "params": tuple(
             value * scale if name in lengths else value
-            for name, value in zip(MODELS[usual.model], usual.params, strict=True)
+            for name, value in zip(MODELS[common.model], common.params, strict=True)
         ),
     }
 
@@ -125,7 +132,7 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
     """Return the site of a twin.
 
     Raises:
-        InputError: the scene is not a twin, or not of the site of the map.
+        InputError: the scene is not a twin, or is the twin of another site than the map's.
     """
     site = twin.manifest.config.get("site")
     if twin.manifest.preset != SITE or site is None:
@@ -141,36 +148,37 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
     return SiteConfig.model_validate(site)
 
 
-def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
+def _check_plan(render_config: SimulateConfig, config: ForecastConfig) -> None:
     """Check that a flight lies inside the site and has not too many waypoints.
 
     Raises:
         InputError: a waypoint lies outside, or there are more than ``_MOST_WAYPOINTS``.
     """
-    session = views.sessions[0]
+    session, area = render_config.sessions[0], render_config.area
     flight = session.flight
-    count = session.frames or views.frames
+    count = session.frames or render_config.frames
     if isinstance(flight, PlanFlight):
         aims = read_plan(
             flight.file,
-            views.origin,
-            views.area,
+            render_config.origin,
+            area,
             lambda x, y: np.zeros(np.shape(x)),
             flight.pitch_deg,
             flight.undulation_m,
         )
         count = len(aims.centres)
-        off = np.abs(np.asarray(aims.centres)[:, :2]).max(1) > 0.5 * views.area
-        if off.any():
+        is_outside = np.abs(np.asarray(aims.centres)[:, :2]).max(1) > 0.5 * area
+        if is_outside.any():
             raise InputError(
-                f"mission plan {flight.file}: photograph {int(np.argmax(off)) + 1} and "
-                f"{int(off.sum()) - 1} more lie outside the map's square of {views.area:.0f} m: "
-                "plan inside it, or map more"
+                f"mission plan {flight.file}: photograph {int(np.argmax(is_outside)) + 1} and "
+                f"{int(is_outside.sum()) - 1} more lie outside the map's square of "
+                f"{area:.0f} m: plan inside it, or map more"
             )
     elif flight.counts_photographs:
         return
     if count > _MOST_WAYPOINTS:
-        hours = math.ceil(count * config.views * len(config.seasons) * 3 / 3600)
+        views = count * config.views * len(config.seasons)
+        hours = math.ceil(views * _SECONDS_PER_VIEW / 3600)
         raise InputError(
             f"the flight has {count} waypoints, about {hours} h of rendering: trigger less often, "
             f"at most {_MOST_WAYPOINTS} times, or fly the plan in parts"

@@ -36,7 +36,7 @@ from objconnect.scene.storage.images import read_rgb
 
 ALBUM: Final = "album.h5"
 ALBUM_MARK: Final = b"dataset_sha256"
-"""These bytes stand near the beginning of every album."""
+"""Bytes near the beginning of every album, by which an earlier album is recognized and replaced."""
 # Longest side of a photograph, pixels; a page may shrink it further.
 SIDE: Final = 480
 _QUALITY: Final = 55
@@ -88,7 +88,7 @@ class Album:
     """The album of a data set.
 
     Attributes:
-        sha256: digest of the data set.
+        sha256: digest of the data set that the album was made of.
         entries: entries by the name of the query.
         neighbours: map photographs by name.
         parts: digests of the parts of the data set, see ``Dataset.parts``; empty in an album of an
@@ -111,7 +111,7 @@ def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
     neighbours: dict[str, Neighbour] = {}
     with progress_bar(f"{dataset.name} album", len(dataset.queries)) as advance:
         for query in dataset.queries:
-            entry = _entry(query, sparse_map)
+            entry = _make_entry(query, sparse_map)
             entries[query.name] = entry
             if entry.neighbour is not None and entry.neighbour not in neighbours:
                 camera = sparse_map.images[entry.neighbour].camera
@@ -121,22 +121,24 @@ def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
     return Album(dataset.sha256, entries, neighbours, dataset.parts)
 
 
-def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
+def _make_entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     """Choose the neighbour of a query and the points to draw."""
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
-    shared = {name: _visible_rows(sparse_map, name, visible) for name in sparse_map.names}
+    shared = {
+        name: _find_shared_observations(sparse_map, name, visible) for name in sparse_map.names
+    }
     distance = np.linalg.norm(sparse_map.centres - query.reference.centre().numpy(), axis=1)
-    row = {name: k for k, name in enumerate(sparse_map.names)}
+    row_of = {name: k for k, name in enumerate(sparse_map.names)}
     # Among photographs that share equally many points, the nearest is chosen.
-    best = max(shared, key=lambda name: (len(shared[name]), -distance[row[name]]), default=None)
+    best = max(shared, key=lambda name: (len(shared[name]), -distance[row_of[name]]), default=None)
     neighbour = best if best is not None and len(shared[best]) else None
     observations = shared[neighbour] if neighbour is not None else np.zeros(0, np.int64)
-    drawn = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
+    points = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
     cell = max(query.camera.width, query.camera.height) / _CELLS
     kept = space_points(
-        truth[drawn], np.ones(len(drawn), np.bool_), sparse_map.track_length[drawn], cell
+        truth[points], np.ones(len(points), np.bool_), sparse_map.track_length[points], cell
     )
-    rows = drawn[kept]
+    rows = points[kept]
     return Entry(
         camera=query.camera,
         photograph=webp(read_rgb(query.image, query.camera)),
@@ -147,10 +149,16 @@ def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     )
 
 
-def _visible_rows(
+def _find_shared_observations(
     sparse_map: SparseMap, name: str, visible: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Return the observations of a map photograph whose points are visible in the query."""
+    """Return the rows of a map photograph's observations whose points the query sees too.
+
+    Args:
+        sparse_map: the map, of M points.
+        name: name of the map photograph.
+        visible: (M,) whether the query sees each point.
+    """
     rows = sparse_map.images[name].point_rows
     return np.flatnonzero((rows >= 0) & visible[rows]) if len(visible) else np.zeros(0, np.int64)
 
@@ -189,24 +197,33 @@ def write_album(path: Path, album: Album) -> None:
         set_text(file, "dataset_sha256", album.sha256)
         file["parts"] = np.frombuffer(json.dumps(album.parts).encode(), np.uint8)
         for number, (name, entry) in enumerate(album.entries.items()):
-            part = file.create_group(f"queries/{number:06d}")
-            set_text(part, "name", name)
-            set_text(part, "camera", str(entry.camera))
+            entry_group = file.create_group(f"queries/{number:06d}")
+            set_text(entry_group, "name", name)
+            set_text(entry_group, "camera", str(entry.camera))
             if entry.neighbour is not None:
-                set_text(part, "neighbour", entry.neighbour)
-            part["photograph"] = np.frombuffer(entry.photograph, np.uint8)
-            part["world"], part["truth"], part["seen"] = entry.world, entry.truth, entry.seen
+                set_text(entry_group, "neighbour", entry.neighbour)
+            entry_group["photograph"] = np.frombuffer(entry.photograph, np.uint8)
+            entry_group["world"], entry_group["truth"], entry_group["seen"] = (
+                entry.world,
+                entry.truth,
+                entry.seen,
+            )
         for number, (name, neighbour) in enumerate(album.neighbours.items()):
-            part = file.create_group(f"map/{number:06d}")
-            set_text(part, "name", name)
-            part.attrs["size"] = [neighbour.width, neighbour.height]
-            part["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
+            neighbour_group = file.create_group(f"map/{number:06d}")
+            set_text(neighbour_group, "name", name)
+            neighbour_group.attrs["size"] = [neighbour.width, neighbour.height]
+            neighbour_group["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
 
 
 def album_parts(path: Path, sha256: str) -> dict[str, str] | None:
-    """Return the parts of the data set of an album.
+    """Return the digests of the parts of the data set that an album records.
 
-    The answer is None where the album is missing, damaged, or of another data set.
+    Args:
+        path: file of the album.
+        sha256: digest of the data set in the earlier run, of which the album must be.
+
+    Returns:
+        The digests by part; None where the album is missing, damaged, or of other data.
     """
     try:
         with h5py.File(path, "r") as file:
@@ -223,11 +240,12 @@ def _parts(file: h5py.File) -> dict[str, str]:
 
 
 def read_album(path: Path, *digests: str) -> Album | None:
-    """Read the album of a data set; None where it is missing or of another data set.
+    """Read the album of a data set; None where it is missing or of other data.
 
     Args:
         path: the file.
-        digests: digests of the data set, one for each of its renders.
+        digests: accepted digests of the data set. A rendered one has several, because renders of
+            different machines differ by rounding.
 
     Raises:
         InputError: the file is damaged.
@@ -240,25 +258,25 @@ def read_album(path: Path, *digests: str) -> Album | None:
             if sha256 not in digests:
                 return None
             neighbours = {
-                str(attribute(part, "name")): Neighbour(
-                    int(attribute(part, "size")[0]),
-                    int(attribute(part, "size")[1]),
-                    array(part, "photograph").tobytes(),
+                str(attribute(item, "name")): Neighbour(
+                    int(attribute(item, "size")[0]),
+                    int(attribute(item, "size")[1]),
+                    array(item, "photograph").tobytes(),
                 )
-                for _, part in (groups(group(file, "map")) if "map" in file else ())
+                for _, item in (groups(group(file, "map")) if "map" in file else ())
             }
             entries = {
-                str(attribute(part, "name")): Entry(
-                    camera=Camera.parse(str(attribute(part, "camera")).split()),
-                    photograph=array(part, "photograph").tobytes(),
+                str(attribute(item, "name")): Entry(
+                    camera=Camera.parse(str(attribute(item, "camera")).split()),
+                    photograph=array(item, "photograph").tobytes(),
                     neighbour=(
-                        str(attribute(part, "neighbour")) if "neighbour" in part.attrs else None
+                        str(attribute(item, "neighbour")) if "neighbour" in item.attrs else None
                     ),
-                    world=array(part, "world").reshape(-1, 3),
-                    truth=array(part, "truth").reshape(-1, 2),
-                    seen=array(part, "seen").reshape(-1, 2),
+                    world=array(item, "world").reshape(-1, 3),
+                    truth=array(item, "truth").reshape(-1, 2),
+                    seen=array(item, "seen").reshape(-1, 2),
                 )
-                for _, part in groups(group(file, "queries"))
+                for _, item in groups(group(file, "queries"))
             }
             parts = _parts(file)
     except HDF5_DAMAGE as error:

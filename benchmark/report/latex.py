@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from benchmark.report.paper import TITLE, Cell, Line, columns
+from benchmark.report.markdown import BY_COURSE, INTEGRITY, INTEGRITY_COLUMNS
+from benchmark.report.paper import TITLE, Line, TableCell, columns
 from benchmark.report.tables import Table
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS
@@ -27,15 +28,15 @@ _ESCAPED: Final = str.maketrans(
 )
 
 
-def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
+def latex(tables: Sequence[Table], lines: Sequence[Line], note: str) -> str:
     """Return the leaderboard, and the paper's table with our figures, as floating tables."""
     parts = [
         r"% \usepackage{booktabs} and \usepackage{textcomp} in the preamble.",
-        "% Recall in %, Wilson 95 % intervals below it as indices; all listed queries count.",
+        "% Recall in % of all listed queries, with its 95 % interval as a subscript; " + BY_COURSE,
     ]
-    for number, board in enumerate(boards, 1):
-        parts += ["", *_float(_board(board), _caption(board), f"leaderboard-{number}")]
-    parts += ["", *_float(_paper(lines), f"{TITLE}. {note}", "paper")]
+    for number, table in enumerate(tables, 1):
+        parts += ["", *_float(_leaderboard_table(table), _caption(table), f"leaderboard-{number}")]
+    parts += ["", *_float(_paper_table(lines), f"{TITLE}. {note}", "paper")]
     return "\n".join(parts) + "\n"
 
 
@@ -44,11 +45,11 @@ def escape(text: str) -> str:
     return for_terminal(text.replace("\n", " ")).translate(_ESCAPED)
 
 
-def _caption(board: Table) -> str:
+def _caption(table: Table) -> str:
     return (
-        f"{board.track}: {board.dataset}. Recall in % with its Wilson 95 % interval; failed "
-        f"queries and fallback poses count as wrong. False fixes, in % too, are poses called right "
-        f"that are wrong by more than 5 m or 10°. {board.facts()}"
+        f"{table.track}: {table.dataset}. Recall in % with its 95 % interval as a subscript; "
+        f"{BY_COURSE} Failed queries and fallback poses count as wrong. {INTEGRITY} "
+        f"{table.facts()}"
     )
 
 
@@ -61,11 +62,11 @@ def _float(body: Iterator[str], caption: str, label: str) -> Iterator[str]:
     yield r"\end{table}"
 
 
-def _board(board: Table) -> Iterator[str]:
-    header = ["method", "condition", "queries", *(str(threshold) for threshold in THRESHOLDS)]
-    header += ["median m", "median °", "false fixes", "failed", "fallback", "s/query"]
+def _leaderboard_table(table: Table) -> Iterator[str]:
+    header = ["method", "condition", "queries", "courses", *(str(t) for t in THRESHOLDS)]
+    header += ["median m", "median °", *INTEGRITY_COLUMNS, "failed", "fallback", "s/query"]
     rows = []
-    for row in board.rows:
+    for row in table.rows:
         summary = row.summary
         recalls = (summary.recall[threshold.key] for threshold in THRESHOLDS)
         rows.append(
@@ -73,19 +74,20 @@ def _board(board: Table) -> Iterator[str]:
                 escape(row.method),
                 escape(row.condition),
                 str(summary.queries),
+                str(summary.courses),
                 *(_recall(recall) for recall in recalls),
                 _number(summary.median_t_m),
                 _number(summary.median_r_deg),
-                "--" if (wrong := summary.false_fixes) is None else _recall(wrong),
+                *(_recall(share) for share in summary.integrity()),
                 str(summary.failed),
                 str(summary.fallback),
                 _number(summary.seconds.per_query.get(TOTAL)),
             ]
         )
-    yield from _tabular(header, rows, [row.method for row in board.rows])
+    yield from _tabular(header, rows, [row.method for row in table.rows])
 
 
-def _paper(lines: Sequence[Line]) -> Iterator[str]:
+def _paper_table(lines: Sequence[Line]) -> Iterator[str]:
     rows = [
         [escape(line.method), escape(line.source), *(_cell(cell) for cell in line.cells)]
         for line in lines
@@ -97,7 +99,10 @@ def _paper(lines: Sequence[Line]) -> Iterator[str]:
 def _tabular(
     header: Sequence[str], rows: Sequence[Sequence[str]], parts: Sequence[str]
 ) -> Iterator[str]:
-    """Yield a tabular, with a rule between rows of different parts."""
+    """Yield a tabular, with a rule between rows of different parts.
+
+    ``parts`` says of each row to which part of the table it belongs.
+    """
     yield f"\\begin{{tabular}}{{ll{'r' * (len(header) - 2)}}}"
     yield r"\toprule"
     yield " & ".join(escape(cell) for cell in header) + r" \\"
@@ -111,20 +116,21 @@ def _tabular(
     yield r"\end{tabular}"
 
 
-def _cell(cell: Cell | None) -> str:
+def _cell(cell: TableCell | None) -> str:
     if cell is None:
         return "--"
-    if cell.low is None or cell.high is None:
+    if cell.queries is None:
         return f"{cell.value:.1f}"
     return _interval(cell.value, cell.low, cell.high)
 
 
-def _recall(recall: Recall) -> str:
-    return _interval(recall.value, recall.low, recall.high)
+def _recall(recall: Recall | None) -> str:
+    return "--" if recall is None else _interval(recall.value, recall.low, recall.high)
 
 
-def _interval(value: float, low: float, high: float) -> str:
-    return f"${value:.1f}_{{[{low:.1f},\\,{high:.1f}]}}$"
+def _interval(value: float, low: float | None, high: float | None) -> str:
+    ends = r"\mbox{--}" if low is None or high is None else f"{low:.1f},\\,{high:.1f}"
+    return f"${value:.1f}_{{[{ends}]}}$"
 
 
 def _number(value: float | None) -> str:

@@ -19,7 +19,7 @@ MARKS: Final = {
     "leaderboard.tex": b"% \\usepackage{booktabs} and \\usepackage{textcomp} in the preamble.",
     "leaderboard.html": b"<title>ObjConnect leaderboard</title>",
 }
-"""These bytes stand near the beginning of each file that a leaderboard is written to."""
+"""Bytes near the beginning of each file, by which an earlier file is recognized and replaced."""
 
 
 def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
@@ -43,12 +43,12 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
             (OutputFile(out / name, mark) for name, mark in MARKS.items()), results, within=out
         )
     runs = groups(results)
-    boards = [table(group) for group in runs]
+    tables = [table(group) for group in runs]
     lines = side_by_side(runs)
-    text = markdown(boards) + paper_markdown(lines, note())
+    text = markdown(tables) + paper_markdown(lines, note())
     if out is not None:
         html = page(runs)
-        texts = (text, latex(boards, lines, note()), html)
+        texts = (text, latex(tables, lines, note()), html)
         for name, written in zip(MARKS, texts, strict=True):
             write_text(out / name, written)
     return text

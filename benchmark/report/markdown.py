@@ -9,8 +9,8 @@ from typing import Final
 from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
 from benchmark.results.query_result import TOTAL
-from benchmark.scoring.score import THRESHOLDS
-from benchmark.scoring.summary import Recall
+from benchmark.scoring.score import THRESHOLDS, WRONG_M
+from benchmark.scoring.summary import Recall, Uncertainty
 from objconnect.scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
@@ -18,6 +18,21 @@ _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
 # NEES above this is shown as '> 1000': the covariance is useless, and the exact value does not
 # matter. ``shared.js`` has the same number.
 _LARGEST_NEES: Final = 1000
+BY_COURSE: Final = (
+    "queries of one course, the path that was flown, fail together, so intervals treat courses, "
+    "not queries, as independent. [–] says that all queries are of one course, so that the "
+    "interval is unknown."
+)
+"""Explanation of the intervals below a table."""
+INTEGRITY: Final = (
+    "False fixes are poses of status ok that are wrong by more than 5 m or 10°. Poses of status ok "
+    f"also count where their position is wrong by more than {WRONG_M:g} m, and where it is farther "
+    "off than the position that the query was started from; – says that it was given none, or that "
+    "the reference poses are too inexact to judge the figure."
+)
+"""Explanation of the columns of ``INTEGRITY_COLUMNS``."""
+INTEGRITY_COLUMNS: Final = ("false fixes (%)", f"> {WRONG_M:g} m (%)", "worse than prior (%)")
+"""Headings of the figures of ``Summary.integrity``."""
 _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
@@ -26,20 +41,20 @@ def escape(text: str) -> str:
     return _MARKUP.sub(r"\\\g<0>", for_terminal(text).translate(_HTML))
 
 
-def markdown(boards: Sequence[Table]) -> str:
+def markdown(tables: Sequence[Table]) -> str:
     """Return the leaderboard as Markdown."""
     lines = [
         "# Leaderboard",
         "",
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
-        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. False "
-        "fixes are poses that a method calls right and that are wrong by more than 5 m or 10°. "
-        "Medians are over the queries with a pose. Only rows of one table can be compared.",
+        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
+        f"{INTEGRITY} Medians are over the queries with a pose. Only rows of one table can be "
+        "compared.",
     ]
-    for board in boards:
-        lines += ["", f"## {escape(board.track)}: {escape(board.dataset)}", ""]
-        lines += [escape(board.facts()), "", *_table(board)]
-        if note := saturation(board):
+    for table in tables:
+        lines += ["", f"## {escape(table.track)}: {escape(table.dataset)}", ""]
+        lines += [escape(table.facts()), "", *_table(table)]
+        if note := saturation(table):
             lines += ["", note]
     return "\n".join(lines) + "\n"
 
@@ -55,24 +70,25 @@ def paper_markdown(lines: Sequence[Line], note: str, headings: Sequence[str] = c
     return "\n".join(text) + "\n"
 
 
-def _table(board: Table) -> Iterator[str]:
+def _table(table: Table) -> Iterator[str]:
     """Yield the lines of one table."""
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
-    header = ["method", "condition", "queries", *recalls, "median m", "median °"]
-    header += ["false fixes (%)", "failed + fallback", "s/query"]
+    header = ["method", "condition", "queries", "courses", *recalls, "median m", "median °"]
+    header += [*INTEGRITY_COLUMNS, "failed + fallback", "s/query"]
     yield line(header)
     yield line(["---", "---", *["--:"] * (len(header) - 2)])
-    for row in board.rows:
+    for row in table.rows:
         summary = row.summary
         yield line(
             [
                 escape(row.method),
                 escape(row.condition),
                 str(summary.queries),
-                *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
+                str(summary.courses),
+                *(share_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 number(summary.median_t_m),
                 number(summary.median_r_deg),
-                "–" if summary.false_fixes is None else recall_text(summary.false_fixes),
+                *(share_text(share) for share in summary.integrity()),
                 f"{summary.failed} + {summary.fallback}",
                 number(summary.seconds.per_query.get(TOTAL)),
             ]
@@ -84,14 +100,21 @@ def line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
+def share_text(share: Recall | None) -> str:
+    """Format a percentage with its interval; a dash where it is unknown."""
+    return "–" if share is None else share.text()
+
+
+def nees_with_interval(figures: Uncertainty) -> str:
+    """Format a mean NEES with its interval by course, such as ``5.7 [5.3, 6.1]``."""
+    low, high = figures.nees_low, figures.nees_high
+    ends = "–" if low is None or high is None else f"{nees_text(low)}, {nees_text(high)}"
+    return f"{nees_text(figures.nees_mean)} [{ends}]"
+
+
 def nees_text(value: float) -> str:
     """Format a NEES; values above the limit are shown as '> 1000'."""
     return f"> {_LARGEST_NEES}" if value > _LARGEST_NEES else f"{value:.1f}"
-
-
-def recall_text(recall: Recall) -> str:
-    """Return a percentage with its interval."""
-    return f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}]"
 
 
 def number(value: float | None) -> str:

@@ -26,8 +26,8 @@ from benchmark.report.self_contained import fill
 from benchmark.report.tables import ALL, Group, Run, saturation, start_in_words, table
 from benchmark.results.query_result import TOTAL, QueryResult
 from benchmark.results.results_files import BASIN
-from benchmark.scoring.clustered import MIN_CLUSTERS, difference_interval, permutation_p
-from benchmark.scoring.paired import compare, mcnemar
+from benchmark.scoring.clustered import difference_interval, permutation_p
+from benchmark.scoring.paired import compare
 from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.scoring.summary import Recall, Summary, Uncertainty
 from benchmark.scoring.uncertainty import risk_coverage
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 PICTURE_BYTES: Final = 11_000_000
 # Photographs are shrunk until they fit, but not to a longest side below this, pixels.
 _MIN_SIDE: Final = 200
-# Bytes of a photograph grow with its side to this power, which is 1.6 to 1.9 on real flights.
+# The bytes of a photograph grow as its side to this power; on real flights it is 1.6 to 1.9.
 _GROWTH: Final = 1.6
 _BASE64: Final = 4 / 3
 # Length of a photograph's longest side in the coordinates of drawings over it.
@@ -63,7 +63,8 @@ def page(groups: Sequence[Group]) -> str:
     data = {
         "thresholds": [{"key": t.key, "text": str(t)} for t in THRESHOLDS],
         "boards": [
-            _board(group, album, photographs) for group, album in zip(groups, albums, strict=True)
+            _group_data(group, album, photographs)
+            for group, album in zip(groups, albums, strict=True)
         ],
         "paper": paper_of(columns(), note(), side_by_side(groups)),
         "pictures": photographs.pictures,
@@ -92,18 +93,19 @@ def paper_of(columns: Sequence[str], note: str, lines: Sequence[Line]) -> dict[s
     }
 
 
-def _board(group: Group, album: Album | None, photographs: _PagePhotographs) -> dict[str, Any]:
+def _group_data(group: Group, album: Album | None, photographs: _PagePhotographs) -> dict[str, Any]:
+    """Return what the page shows of a group of runs."""
     names = list(dict.fromkeys(q.name for run in group.runs for q in run.results.queries))
     condition_of = {q.name: q.condition for run in group.runs for q in run.results.queries}
     conditions = sorted(set(condition_of.values()))
     entries = {} if album is None else album.entries
-    board = table(group)
+    group_table = table(group)
     return {
         "track": group.track,
         "dataset": group.dataset,
         "start": start_in_words(group.start),
-        "facts": board.facts(),
-        "note": saturation(board) or "",
+        "facts": group_table.facts(),
+        "note": saturation(group_table) or "",
         "conditions": conditions,
         "map_conditions": group.map_conditions,
         "queries": [
@@ -121,6 +123,7 @@ def _board(group: Group, album: Album | None, photographs: _PagePhotographs) -> 
 
 
 def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[str, Any]:
+    """Return what the page shows of a run; queries are in the order of ``names``."""
     results = run.results
     by_name = {query.name: query for query in results.queries}
     return {
@@ -137,9 +140,11 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
         ],
         "basin": _basin(run),
-        # For every threshold, the percentage of correct poses among the 1, 2, 3 ... most certain.
+        # For every judged threshold, the percentage of correct poses among the most certain k.
         "surest": [
-            [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
+            None
+            if str(threshold) in results.dataset.unjudged
+            else [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
             for threshold in THRESHOLDS
         ],
         "nees": nees_of(results.summary.uncertainty),
@@ -151,7 +156,7 @@ def nees_of(figures: Uncertainty | None) -> dict[str, Any] | None:
     if figures is None:
         return None
     return {
-        "mean": round_figure(figures.nees_mean),
+        "mean": [round_figure(x) for x in (figures.nees_mean, figures.nees_low, figures.nees_high)],
         "median": round_figure(figures.nees_median),
         "queries": figures.queries,
         "within": _recall(figures.within_95),
@@ -162,10 +167,11 @@ def figures_of(summary: Summary) -> dict[str, Any]:
     """Return the figures of queries as a page shows them."""
     return {
         "queries": summary.queries,
+        "courses": summary.courses,
         "recall": [_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS],
+        "integrity": [_recall(share) for share in summary.integrity()],
         "t": round_figure(summary.median_t_m),
         "r": round_figure(summary.median_r_deg),
-        "wrong": None if summary.false_fixes is None else _recall(summary.false_fixes),
         "failed": summary.failed,
         "fallback": summary.fallback,
         "seconds": round_figure(summary.seconds.per_query.get(TOTAL)),
@@ -174,6 +180,7 @@ def figures_of(summary: Summary) -> dict[str, Any]:
 
 
 def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
+    """Return what the page shows of the answer to a query."""
     points: list[int | None] = []
     if entry is not None and query.cam_from_world is not None:
         numbers = query.cam_from_world
@@ -194,6 +201,7 @@ def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
 def _pictures(
     entry: Entry | None, album: Album | None, photographs: _PagePhotographs
 ) -> dict[str, Any]:
+    """Return the photographs of a query and its neighbour as the page shows them."""
     if entry is None or album is None:
         return {}
     camera = entry.camera
@@ -203,12 +211,12 @@ def _pictures(
         "truth": _units(entry.truth, camera.width, camera.height),
     }
     if entry.neighbour is not None:
-        beside = album.neighbours[entry.neighbour]
+        neighbour = album.neighbours[entry.neighbour]
         shown["beside"] = {
             "name": entry.neighbour,
-            "picture": photographs.number(beside.photograph),
-            "size": [beside.width, beside.height],
-            "points": _units(entry.seen, beside.width, beside.height),
+            "picture": photographs.number(neighbour.photograph),
+            "size": [neighbour.width, neighbour.height],
+            "points": _units(entry.seen, neighbour.width, neighbour.height),
         }
     return shown
 
@@ -232,76 +240,70 @@ def _pairs(
 ) -> Iterator[dict[str, Any]]:
     """Yield the change from the first to the second of every two runs.
 
-    There is one entry for each condition and threshold.
+    There is one entry for each condition and threshold that the reference poses judge.
     """
     queries_of = [{query.name: query for query in run.results.queries} for run in group.runs]
     known = {name: query for queries in queries_of for name, query in queries.items()}
     for condition in conditions:
         listed = [name for name in names if condition in (ALL, known[name].condition)]
-        flights = [known[name].group for name in listed]
+        courses = [known[name].cluster for name in listed]
         for number, threshold in enumerate(THRESHOLDS):
+            if str(threshold) in group.unjudged:
+                continue
             correct = [
                 [name in queries and is_correct(queries[name], threshold) for name in listed]
                 for queries in queries_of
             ]
             for a, b in combinations(range(len(correct)), 2):
                 where = {"condition": condition, "threshold": number, "a": a, "b": b}
-                yield where | compare_paired(correct[a], correct[b], flights)
+                yield where | compare_paired(correct[a], correct[b], courses)
 
 
 def compare_paired(
-    before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]
+    before: Sequence[bool], after: Sequence[bool], courses: Sequence[str]
 ) -> dict[str, Any]:
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
-    With enough flights, the interval and p are those of whole flights. The interval is then at
-    least as wide as that of independent queries, because resamples do not vary if all flights
-    changed alike.
+    The interval and p are by course, and None with one course. The interval is at least as wide as
+    that of independent queries, because its variance is 0 where all courses changed alike.
 
     Args:
         before: whether each query is correct in the first run.
         after: whether it is in the second.
-        flights: flight of each query.
+        courses: course of each query.
     """
     change = compare(before, after)
-    low, high, p = change.low, change.high, mcnemar(change.lost, change.won)
-    clustered = difference_interval(before, after, flights)
-    of_flights = permutation_p(before, after, flights)
-    if clustered is not None and of_flights is not None:
-        low, high, p = min(low, clustered[0]), max(high, clustered[1]), of_flights
+    low = high = None
+    if (ends := difference_interval(before, after, courses)) is not None:
+        low, high = min(change.low, ends[0]), max(change.high, ends[1])
     return {
         "change": round_figure(change.change),
         "low": round_figure(low),
         "high": round_figure(high),
-        "p": round_figure(p),
+        "p": round_figure(permutation_p(before, after, courses)),
         "lost": change.lost,
         "won": change.won,
-        "clustered": clustered is not None,
+        "courses": len(set(courses)),
     }
 
 
 def _pairs_note(group: Group) -> str:
-    flights = {query.group for run in group.runs for query in run.results.queries}
-    several = "flight" if len(flights) == 1 else "flights"
-    if len(flights) >= MIN_CLUSTERS:
-        return (
-            f"Intervals are from a bootstrap over whole flights ({len(flights)} here), and p is "
-            f"from a permutation test over flights. With fewer than {MIN_CLUSTERS} flights they "
-            "are Bonett and Price's and McNemar's."
-        )
+    courses = len({query.cluster for run in group.runs for query in run.results.queries})
+    if courses == 1:
+        return "All queries are of one course, so intervals and p are unknown."
     return (
-        "Intervals are Bonett and Price's and p is McNemar's. Both assume independent queries. "
-        f"These come from {len(flights)} {several}, so the true intervals are wider and the true p "
-        "is larger."
+        f"Intervals are by course ({courses} here); p is from a permutation test that exchanges "
+        "the methods course by course, and is at least 2 / 2^k with k courses."
     )
 
 
 def _basin(run: Run) -> list[dict[str, Any]] | None:
+    """Return the basin beside a run's results by size of error; None if there is none."""
     path = run.path.with_name(run.path.stem + BASIN)
     if not path.is_file():
         return None
     basin: Basin = load_basin(path)
-    if (basin.dataset, basin.method) != (run.results.dataset, run.results.method):
+    if (basin.dataset.sha256, basin.method) != (run.results.dataset.sha256, run.results.method):
         log.warning("%s is left out: it is not of the method and data beside it", path)
         return None
     return [
@@ -309,15 +311,21 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
             "t": level.prior_t_m,
             "r": level.prior_r_deg,
             "queries": level.queries,
-            "recall": [_recall(level.recall(threshold.key)) for threshold in THRESHOLDS],
+            "recall": [
+                None if str(t) in run.results.dataset.unjudged else _recall(level.recall(t.key))
+                for t in THRESHOLDS
+            ],
         }
         for level in basin.levels
     ]
 
 
-def _recall(recall: Recall) -> list[float]:
+def _recall(recall: Recall | None) -> list[float | None] | None:
+    if recall is None:
+        return None
     # The page rounds to one decimal, which gives the same from six decimals as from all.
-    return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
+    ends = (recall.value, recall.low, recall.high)
+    return [None if x is None else round(x, 6) for x in ends]
 
 
 def round_figure(value: float | None) -> float | None:
@@ -344,14 +352,14 @@ class _PagePhotographs:
         side = max(_MIN_SIDE, math.floor(SIDE * (PICTURE_BYTES / max(total, 1)) ** (1 / _GROWTH)))
         self.pictures: list[str] = []
         self._numbers: dict[bytes, int] = {}
-        left = PICTURE_BYTES
+        bytes_left = PICTURE_BYTES
         with progress_bar("photographs", len(ranked)) as advance:
             for done, photograph in enumerate(ranked, 1):
-                small = photograph if side >= SIDE else shrunk(photograph, side)
-                text = "data:image/webp;base64," + base64.b64encode(small).decode()
-                if len(text) > left:
+                shrunk = photograph if side >= SIDE else shrink(photograph, side)
+                text = "data:image/webp;base64," + base64.b64encode(shrunk).decode()
+                if len(text) > bytes_left:
                     break
-                left -= len(text)
+                bytes_left -= len(text)
                 self._numbers[photograph] = len(self.pictures)
                 self.pictures.append(text)
                 advance(done)
@@ -361,8 +369,8 @@ class _PagePhotographs:
         return self._numbers.get(photograph)
 
 
-def shrunk(photograph: bytes, side: int) -> bytes:
-    """Return an encoded photograph as WebP whose longest side is at most ``side`` pixels."""
+def shrink(photograph: bytes, side: int) -> bytes:
+    """Encode a photograph again, as WebP whose longest side is at most ``side`` pixels."""
     with Image.open(io.BytesIO(photograph)) as image:
         return webp(np.asarray(image.convert("RGB")), side)
 
@@ -375,12 +383,12 @@ def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterato
         if album is not None
         for run in group.runs
     ]
-    for place in range(max((len(names) for _, names in ranked), default=0)):
+    for rank in range(max((len(names) for _, names in ranked), default=0)):
         for album, names in ranked:
-            if place >= len(names):
+            if rank >= len(names):
                 continue
-            # Places 0, 1, 2, 3 are the last name, the first, the last but one, the second.
-            name = names[place // 2] if place % 2 else names[-1 - place // 2]
+            # Ranks 0, 1, 2, 3 are the last name, the first, the last but one, the second.
+            name = names[rank // 2] if rank % 2 else names[-1 - rank // 2]
             if (entry := album.entries.get(name)) is not None:
                 yield entry.photograph
                 if entry.neighbour is not None:

@@ -15,7 +15,8 @@ from benchmark.datasets.cmu import TRACK as CMU
 from benchmark.datasets.simulated import TRACK as SIMULATED
 from benchmark.report.tables import Group, start_in_words
 from benchmark.results.query_result import QueryResult
-from benchmark.scoring.score import Interval, Threshold, recall
+from benchmark.scoring.intervals import Interval
+from benchmark.scoring.score import Threshold, recall
 
 TITLE: Final = "Table I of the object-connect paper, beside ours"
 REPORTED: Final = "as reported by the paper"
@@ -36,10 +37,11 @@ _PAPER: Final = {
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """The recall at 0.5 m, 5° in percent.
 
-    The paper states neither intervals nor numbers of queries; they are None there.
+    The paper states neither intervals nor numbers of queries; they are None in its cells. A cell of
+    ours has no interval where all queries are of one course.
     """
 
     value: float
@@ -49,9 +51,9 @@ class Cell:
 
     def text(self) -> str:
         """Return the cell for a table of text."""
-        if self.low is None:
+        if self.queries is None:
             return f"{self.value:.1f}"
-        return f"{self.value:.1f} [{self.low:.1f}, {self.high:.1f}] of {self.queries}"
+        return f"{Interval(self.value, self.low, self.high).text()} of {self.queries}"
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Line:
     method: str
     source: str
     reported: bool
-    cells: tuple[Cell | None, ...]
+    cells: tuple[TableCell | None, ...]
 
 
 def columns() -> tuple[str, ...]:
@@ -74,9 +76,9 @@ def note() -> str:
     return (
         f"Recall in % at {_THRESHOLD}. The upper lines are the paper's own figures for all of its "
         "methods; this project has not measured them. The lower lines pool all queries of the "
-        "data sets given here. On CMU those are the queries whose poses are public, a part of the "
-        "paper's. The simulated flights of the paper are not public and ours are others, so do not "
-        "compare that column across the two halves."
+        "data sets given here. On CMU they count only the queries with public poses, a part of the "
+        "queries of the paper. Our simulated flights differ from those of the paper, which are not "
+        "public, so do not compare that column between the upper and the lower lines."
     )
 
 
@@ -88,7 +90,7 @@ def side_by_side(groups: Sequence[Group]) -> list[Line]:
 def paper_lines() -> list[Line]:
     """Return the lines of the paper."""
     return [
-        Line(method, REPORTED, True, tuple(Cell(value) for value in values))
+        Line(method, REPORTED, True, tuple(TableCell(value) for value in values))
         for method, values in _PAPER.items()
     ]
 
@@ -113,11 +115,19 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
 
 
 def source_text(start: str, declared: bool = False) -> str:
-    """Return the source of a line of ours; ``declared``: the start is what a user said it was."""
+    """Return the source of a line of ours.
+
+    Args:
+        start: name of the starting information.
+        declared: whether a user declared the start to ``score``, which nothing verifies.
+    """
     return f"measured here, start{' as declared' if declared else ''}: {start_in_words(start)}"
 
 
-def pool(queries: Sequence[QueryResult]) -> Cell:
-    """Return the cell of our queries of a column."""
+def pool(queries: Sequence[QueryResult]) -> TableCell:
+    """Return the cell of our queries of a column.
+
+    Flights of the same name count as one course: rendered sites of one seed may share courses.
+    """
     interval: Interval = recall(queries, _THRESHOLD)
-    return Cell(*interval, queries=len(queries))
+    return TableCell(*interval, queries=len(queries))

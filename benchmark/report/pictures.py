@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery
@@ -52,11 +50,15 @@ def query_overlay(
     Raises:
         InputError: the photograph cannot be read or the picture cannot be written.
     """
+    # Imported here, because matplotlib takes half a second and the leaderboard draws nothing.
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
     image = read_rgb(query.image, query.camera)
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
     rows = space_points(truth, visible, sparse_map.track_length, _CELL)
     truth = truth[rows]
-    guess, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
+    estimated_xy, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
 
     height, width = image.shape[:2]
     figure = Figure(figsize=(_WIDTH_INCHES, _WIDTH_INCHES * height / width + 0.75), dpi=_DPI)
@@ -68,7 +70,7 @@ def query_overlay(
     axes.imshow(faded, extent=(0, width, height, 0))
     axes.add_collection(
         LineCollection(
-            list(np.stack([truth[valid], guess[valid]], 1)), colors=_ESTIMATE, linewidths=0.6
+            list(np.stack([truth[valid], estimated_xy[valid]], 1)), colors=_ESTIMATE, linewidths=0.6
         )
     )
     axes.scatter(
@@ -81,8 +83,8 @@ def query_overlay(
         label=f"map points at the reference pose ({len(rows)} shown)",
     )
     axes.scatter(
-        guess[valid, 0],
-        guess[valid, 1],
+        estimated_xy[valid, 0],
+        estimated_xy[valid, 1],
         s=20,
         marker="x",
         c=_ESTIMATE,

@@ -32,8 +32,8 @@ def fill(page: str, data: Mapping[str, Any], base: str | None = None) -> str:
         "".join((folder / f"{name}.{kind}").read_text(encoding="utf-8") for name in names)
         for kind in ("css", "js")
     )
-    whole = (folder / f"{page}.html").read_text(encoding="utf-8")
-    return Template(whole).substitute(
+    template = (folder / f"{page}.html").read_text(encoding="utf-8")
+    return Template(template).substitute(
         style=style,
         script=script,
         style_digest=_digest(style),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results.results import Results
+from benchmark.results.results import DatasetId, Results, rescore
 from benchmark.results.results_files import load, results_files
 from benchmark.scoring.score import THRESHOLDS
 from benchmark.scoring.summary import Summary
@@ -37,7 +37,7 @@ _STARTS: Final = {
     "gps": "the position alone, wrong by {}",
 }
 # Starts whose value is the size of an error, as "3m,5deg".
-_OF_SIZES: Final = frozenset(("error", "gravity", "gps"))
+_ERROR_STARTS: Final = frozenset(("error", "gravity", "gps"))
 _METRES: Final = re.compile(r"(?<=\d)m\b")
 
 
@@ -61,6 +61,11 @@ class Group:
     map_conditions: tuple[str, ...]
     runs: tuple[Run, ...]
 
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Return the thresholds that the reference poses are too inexact for."""
+        return self.runs[0].results.dataset.unjudged
+
 
 @dataclass(frozen=True)
 class Row:
@@ -75,7 +80,8 @@ class Row:
 class Table:
     """The table of a group.
 
-    ``declared`` are the methods whose start somebody declared to ``score``: nothing verifies it.
+    ``declared`` are the methods whose start a user declared to ``score``, which nothing verifies.
+    ``unjudged`` are the thresholds that the reference poses are too inexact for.
     """
 
     track: str
@@ -85,16 +91,20 @@ class Table:
     map_conditions: tuple[str, ...]
     rows: tuple[Row, ...]
     declared: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
 
     def facts(self) -> str:
         """Return one line of facts that hold for every row."""
         start = start_in_words(self.start)
         if self.declared:
             start += f" ({AS_DECLARED} for {', '.join(self.declared)})"
-        return (
+        facts = (
             f"Start: {start}. Map: {', '.join(self.map_conditions)}. "
             f"Data set {self.sha256[:12]} (first digits of its SHA-256 digest)."
         )
+        if self.unjudged:
+            facts += f" The reference poses are too inexact to judge {' and '.join(self.unjudged)}."
+        return facts
 
 
 def groups(results: Sequence[Path]) -> list[Group]:
@@ -108,13 +118,13 @@ def groups(results: Sequence[Path]) -> list[Group]:
             from its queries, or two files of one run differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
-    for path, run in _distinct([file for given in results for file in results_files(given)]):
+    for path, run in _load_distinct([file for given in results for file in results_files(given)]):
         key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
         loaded.setdefault(key, []).append((path, run))
-    _name_versions(key[:3] for key in loaded)
+    _warn_of_versions(key[:3] for key in loaded)
     return [
-        Group(*key, together[0][1].dataset.map_conditions, tuple(_runs(together)))
-        for key, together in sorted(loaded.items(), key=lambda item: item[0])
+        Group(*key, members[0][1].dataset.map_conditions, tuple(_runs(_judge_alike(members))))
+        for key, members in sorted(loaded.items(), key=lambda item: item[0])
     ]
 
 
@@ -128,6 +138,7 @@ def table(group: Group) -> Table:
         group.map_conditions,
         tuple(row for run in group.runs for row in _rows(run)),
         tuple(run.label for run in group.runs if run.results.method.is_external),
+        group.unjudged,
     )
 
 
@@ -143,33 +154,35 @@ def tables(results: Sequence[Path]) -> list[Table]:
 def start_in_words(start: str) -> str:
     """Return a description of what the methods were told about each query."""
     kind, _, value = start.partition("=")
-    if kind in _OF_SIZES:
+    if kind in _ERROR_STARTS:
         value = _METRES.sub(" m", value).replace("deg", "°").replace(",", " and ")
     return _STARTS.get(kind, start).format(value)
 
 
-def saturation(board: Table) -> str | None:
-    """Return a note on the thresholds that SIFT + PnP saturates; None if there are none."""
-    same = [
+def saturation(table: Table) -> str | None:
+    """Return a note on the thresholds that ``sift`` saturates; None if there are none."""
+    reference_rows = [
         row
-        for row in board.rows
-        if row.method.split()[0] == _REFERENCE and row.condition in board.map_conditions
+        for row in table.rows
+        if row.method.split()[0] == _REFERENCE and row.condition in table.map_conditions
     ]
     notes = []
-    for condition in dict.fromkeys(row.condition for row in same):
+    for condition in dict.fromkeys(row.condition for row in reference_rows):
         saturated = [
             str(threshold)
             for threshold in THRESHOLDS
             if any(
-                row.condition == condition and row.summary.recall[threshold.key].value >= _SATURATED
-                for row in same
+                row.condition == condition
+                and (share := row.summary.recall[threshold.key]) is not None
+                and share.value >= _SATURATED
+                for row in reference_rows
             )
         ]
         if saturated:
             notes.append(
-                f"Saturated: under `{_code(condition)}`, the map's own condition, SIFT + PnP "
+                f"Saturated: under `{_code(condition)}`, the map's own condition, `{_REFERENCE}` "
                 f"already reaches {_SATURATED:g} % or more at {', '.join(saturated)}; another "
-                "method can only keep up there."
+                "method can at most equal it there."
             )
     return "\n".join(notes) or None
 
@@ -179,17 +192,17 @@ def _code(name: str) -> str:
     return for_terminal(name).replace("`", "'")
 
 
-def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
+def _load_distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
     """Yield every run once, because queries that are counted twice make intervals too narrow."""
     by_bytes: dict[str, Path] = {}
     by_run: dict[str, Path] = {}
     for path in files:
         results = load(path)
-        same = by_bytes.setdefault(sha256_of(path), path)
-        if same is not path:
-            log.warning("%s holds the same results as %s: they count once", path, same)
+        earlier = by_bytes.setdefault(sha256_of(path), path)
+        if earlier is not path:
+            log.warning("%s holds the same results as %s: they count once", path, earlier)
             continue
-        first = by_run.setdefault(_run_of(results), path)
+        first = by_run.setdefault(_run_key(results), path)
         if first is not path:
             raise InputError(
                 f"{first} and {path} are two results of {results.method.name} with one "
@@ -199,14 +212,14 @@ def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
         yield path.resolve(), results
 
 
-def _run_of(results: Results) -> str:
+def _run_key(results: Results) -> str:
     """Return a key that is equal for two results of the same run."""
     dataset, start = results.dataset.sha256, results.start
     queries = [query.name for query in results.queries]
     return json.dumps([dataset, start, queries, results.method.model_dump()], sort_keys=True)
 
 
-def _name_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
+def _warn_of_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
     """Log which data sets (track, name, digest) share a name.
 
     They may be versions of one data set, and each has tables of its own.
@@ -232,25 +245,44 @@ def _rows(run: Run) -> Iterator[Row]:
         yield Row(run.label, condition, summary)
 
 
-def _runs(together: Sequence[tuple[Path, Results]]) -> Iterator[Run]:
-    for path, run in sorted(together, key=lambda pair: pair[1].method.name):
-        namesakes = [other for _, other in together if other.method.name == run.method.name]
+def _judge_alike(members: Sequence[tuple[Path, Results]]) -> list[tuple[Path, Results]]:
+    """Return results that show no threshold that one of them calls unjudged.
+
+    The error of the reference poses may be stated after some results were written.
+    """
+    stated = max((run.dataset.unjudged for _, run in members), key=len)
+    return [
+        (path, run)
+        if run.dataset.unjudged == stated
+        else (path, rescore(run.model_copy(update={"dataset": _with_unjudged(run, stated)})))
+        for path, run in members
+    ]
+
+
+def _with_unjudged(run: Results, unjudged: tuple[str, ...]) -> DatasetId:
+    return run.dataset.model_copy(update={"unjudged": unjudged})
+
+
+def _runs(members: Sequence[tuple[Path, Results]]) -> Iterator[Run]:
+    """Yield the results of a group as runs, labelled by method and differing settings."""
+    for path, run in sorted(members, key=lambda pair: pair[1].method.name):
+        namesakes = [other for _, other in members if other.method.name == run.method.name]
         yield Run(_label(run, namesakes), path, run)
 
 
 def _label(run: Results, namesakes: Sequence[Results]) -> str:
     """Return the method's name, with the settings that differ from other runs of the method."""
-    own = _settings(run)
-    others = [_settings(other) for other in namesakes]
-    # A nested option that an older run does not record says nothing of how the two differ.
+    settings = _settings(run)
+    other_settings = [_settings(other) for other in namesakes]
+    # A nested option that an older run lacks does not count as different.
     differing = [
         key
-        for key, value in own.items()
-        if any(other.get(key, value if "." in key else None) != value for other in others)
+        for key, value in settings.items()
+        if any(other.get(key, value if "." in key else None) != value for other in other_settings)
     ]
     if not differing:
         return run.method.name
-    return f"{run.method.name} ({', '.join(f'{key}={own[key]}' for key in differing)})"
+    return f"{run.method.name} ({', '.join(f'{key}={settings[key]}' for key in differing)})"
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -1,6 +1,6 @@
 """The command ``view``, which shows a scene as an interactive page and as a picture.
 
-Both show cameras, points, objects and queries. ``templates/view.*`` draws some hundred thousand
+Both show cameras, points, objects and queries. ``templates/view.*`` draws hundreds of thousands of
 points on a 2D canvas, so that the page needs no graphics card, no library and no network.
 """
 
@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 
 from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
-from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate, ViewContent
+from benchmark.report.view_content import (
+    Cloud,
+    MapObject,
+    MethodEstimates,
+    QueryEstimate,
+    ViewContent,
+)
 from benchmark.report.view_picture import draw
 from benchmark.results.results import Results
 from benchmark.results.results_files import load, results_files
@@ -40,20 +46,20 @@ from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import PNG_MARK
 
 LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
-"""The colour of learned objects."""
+"""The colour of landmarks."""
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
 MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "landmarks": 20_000, "dense": 250_000}
-"""Largest number of points of each kind on a page; from more, they are drawn at random."""
+"""Largest number of points of each kind on a page; of more, a random subset is shown."""
 MOST_PHOTOGRAPHS: Final = 300
-"""Largest number of photographs on a page; from more, they are taken at even steps."""
+"""Largest number of photographs on a page; of more, evenly spaced ones are shown."""
 
 log = logging.getLogger(__name__)
 
 _ENDINGS = (".html", ".htm")
-# These bytes stand near the beginning of every page.
+# Bytes near the beginning of every page, by which an earlier page is recognized and replaced.
 _MARK = b"<title>ObjConnect scene</title>"
-_SIDE = 360
+_SIDE = 360  # longer side of a photograph on the page, pixels
 # Points are rounded to a grid with this many steps along each side of their cloud.
 _STEPS = 65535
 
@@ -88,7 +94,7 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
             of other photographs or only of other scenes, or ``out`` cannot be written.
     """
     scene = Scene.open(path)
-    page, picture = _outputs(path, results, out)
+    page, picture = _check_outputs(path, results, out)
     sparse_map = scene.sparse_map()
     added = scene.is_added_point(sparse_map)
     poses = {
@@ -96,20 +102,23 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
         for session in scene.sessions
         for name, pose in zip(*_read_poses(scene, session), strict=True)
     }
-    methods, others = [], []
+    methods, other_datasets = [], []
     for source in results:
         for file in results_files(source):
-            read = load(file)
+            run = load(file)
             # A folder may also contain results of other data sets.
-            if source.is_file() or read.dataset.name == scene.name:
-                methods.append(_method(read, poses, file))
+            if source.is_file() or run.dataset.name == scene.name:
+                methods.append(_method(run, poses, file))
             else:
-                others.append(read.dataset.name)
-    if others:
-        named = ", ".join(for_terminal(name) for name in dict.fromkeys(others))
+                other_datasets.append(run.dataset.name)
+    if other_datasets:
+        named = ", ".join(for_terminal(name) for name in dict.fromkeys(other_datasets))
         if not methods:
-            raise InputError(f"the results are of {named}, not of the scene {scene.name}")
-        log.warning("%d results of %s are not shown", len(others), named)
+            raise InputError(
+                f"the results are of {named}, not of the scene {scene.name}: give results on this "
+                "scene"
+            )
+        log.warning("%d results of %s are not shown", len(other_datasets), named)
     query_paths = [
         np.array([poses[name].centre().numpy() for name in names])
         for names in scene.splits.queries.values()
@@ -126,7 +135,7 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
     return SceneView(page, picture, {cloud.layer: len(cloud.xyz) for cloud in content.clouds})
 
 
-def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
+def _check_outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
     """Return the paths of the page and the picture, after checking that they may be written."""
     if out is None:
         made = [OutputFile(path / PAGE, _MARK), OutputFile(path / PICTURE, PNG_MARK)]
@@ -145,11 +154,15 @@ def _read_poses(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]
     return frames.names, [Pose.from_matrix(matrix) for matrix in frames.cam_from_world]
 
 
-def _method(results: Results, poses: dict[str, Pose], path: Path) -> Method:
+def _method(results: Results, poses: dict[str, Pose], path: Path) -> MethodEstimates:
+    """Return the estimates of a results file; ``poses`` are the true ones by photograph."""
     queries = []
     for query in results.queries:
         if query.name not in poses:
-            raise InputError(f"{path} is not of this scene, which has no photograph {query.name}")
+            raise InputError(
+                f"{path} is not of this scene, which has no photograph {query.name}: evaluate on "
+                "this scene"
+            )
         numbers = query.cam_from_world
         estimate = None if numbers is None else Pose.from_quaternion(numbers[:4], numbers[4:])
         queries.append(
@@ -163,16 +176,17 @@ def _method(results: Results, poses: dict[str, Pose], path: Path) -> Method:
                 found=is_correct(query, FALSE_FIX),
             )
         )
-    return Method(results.method.name, tuple(queries))
+    return MethodEstimates(results.method.name, tuple(queries))
 
 
 def _clouds(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> list[Cloud]:
+    """Return the clouds of points that the scene has."""
     clouds = [Cloud("sparse", sparse_map.xyz[~added], sparse_map.rgb[~added])]
     if added.any():
         clouds.append(Cloud("added", sparse_map.xyz[added], sparse_map.rgb[added]))
-    kept = read_landmarks(scene, sparse_map)
-    if kept is not None:
-        xyz = kept[0].xyz
+    landmarks = read_landmarks(scene, sparse_map)
+    if landmarks is not None:
+        xyz = landmarks[0].xyz
         clouds.append(Cloud("landmarks", xyz, np.tile(LANDMARK_RGB, (len(xyz), 1))))
     dense = Workspace(scene.path / DENSE)
     if dense.cloud.is_file():
@@ -181,11 +195,12 @@ def _clouds(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> li
 
 
 def _map_objects(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> list[MapObject]:
-    seen: set[int] = set()
+    """Return the objects that are visible in the map's photographs."""
+    visible_ids: set[int] = set()
 
     def instances() -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
         for image, layers in scene.layers_of_map(sparse_map, "instance"):
-            seen.update(np.unique(layers["instance"]).tolist())
+            visible_ids.update(np.unique(layers["instance"]).tolist())
             yield image, layers["instance"]
 
     owners = objects_of_points(len(added), instances())
@@ -193,7 +208,7 @@ def _map_objects(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) 
     return [
         MapObject(item, item.id in before, item.id in after)
         for item in scene.objects.objects
-        if item.id in seen
+        if item.id in visible_ids
     ]
 
 
@@ -201,9 +216,10 @@ def _data(
     scene: Scene, sparse_map: SparseMap, poses: Mapping[str, Pose], content: ViewContent
 ) -> dict[str, Any]:
     """Return the data of the page, which ``templates/view.js`` reads."""
-    # The extreme points are left out, because a few far ones would make everything else small.
-    around = np.concatenate([np.percentile(sparse_map.xyz, [2, 98], axis=0), sparse_map.centres])
-    low, high = around.min(0), around.max(0)
+    # The view is fitted to the points between the 2nd and the 98th percentile, because a few far
+    # points would make everything else small.
+    extent = np.concatenate([np.percentile(sparse_map.xyz, [2, 98], axis=0), sparse_map.centres])
+    low, high = extent.min(0), extent.max(0)
     return {
         "name": scene.name,
         "target": (0.5 * (low + high)).tolist(),
@@ -273,6 +289,7 @@ def _list_names(scene: Scene, sparse_map: SparseMap) -> list[str]:
 def _cameras(
     scene: Scene, sparse_map: SparseMap, poses: Mapping[str, Pose]
 ) -> list[dict[str, Any]]:
+    """Return the cameras as the page draws them: centre, axes and corner rays in the world."""
     cameras: dict[str, Camera] = {}
     for session in scene.sessions:
         frames = scene.frames(session)
@@ -283,8 +300,9 @@ def _cameras(
         pose = poses[name] if mapped is None else mapped.pose
         camera = cameras[name] if mapped is None else mapped.camera
         world_from_cam = pose.rotation.T.numpy()
-        wide, high = camera.width / camera.focal[0] / 2, camera.height / camera.focal[1] / 2
-        corners = np.array([[-wide, -high, 1], [wide, -high, 1], [wide, high, 1], [-wide, high, 1]])
+        # Half of the width and height of the image plane at depth 1.
+        x, y = camera.width / camera.focal[0] / 2, camera.height / camera.focal[1] / 2
+        corners = np.array([[-x, -y, 1], [x, -y, 1], [x, y, 1], [-x, y, 1]])
         centre = pose.centre().numpy()
         listed.append(
             {
@@ -302,6 +320,7 @@ def _cameras(
 
 
 def _photographs(scene: Scene, sparse_map: SparseMap) -> dict[str, str]:
+    """Return small photographs as data URLs by name."""
     names = _list_names(scene, sparse_map)
     count = min(len(names), MOST_PHOTOGRAPHS)
     chosen = [names[k] for k in np.linspace(0, len(names) - 1, count).astype(int)]

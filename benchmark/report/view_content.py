@@ -33,8 +33,8 @@ class MapObject:
 
     Attributes:
         item: entry of ``objects.json``.
-        before: whether it has a point that was not added by ``supplement``.
-        after: whether it has any point.
+        before: whether it has a point of the map before ``supplement`` added any.
+        after: whether it has a point of the map with the added ones.
     """
 
     item: SceneObject
@@ -71,8 +71,8 @@ class QueryEstimate:
 
 
 @dataclass(frozen=True)
-class Method:
-    """The estimates of one results file."""
+class MethodEstimates:
+    """The estimates of one results file, with the name of its method."""
 
     name: str
     queries: tuple[QueryEstimate, ...]
@@ -92,4 +92,4 @@ class ViewContent:
     clouds: Sequence[Cloud]
     objects: Sequence[MapObject]
     query_paths: Sequence[NDArray[np.float64]]
-    methods: Sequence[Method]
+    methods: Sequence[MethodEstimates]

@@ -9,29 +9,32 @@ from pydantic import Field
 from objconnect.scene.bundle.manifest import Condition
 from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.localizer import By, Status
-from objconnect.scene.storage.answers import Named, PoseNumbers
+from objconnect.scene.storage.answers import NamedRecord, PoseNumbers
 
-MOST: Final = 10**12
+MAX_STORED: Final = 10**12
 """Larger numbers in a file are damage; sums of them could overflow."""
 
 LARGEST_NEES: Final = 1e100
+"""Larger values are stored as this one."""
 # 180 degrees, with room for the rounding errors of a quaternion.
 _MOST_DEG: Final = 180.001
 _Length = Annotated[float, Field(ge=-10 * FARTHEST_M, le=10 * FARTHEST_M)]
-_Count = Annotated[int, Field(ge=0, le=MOST)]
-_Time = Annotated[float, Field(ge=0, le=MOST)]
+_Count = Annotated[int, Field(ge=0, le=MAX_STORED)]
+_Time = Annotated[float, Field(ge=0, le=MAX_STORED)]
 
 # The stage with the whole time of a query, measured outside the method.
 TOTAL = "total"
 
 
-class QueryResult(Named):
+class QueryResult(NamedRecord):
     """The result of one query.
 
     Attributes:
         name: name of the photograph.
         condition: condition that it was taken under.
         group: flight or drive that it belongs to.
+        course: course of that flight; flights of one course are not independent. None in files of
+            earlier versions, where every group counts as a course of its own.
         altitude_m: height of the reference position above the map's points, metres.
         status: status of the estimate.
         reason: why the status is not ``ok``.
@@ -43,12 +46,16 @@ class QueryResult(Named):
         iterations: number of iterations that the method reports.
         inliers: number of inliers that the method reports.
         seconds: wall-clock seconds by stage.
-        by: what gave the pose; None if unknown.
+        by: what the pose was computed from, such as matches; None if unknown.
         probability: probability that the method's best pose is right; None if unknown.
+        prior_t_m: distance between the position that the query was started from and the reference
+            position, metres; None if it was given none, and in files of earlier versions from the
+            start "prior".
     """
 
     condition: Condition
     group: str
+    course: str | None = None
     altitude_m: _Length
     status: Status
     reason: str
@@ -62,3 +69,9 @@ class QueryResult(Named):
     seconds: dict[str, _Time]
     by: By | None = None
     probability: float | None = Field(None, ge=0, le=1)
+    prior_t_m: _Length | None = Field(None, ge=0)
+
+    @property
+    def cluster(self) -> str:
+        """Return the course, which intervals and tests take as the independent unit."""
+        return self.group if self.course is None else self.course

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from benchmark.datasets.dataset import Dataset
+from benchmark.results.priors import with_prior_errors
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.summary import Summary, summarize, summarize_parts
 from objconnect.localization.provenance import Environment, Method
@@ -17,12 +18,21 @@ from objconnect.scene.storage.records import Record
 
 
 class DatasetId(Record):
-    """The data set of the results. ``map_conditions`` are those of the map's photographs."""
+    """The data set of the results.
+
+    Attributes:
+        name: name of the data set.
+        track: see ``benchmark.datasets.dataset.Dataset``.
+        sha256: digest of all its parts.
+        map_conditions: conditions of the map's photographs.
+        unjudged: thresholds that its reference poses are too inexact for, see ``Dataset``.
+    """
 
     name: str
     track: str
     sha256: str
     map_conditions: tuple[str, ...]
+    unjudged: tuple[str, ...] = ()
 
     @staticmethod
     def of(dataset: Dataset) -> DatasetId:
@@ -32,6 +42,7 @@ class DatasetId(Record):
             track=dataset.track,
             sha256=dataset.sha256,
             map_conditions=dataset.map_conditions,
+            unjudged=dataset.unjudged,
         )
 
 
@@ -82,7 +93,8 @@ class Results(Record):
             prepare: seconds of the preparation.
             peak_memory_mb: peak memory (1e6 bytes); None if unknown.
         """
-        run = prepare, peak_memory_mb
+        queries = with_prior_errors(queries, start)
+        run = prepare, peak_memory_mb, dataset.unjudged
         return Results(
             method=method,
             dataset=dataset,
@@ -90,7 +102,7 @@ class Results(Record):
             environment=Environment.current(),
             summary=summarize(queries, *run),
             **{f"by_{part}": figures for part, figures in summarize_parts(queries, *run).items()},
-            queries=tuple(queries),
+            queries=queries,
         )
 
     def write(self, path: Path) -> None:
@@ -103,11 +115,17 @@ class Results(Record):
 
 
 def rescore(results: Results) -> Results:
-    """Return the results with every figure recomputed from the list of queries."""
-    run = results.summary.seconds.prepare, results.summary.peak_memory_mb
+    """Return the results with every figure recomputed from the list of queries.
+
+    Queries of earlier versions get the errors of their priors from the start.
+    """
+    queries = with_prior_errors(results.queries, results.start)
+    summary = results.summary
+    run = summary.seconds.prepare, summary.peak_memory_mb, results.dataset.unjudged
     return results.model_copy(
         update={
-            "summary": summarize(results.queries, *run),
-            **{f"by_{part}": by for part, by in summarize_parts(results.queries, *run).items()},
+            "queries": queries,
+            "summary": summarize(queries, *run),
+            **{f"by_{part}": by for part, by in summarize_parts(queries, *run).items()},
         }
     )

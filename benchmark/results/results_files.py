@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from pathlib import Path
 from typing import Final
 
 from benchmark.results.results import Results, rescore
+from benchmark.scoring.score import THRESHOLDS
 from benchmark.scoring.summary import PARTS
 from objconnect.localization.provenance import Method
 from objconnect.scene.bundle.manifest import read_json
@@ -15,22 +17,33 @@ from objconnect.scene.localizer import Status
 from objconnect.scene.storage.files import parse_json
 from objconnect.scene.storage.listing import list_files
 from objconnect.scene.storage.outputs import check_outputs, foreign_file_error
-from objconnect.scene.storage.packed import MAGIC, SUFFIX, unpack
+from objconnect.scene.storage.packed import XZ_MAGIC, XZ_SUFFIX, unpack
 
 # Ending of basin files, which lie beside results but are not results; see ``evaluation.basin``.
 BASIN: Final = ".basin.json"
 
 # Ending of compact results files; see ``benchmark.tracks.compact``.
-PACKED: Final = f".json{SUFFIX}"
+PACKED: Final = f".json{XZ_SUFFIX}"
 
-# The first bytes of every results file and basin file, and of what a compact one holds.
+# The first bytes of every results file and basin file; of a compact one, after unpacking.
 _HEADS: Final = (b'{\n "schema": 1,\n "method": {', b'{"schema":1,"method":{')
 
 # Largest relative difference of stored and recomputed figures; a larger one means that the file was
 # changed.
 _TOLERANCE = 1e-9
 # Figures that files of earlier versions lack; they are computed on reading.
-_ADDED: Final = {"false_fixes"}
+_ADDED: Final = {
+    "courses",
+    "false_fixes",
+    "wrong_1m",
+    "worse_than_prior",
+    "nees_low",
+    "nees_high",
+}
+# Figures that files of earlier versions hold although their reference poses do not judge them.
+_UNJUDGED: Final = {"false_fixes", *(threshold.key for threshold in THRESHOLDS)}
+# Ends of intervals. Files without courses hold those of independent queries, which are replaced.
+_ENDS: Final = {"low", "high"}
 
 
 def method_in(path: Path) -> Method | None:
@@ -44,7 +57,7 @@ def method_in(path: Path) -> Method | None:
     if not path.is_file():
         return None
     content = path.read_bytes()
-    if content.startswith(MAGIC):
+    if content.startswith(XZ_MAGIC):
         try:
             content = unpack(content)
         except ValueError:
@@ -57,7 +70,7 @@ def method_in(path: Path) -> Method | None:
     return None
 
 
-def claim_results(path: Path, method: Method, out: Path) -> None:
+def check_results_output(path: Path, method: Method, out: Path) -> None:
     """Refuse to replace a file that is not an older version of these results.
 
     Results of ``evaluate`` are replaced only by ``evaluate``, and those of ``score`` by ``score``.
@@ -92,10 +105,10 @@ def results_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise InputError(f"results {path} do not exist")
+        raise InputError(f"results {path} do not exist: give a file or folder that evaluate wrote")
     files = [
         file
-        for file in list_files(path, (".json", SUFFIX), depth=2)
+        for file in list_files(path, (".json", XZ_SUFFIX), depth=2)
         if file.name.lower().endswith((".json", PACKED)) and not file.name.endswith(BASIN)
     ]
     if not files:
@@ -120,29 +133,32 @@ def load(path: Path) -> Results:
         if missing != {query.status is Status.FAILED}:
             raise InputError(
                 f"results file {path}: query {query.name} has status '{query.status}', which "
-                "contradicts its pose and errors"
+                "contradicts its pose and errors; evaluate again"
             )
     recomputed = rescore(results)
     parts = {"summary", *(f"by_{part}" for part in PARTS)}
-    stored, computed = (of.model_dump(include=parts) for of in (results, recomputed))
+    stored, computed = (each.model_dump(include=parts) for each in (results, recomputed))
+    replaced = _ENDS if any(query.course is None for query in results.queries) else set()
     for part in stored:
-        if (where := _difference(stored[part], computed[part], part)) is not None:
+        if (where := _difference(stored[part], computed[part], part, replaced)) is not None:
             raise InputError(
                 f"results file {path}: {where} does not follow from its queries; "
-                "the file was changed after it was written"
+                "the file was changed after it was written; evaluate again"
             )
     return recomputed
 
 
-def _difference(stored: object, computed: object, where: str) -> str | None:
-    """Return the dotted name of the first figure that differs, or None."""
+def _difference(stored: object, computed: object, where: str, replaced: Set[str]) -> str | None:
+    """Return the dotted name of the first figure that differs and is not replaced, or None."""
     if isinstance(stored, dict) and isinstance(computed, dict):
         for key in sorted(stored.keys() | computed.keys()):
-            if key in _ADDED and stored.get(key) is None:
+            if key in replaced or (key in _ADDED and stored.get(key) is None):
+                continue
+            if key in _UNJUDGED and computed.get(key) is None:
                 continue
             if key not in stored or key not in computed:
                 return f"{where}.{key}"
-            difference = _difference(stored[key], computed[key], f"{where}.{key}")
+            difference = _difference(stored[key], computed[key], f"{where}.{key}", replaced)
             if difference is not None:
                 return difference
         return None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from benchmark.scoring.score import Z_95
+from benchmark.scoring.intervals import Z_95
 
 
 class PairedChange(NamedTuple):

@@ -1,20 +1,18 @@
-"""Scoring of pose errors: recall with its confidence interval, and median errors."""
+"""Scoring of pose errors: recall and integrity with their intervals, and median errors."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from statistics import median
 from typing import Final, NamedTuple, Protocol
 
+from benchmark.scoring.intervals import Interval, share
+from objconnect.scene.flights.reference_error import ReferencePoseError
 from objconnect.scene.localizer import Status
-
-# Quantile of the normal distribution for a two-sided 95 % interval.
-Z_95: Final = 1.959963984540054
 
 
 class Threshold(NamedTuple):
-    """The largest errors of a correct pose; both must be undercut."""
+    """The limits of a correct pose; both errors must be smaller than their limit."""
 
     metres: float
     degrees: float
@@ -34,6 +32,22 @@ THRESHOLDS: Final = (Threshold(0.25, 2), Threshold(0.5, 5), Threshold(5, 10))
 FALSE_FIX: Final = THRESHOLDS[-1]
 """A pose of status ``ok`` with a larger position or rotation error is a false fix."""
 
+WRONG_M: Final = 1.0
+"""An answer with a larger position error, metres, is wrong although it may be no false fix."""
+
+WRONG_TEXT: Final = f"{WRONG_M:g} m"
+"""The bound of a wrong answer among the thresholds that reference poses may be too inexact for."""
+
+# An answer that repeats its prior differs from it by rounding alone, metres.
+_ROUNDING_M: Final = 1e-6
+
+
+def list_unjudged(error: ReferencePoseError) -> tuple[str, ...]:
+    """Return the thresholds, finest first, that reference poses with this error do not judge."""
+    bounds = {str(each): each.metres for each in THRESHOLDS} | {WRONG_TEXT: WRONG_M}
+    ranked = sorted(bounds.items(), key=lambda bound: bound[1])
+    return tuple(text for text, metres in ranked if not error.can_judge(metres))
+
 
 class Outcome(Protocol):
     """A scored query: its status and, where it has a pose, the errors of the pose."""
@@ -46,12 +60,22 @@ class Outcome(Protocol):
     def r_err_deg(self) -> float | None: ...
 
 
-class Interval(NamedTuple):
-    """A share of queries with its 95 % interval, all in percent."""
+class ToldOutcome(Outcome, Protocol):
+    """A scored query with the error of the position that it was given."""
 
-    value: float
-    low: float
-    high: float
+    @property
+    def prior_t_m(self) -> float | None: ...
+
+
+class ClusteredOutcome(Outcome, Protocol):
+    """A scored query with its course, within which queries fail together."""
+
+    @property
+    def cluster(self) -> str: ...
+
+
+class ClusteredToldOutcome(ClusteredOutcome, ToldOutcome, Protocol):
+    """A scored query with its course and the error of the position that it was given."""
 
 
 def is_correct(outcome: Outcome, threshold: Threshold) -> bool:
@@ -75,37 +99,45 @@ def is_false_fix(outcome: Outcome) -> bool:
     return outcome.t_err_m > FALSE_FIX.metres or outcome.r_err_deg > FALSE_FIX.degrees
 
 
-def recall(outcomes: Sequence[Outcome], threshold: Threshold) -> Interval:
-    """Return the percentage of all queries that are correct, with its Wilson 95 % interval."""
-    return _share([is_correct(outcome, threshold) for outcome in outcomes])
+def is_wrong(outcome: Outcome) -> bool:
+    """Return whether the position of an answer, a pose of status ``ok``, is off by over 1 m."""
+    return outcome.status is Status.OK and (outcome.t_err_m or 0.0) > WRONG_M
 
 
-def false_fixes(outcomes: Sequence[Outcome]) -> Interval:
-    """Return the percentage of all queries that are false fixes, with its Wilson 95 % interval."""
-    return _share([is_false_fix(outcome) for outcome in outcomes])
+def is_worse_than_prior(outcome: ToldOutcome) -> bool:
+    """Return whether an answer, a pose of status ``ok``, is farther off than its prior's position.
 
-
-def _share(counted: Sequence[bool]) -> Interval:
-    low, high = wilson(sum(counted), len(counted))
-    return Interval(100 * sum(counted) / len(counted), 100 * low, 100 * high)
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a proportion as fractions in [0, 1].
-
-    Unlike the normal approximation, it does not shrink to a point at 0 and 100 %.
-
-    Args:
-        successes: number of successes.
-        trials: number of trials, at least 1.
+    It is False for a query that was given no position.
     """
-    p, z2 = successes / trials, Z_95 * Z_95
-    centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = Z_95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
-    # The interval includes 0 or 1 exactly there, which rounding errors would prevent.
-    low = 0.0 if successes == 0 else centre - half
-    high = 1.0 if successes == trials else centre + half
-    return low, high
+    if outcome.status is not Status.OK or outcome.t_err_m is None or outcome.prior_t_m is None:
+        return False
+    return outcome.t_err_m > outcome.prior_t_m + _ROUNDING_M
+
+
+def recall(outcomes: Sequence[ClusteredOutcome], threshold: Threshold) -> Interval:
+    """Return the percentage of all queries that are correct, with its 95 % interval by course."""
+    return _share(outcomes, [is_correct(outcome, threshold) for outcome in outcomes])
+
+
+def false_fixes(outcomes: Sequence[ClusteredOutcome]) -> Interval:
+    """Return the percentage of all queries that are false fixes, with its interval by course."""
+    return _share(outcomes, [is_false_fix(outcome) for outcome in outcomes])
+
+
+def wrong_answers(outcomes: Sequence[ClusteredOutcome]) -> Interval:
+    """Return the percentage of all queries whose answer is off by over 1 m, with its interval."""
+    return _share(outcomes, [is_wrong(outcome) for outcome in outcomes])
+
+
+def worse_than_prior(outcomes: Sequence[ClusteredToldOutcome]) -> Interval | None:
+    """Return the percentage of answers that are farther off than the prior, of all queries with
+    the position of a prior, with its interval by course; None without such a query."""
+    told = [outcome for outcome in outcomes if outcome.prior_t_m is not None]
+    return _share(told, [is_worse_than_prior(outcome) for outcome in told]) if told else None
+
+
+def _share(outcomes: Sequence[ClusteredOutcome], counted: Sequence[bool]) -> Interval:
+    return share(counted, [outcome.cluster for outcome in outcomes])
 
 
 def median_errors(outcomes: Sequence[Outcome]) -> tuple[float | None, float | None]:

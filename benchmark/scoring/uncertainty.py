@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from statistics import fmean, median
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.scoring.score import Interval, Outcome, Threshold, is_correct, wilson
-from objconnect.scene.geometry.pose import Pose
+from benchmark.scoring.intervals import Interval, mean_interval, share
+from benchmark.scoring.score import ClusteredOutcome, Threshold, is_correct
+
+if TYPE_CHECKING:  # it loads torch
+    from objconnect.scene.geometry.pose import Pose
 
 # 95 % quantile of the chi-square distribution with 6 degrees of freedom.
 _CHI2_95: Final = 12.591587243743977
 
 
-class Predicted(Outcome, Protocol):
+class PredictedOutcome(ClusteredOutcome, Protocol):
     """A scored query with the uncertainty that the method predicted for its pose."""
 
     @property
@@ -33,12 +36,14 @@ class Consistency(NamedTuple):
     Attributes:
         queries: number of localized queries with a covariance.
         mean: mean normalised estimation error squared (NEES); 6 if the covariances are right.
+        ends: 95 % interval of the mean by course, at least 0; None with one course.
         median: median NEES; 5.35 if the covariances are right.
-        within_95: percentage of errors inside the 95 % ellipsoid, with its Wilson interval.
+        within_95: percentage of errors inside the 95 % ellipsoid, with its interval by course.
     """
 
     queries: int
     mean: float
+    ends: tuple[float, float] | None
     median: float
     within_95: Interval
 
@@ -71,18 +76,20 @@ def compute_nees(
     return value if np.isfinite(value) else None
 
 
-def consistency(outcomes: Sequence[Predicted]) -> Consistency | None:
+def consistency(outcomes: Sequence[PredictedOutcome]) -> Consistency | None:
     """Return the consistency over the queries of status ``ok`` with a NEES; None without any."""
-    values = [o.nees for o in outcomes if o.status == "ok" and o.nees is not None]
-    if not values:
+    known = [(o.nees, o.cluster) for o in outcomes if o.status == "ok" and o.nees is not None]
+    if not known:
         return None
-    inside = sum(value <= _CHI2_95 for value in values)
-    low, high = wilson(inside, len(values))
-    share = Interval(100 * inside / len(values), 100 * low, 100 * high)
-    return Consistency(len(values), fmean(values), median(values), share)
+    values, clusters = zip(*known, strict=True)
+    within = share([value <= _CHI2_95 for value in values], clusters)
+    ends = mean_interval(values, clusters)
+    if ends is not None:
+        ends = max(ends[0], 0.0), ends[1]
+    return Consistency(len(values), fmean(values), ends, median(values), within)
 
 
-def doubt(outcome: Predicted) -> tuple[float, float]:
+def doubt(outcome: PredictedOutcome) -> tuple[float, float]:
     """Return the key that sorts answers from the most to the least certain.
 
     The key is the predicted probability that the pose is wrong, if the method predicts it, then the
@@ -94,7 +101,9 @@ def doubt(outcome: Predicted) -> tuple[float, float]:
     return wrong, np.inf if outcome.sigma_t_m is None else outcome.sigma_t_m
 
 
-def risk_coverage(outcomes: Sequence[Predicted], threshold: Threshold) -> list[tuple[float, float]]:
+def risk_coverage(
+    outcomes: Sequence[PredictedOutcome], threshold: Threshold
+) -> list[tuple[float, float]]:
     """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017), most certain first.
 
     Returns:

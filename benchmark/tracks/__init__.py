@@ -1,1 +1,1 @@
-"""Tracks: places rendered alike, their data sets, and the results that are kept of them."""
+"""Tracks: data sets of places that are alike, rendered or real, with the results of all methods."""

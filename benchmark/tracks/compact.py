@@ -1,9 +1,10 @@
 """Compact results files, because a track stores hundreds of results.
 
-``xz -d`` turns one into an ordinary results file with rounded numbers. Errors, predicted sigma and
-NEES keep ten digits, which changes a median or a mean by less than 1e-9 of its value; a query that
-rounding would move across a threshold keeps all their digits. Poses keep 0.1 mm and 1e-7 of a
-quaternion, heights 1 cm, and seconds three digits: repeated runs differ by more.
+``xz -d`` turns one into an ordinary results file with rounded numbers. Errors, those of priors too,
+predicted sigma and NEES keep ten digits, which changes a median or a mean by less than 1e-9 of its
+value; a query that rounding would move across a threshold keeps all digits of them. Translations
+are rounded to 0.1 mm, quaternions to 1e-7 and heights to 1 cm. The seconds of a query keep three
+digits, because repeated runs differ by more.
 """
 
 from __future__ import annotations
@@ -19,32 +20,33 @@ from benchmark.scoring.summary import summarize, summarize_parts
 from benchmark.tracks.description import DESCRIPTION, Track, load_track
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
+from objconnect.scene.storage.files import require_folder
 from objconnect.scene.storage.outputs import check_outputs
-from objconnect.scene.storage.packed import SUFFIX, pack
+from objconnect.scene.storage.packed import XZ_SUFFIX, pack
 
 RESULTS: Final = "results"
 """The folder of a track's results: ``results/<start>/<dataset>/<method>.json.xz``."""
 
-# Digits of scored numbers, and of measured times.
+# Significant digits of errors, sigma, NEES and the whole run's figures; and of a query's seconds.
 _DIGITS: Final = 10
 _TIME_DIGITS: Final = 3
 # Decimals of heights (m), quaternions and translations (m).
 _HEIGHT_DECIMALS: Final = 2
-_TURN_DECIMALS: Final = 7
-_SHIFT_DECIMALS: Final = 4
+_QUATERNION_DECIMALS: Final = 7
+_TRANSLATION_DECIMALS: Final = 4
 
 
 def compact(results: Results) -> Results:
     """Return results with rounded numbers, and the figures that follow from them."""
     summary = results.summary
-    prepare = {"prepare": _digits(summary.seconds.prepare, _DIGITS)}
-    run = {
+    prepare = {"prepare": _round_digits(summary.seconds.prepare, _DIGITS)}
+    run_figures = {
         "seconds": summary.seconds.model_copy(update=prepare),
         "peak_memory_mb": _shorten(summary.peak_memory_mb),
     }
     queries = tuple(_round_query(query) for query in results.queries)
-    shorter = {"queries": queries, "summary": summary.model_copy(update=run)}
-    return rescore(results.model_copy(update=shorter))
+    rounded = {"queries": queries, "summary": summary.model_copy(update=run_figures)}
+    return rescore(results.model_copy(update=rounded))
 
 
 def write_compact(path: Path, results: Results) -> None:
@@ -79,6 +81,7 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
         InputError: a file is not a results file, belongs to no data set of the track, would have
             the name of another one, or cannot be written.
     """
+    require_folder(folder, "folder of the track")
     if not (folder / DESCRIPTION).exists():
         raise InputError(f"{folder} is not the folder of a track: it has no {DESCRIPTION}")
     track = load_track(folder.resolve().name, folder.resolve().parent)
@@ -87,7 +90,7 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
     for file in files:
         run = compact(load(file))
         _require_results(track, run, file)
-        method = file.name.removesuffix(SUFFIX).removesuffix(".json")
+        method = file.name.removesuffix(XZ_SUFFIX).removesuffix(".json")
         target = folder / RESULTS / run.start / run.dataset.name / f"{method}{PACKED}"
         if targets.get(target, run) != run:
             raise InputError(
@@ -113,13 +116,14 @@ def store(targets: Mapping[Path, Results]) -> list[Path]:
 
 
 def _require_results(track: Track, run: Results, file: Path) -> None:
-    """Refuse results of another data set than the track's."""
+    """Refuse results on a data set or a render of it that the track does not record."""
     (place,) = track.select((run.dataset.name,))
     if run.dataset.sha256 not in place.renders:
         recorded = ", ".join(digest[:12] for digest in place.renders) or "none"
         raise InputError(
-            f"{file} is of another {place.dataset} ({run.dataset.sha256[:12]}) than the track "
-            f"{track.name} records ({recorded}): see objconnect track --update"
+            f"{file}: its data set {place.dataset} ({run.dataset.sha256[:12]}) is not a render "
+            f"that the track {track.name} records ({recorded}): evaluate on a recorded render, or "
+            "record this one by objconnect track --update"
         )
 
 
@@ -127,15 +131,16 @@ def _round_query(query: QueryResult) -> QueryResult:
     """Return a query with rounded numbers that count the same as the exact ones."""
     pose = query.cam_from_world
     unscored: dict[str, Any] = {
-        "seconds": {stage: _digits(s, _TIME_DIGITS) for stage, s in query.seconds.items()},
+        "seconds": {stage: _round_digits(s, _TIME_DIGITS) for stage, s in query.seconds.items()},
         "cam_from_world": pose
         and (
-            *(round(x, _TURN_DECIMALS) for x in pose[:4]),
-            *(round(x, _SHIFT_DECIMALS) for x in pose[4:]),
+            *(round(x, _QUATERNION_DECIMALS) for x in pose[:4]),
+            *(round(x, _TRANSLATION_DECIMALS) for x in pose[4:]),
         ),
     }
     scored: dict[str, Any] = {
-        key: _shorten(getattr(query, key)) for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees")
+        key: _shorten(getattr(query, key))
+        for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees", "prior_t_m")
     }
     scored["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
     rounded = query.model_copy(update=unscored | scored)
@@ -146,18 +151,19 @@ def _round_query(query: QueryResult) -> QueryResult:
 
 def _verdicts(query: QueryResult) -> tuple[object, ...]:
     """Return everything that figures count of a query, and the name of its altitude band."""
-    figures = summarize([query], 0.0, None)
+    figures = summarize([query])
     inside = figures.uncertainty and figures.uncertainty.within_95.value
-    bands = tuple(summarize_parts([query], 0.0, None)["altitude"])
-    return figures.recall, figures.false_fixes, inside, bands
+    bands = tuple(summarize_parts([query])["altitude"])
+    integrity = figures.false_fixes, figures.wrong_1m, figures.worse_than_prior
+    return figures.recall, integrity, inside, bands
 
 
 def _shorten(value: Any) -> Any:
     """Return a figure, or figures by name, with ten digits."""
     if isinstance(value, dict):
         return {key: _shorten(inner) for key, inner in value.items()}
-    return _digits(value, _DIGITS) if isinstance(value, float) else value
+    return _round_digits(value, _DIGITS) if isinstance(value, float) else value
 
 
-def _digits(value: float, digits: int) -> float:
+def _round_digits(value: float, digits: int) -> float:
     return float(f"{value:.{digits - 1}e}")

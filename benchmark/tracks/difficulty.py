@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmark.datasets.dataset import Dataset
 from objconnect.scene.bundle.covisibility import surface_points, visible_points
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
@@ -29,8 +31,8 @@ from objconnect.scene.storage.atomic import write_text
 
 # Points per side of the grid that samples the surface in a query.
 _PER_SIDE: Final = 16
-# Shares of the surface that differ by less count as equal, because of that grid. Among photographs
-# with equal shares, the one with the most similar view direction is compared.
+# Shares of the surface that differ by less count as equal, because the grid is coarse. Among map
+# photographs with equal shares, the query is compared with the one of most similar view direction.
 _SAME_SHARE: Final = 0.02
 _YEAR_DAYS: Final = 365
 
@@ -39,11 +41,13 @@ class Difficulty(NamedTuple):
     """A query against the map photograph that sees most of it.
 
     Attributes:
-        overlap: share of the query's pixels whose surface that photograph sees too, 0 to 1.
-        scale: ground size of a pixel of the query over that of the photograph, median of what both
-            see; None if they share nothing.
-        angle_deg: angle between the lines of sight, median of what both see; None likewise.
-        days: days of the year between both, 0 to 182; None likewise, or if a time is unknown.
+        overlap: share of the query's pixels whose surface the map photograph sees too, 0 to 1.
+        scale: ground size of a pixel of the query divided by that of the map photograph, median
+            over the surface that both see; None if they share nothing.
+        angle_deg: angle between the lines of sight of query and map photograph, degrees, median
+            over the surface that both see; None if they share nothing.
+        days: days of the year between query and map photograph, 0 to 182; None if they share
+            nothing or a time is unknown.
     """
 
     overlap: float
@@ -83,16 +87,17 @@ def compare(
         depth: (H, W) planar depth of the photograph, metres.
 
     Returns:
-        The medians over the points that both see; None if there is no such point.
+        Medians over the points that both see, as in ``Difficulty``; None if there is no such point.
     """
     world = torch.from_numpy(points)
     shared = visible_points(photograph.camera, photograph.cam_from_world, world, depth).numpy()
-    seen = points[shared]
-    if not len(seen):
+    shared_points = points[shared]
+    if not len(shared_points):
         return None
-    (near, to_query), (far, to_photograph) = _sight(query, seen), _sight(photograph, seen)
-    cosine = np.clip((to_query * to_photograph).sum(-1), -1, 1)
-    return float(np.median(near / far)), float(np.median(np.degrees(np.arccos(cosine))))
+    query_m, query_rays = _ground_size_and_direction(query, shared_points)
+    photograph_m, photograph_rays = _ground_size_and_direction(photograph, shared_points)
+    cosine = np.clip((query_rays * photograph_rays).sum(-1), -1, 1)
+    return float(np.median(query_m / photograph_m)), float(np.median(np.degrees(np.arccos(cosine))))
 
 
 def days_between(one: float, other: float) -> int | None:
@@ -111,10 +116,14 @@ def measure(scene: Scene) -> list[QueryRow]:
         InputError: a list or a depth image of the scene is missing or damaged.
     """
     frames = {session: scene.frames(session) for session in scene.sessions}
-    views = {name: view for one in frames.values() for name, view in _views(one)}
+    views = {
+        name: view for session_frames in frames.values() for name, view in _views(session_frames)
+    }
     queries = [name for names in scene.splits.queries.values() for name in names]
     if unknown := [name for name in (*queries, *scene.splits.map) if name not in views]:
-        raise InputError(f"scene {scene.path}: {unknown[0]} in splits.json is not a frame")
+        raise InputError(
+            f"scene {scene.path}: {unknown[0]} in splits.json is not a frame: remove it from there"
+        )
     with progress_bar("difficulty", len(queries) + len(scene.splits.map)) as advance:
         points = {}
         for name, depth in _depths(scene, frames, set(queries)):
@@ -122,14 +131,15 @@ def measure(scene: Scene) -> list[QueryRow]:
             points[name] = surface_points(view.camera, view.cam_from_world, depth, _PER_SIDE)
             advance(len(points))
         shares = _best_photographs(scene, queries)
+        # Scale and angle by query and map photograph.
         measured: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in queries}
-        compared = {photograph for of in shares.values() for photograph in of}
+        compared = {photograph for best in shares.values() for photograph in best}
         for k, (name, depth) in enumerate(_depths(scene, frames, compared), 1):
             for query in queries:
                 if name in shares[query]:
-                    pair = compare(views[query], views[name], points[query], depth)
-                    if pair is not None:
-                        measured[query][name] = pair
+                    figures = compare(views[query], views[name], points[query], depth)
+                    if figures is not None:
+                        measured[query][name] = figures
             advance(len(points) + k)
     parts = _parts(scene, [views[name] for name in queries])
     return [
@@ -144,6 +154,72 @@ def measure(scene: Scene) -> list[QueryRow]:
     ]
 
 
+def measure_level(dataset: Dataset) -> list[QueryRow]:
+    """Return every query of a flight data set with its difficulty, on level ground.
+
+    The ground lies at the median height of the map's points, because flights have no depth.
+
+    Raises:
+        InputError: the map is damaged.
+    """
+    sparse_map = dataset.load_map()
+    ground = float(np.median(sparse_map.xyz[:, 2]))
+    views = {
+        name: View(image.camera, image.cam_from_world, math.nan)
+        for name, image in sparse_map.images.items()
+    }
+    depths = {name: level_depth(view, ground) for name, view in views.items()}
+    rows = []
+    for query in dataset.queries:
+        view = View(query.camera, query.reference.matrix().numpy(), math.nan)
+        difficulty = _level_difficulty(view, ground, views, depths)
+        rows.append(QueryRow(query.name, query.condition, query.group, dataset.name, difficulty))
+    return rows
+
+
+def level_depth(view: View, ground: float) -> NDArray[np.float32]:
+    """Return the depth (H, W) of level ground, metres; 0 where rays do not meet it.
+
+    Args:
+        view: camera and pose.
+        ground: height of the ground, world metres.
+    """
+    rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3]
+    rays, _ = view.camera.unproject(view.camera.pixel_grid())
+    rise = rays.numpy() @ rotation[:, 2]  # upward component of each ray, per metre of depth
+    ground_from_camera = ground + float(rotation[:, 2] @ translation)
+    with np.errstate(divide="ignore"):
+        depth = ground_from_camera / rise
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+
+
+def _level_difficulty(
+    query: View,
+    ground: float,
+    photographs: Mapping[str, View],
+    depths: Mapping[str, NDArray[np.float32]],
+) -> Difficulty:
+    """Return the difficulty of a query, given the photographs of the map and their depths."""
+    points = surface_points(
+        query.camera, query.cam_from_world, level_depth(query, ground), _PER_SIDE
+    )
+    world = torch.from_numpy(points)
+    shares = {
+        name: float(visible_points(view.camera, view.cam_from_world, world).float().mean())
+        for name, view in photographs.items()
+    }
+    best = max(shares.values(), default=0.0)
+    compared = [
+        compare(query, photographs[name], points, depths[name])
+        for name, share in shares.items()
+        if share > 0 and share >= best - _SAME_SHARE
+    ]
+    scales_and_angles = [figures for figures in compared if figures is not None]
+    if not scales_and_angles:
+        return Difficulty(0.0, None, None, None)
+    return Difficulty(best, *min(scales_and_angles, key=lambda figures: figures[1]), None)
+
+
 def write_queries(path: Path, rows: Iterable[QueryRow]) -> None:
     """Write ``queries/<dataset>.csv`` atomically, with empty cells for unknown values.
 
@@ -154,23 +230,22 @@ def write_queries(path: Path, rows: Iterable[QueryRow]) -> None:
     table = csv.writer(text, lineterminator="\n")
     table.writerow((*QueryRow._fields[:-1], *Difficulty._fields))
     for row in rows:
-        of = row.difficulty
-        scale = None if of.scale is None else f"{of.scale:.3f}"
-        angle = None if of.angle_deg is None else f"{of.angle_deg:.1f}"
-        table.writerow((*row[:-1], f"{of.overlap:.3f}", scale, angle, of.days))
+        difficulty = row.difficulty
+        scale = None if difficulty.scale is None else f"{difficulty.scale:.3f}"
+        angle = None if difficulty.angle_deg is None else f"{difficulty.angle_deg:.1f}"
+        table.writerow((*row[:-1], f"{difficulty.overlap:.3f}", scale, angle, difficulty.days))
     write_text(path, text.getvalue())
 
 
-def _sight(
+def _ground_size_and_direction(
     view: View, points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the ground size of a pixel at each point (S,), metres, and the view directions
-    (S, 3)."""
+    (S, 3), unit vectors in the world."""
     rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3]
-    local = points @ rotation.T + translation
-    return local[:, 2] / view.camera.focal[0], local @ rotation / np.linalg.norm(
-        local, axis=-1, keepdims=True
-    )
+    in_camera = points @ rotation.T + translation
+    distance = np.linalg.norm(in_camera, axis=-1, keepdims=True)
+    return in_camera[:, 2] / view.camera.focal[0], in_camera @ rotation / distance
 
 
 def _views(frames: Frames) -> Iterator[tuple[str, View]]:
@@ -187,12 +262,12 @@ def _iterate_queries(scene: Scene) -> Iterator[tuple[str, str]]:
 def _depths(
     scene: Scene, frames: Mapping[str, Frames], names: set[str]
 ) -> Iterator[tuple[str, NDArray[np.float32]]]:
-    """Yield the depth images of some frames."""
-    for session, of in frames.items():
-        with scene.dense(session) as dense:
-            for k, name in enumerate(of.names):
+    """Yield the depth images of the frames with these names."""
+    for session, session_frames in frames.items():
+        with scene.layers(session) as layers:
+            for k, name in enumerate(session_frames.names):
                 if name in names:
-                    yield name, dense.read("depth", k)
+                    yield name, layers.read("depth", k)
 
 
 def _best_photographs(scene: Scene, queries: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -201,11 +276,11 @@ def _best_photographs(scene: Scene, queries: Sequence[str]) -> dict[str, dict[st
     overlap = scene.covisibility.select([*queries, *mapped]).overlap[: len(queries), len(queries) :]
     shares = {}
     for name, row in zip(queries, overlap.tolist(), strict=True):
-        least = max(row, default=0.0) - _SAME_SHARE
+        min_share = max(row, default=0.0) - _SAME_SHARE
         shares[name] = {
             photograph: share
             for photograph, share in zip(mapped, row, strict=True)
-            if share > 0 and share >= least
+            if share > 0 and share >= min_share
         }
     return shares
 
@@ -227,7 +302,7 @@ def _difficulty(
 
 
 def _parts(scene: Scene, views: Sequence[View]) -> list[str]:
-    """Return the part of the site that each camera is in, or else the kind of the site."""
+    """Return the part of the place that each camera is in, or else the kind of the place."""
     kind = scene.manifest.preset or ""
     if not scene.objects.surroundings:
         return [kind] * len(views)

@@ -16,10 +16,16 @@ SAME: Final = "same"
 """Name of the queries under the map's own condition; no condition may have this name."""
 CHANGED: Final = "changed"
 """Name of the other queries; no condition may have this name."""
+SEEN: Final = "seen"
+"""Name of queries whose condition and kind of place their track does not hold out of training."""
+UNSEEN: Final = ("unseen-condition", "unseen-place", "unseen-both")
+"""Names of queries whose condition, kind of place or both their track holds out of training; no
+condition may have these names."""
 
+_RESERVED: Final = (ALL_CONDITIONS, SAME, CHANGED, SEEN, *UNSEEN)
 _COLUMNS: Final = (*QueryRow._fields[:-1], *Difficulty._fields)
 _MOST_DAYS: Final = 182
-# Larger ratios of the distances to the ground of query and map photograph are damage.
+# A scale above this means that the file is damaged.
 _MOST_SCALE: Final = 1e6
 
 
@@ -37,20 +43,26 @@ def read_queries(path: Path) -> tuple[QueryRow, ...]:
             raise InputError(f"{where}: query {row.name} is listed twice")
         rows[row.name] = row
     if not rows:
-        raise InputError(f"{path} lists no query")
+        raise InputError(f"{path} lists no query: record them with 'objconnect track --update'")
     return tuple(rows.values())
 
 
 def _row(where: str, values: Mapping[str, str]) -> QueryRow:
     for column in ("name", "condition", "flight", "part"):
-        if not values[column] or not values[column].isprintable():
-            raise InputError(f"{where}: {column} {values[column]!r} is not a name")
-    for column, reserved in (("condition", (ALL_CONDITIONS, SAME, CHANGED)), ("part", ("all",))):
+        if not values[column]:
+            raise InputError(f"{where}: the {column} is empty: fill it in")
+        if not values[column].isprintable():
+            raise InputError(
+                f"{where}: the {column} {values[column]!r} has a control character: remove it"
+            )
+    for column, reserved in (("condition", _RESERVED), ("part", ("all",))):
         if values[column] in reserved:
-            raise InputError(f"{where}: the {column} {values[column]!r} is a reserved name")
+            raise InputError(
+                f"{where}: the {column} {values[column]!r} is a reserved name: choose another"
+            )
     overlap = _number(where, values, "overlap", 1)
     if overlap is None:
-        raise InputError(f"{where}: overlap is empty")
+        raise InputError(f"{where}: the overlap is empty: give a share from 0 to 1")
     days = _number(where, values, "days", _MOST_DAYS)
     difficulty = Difficulty(
         overlap,

@@ -1,4 +1,4 @@
-"""The record of a site's render, with which renders of other machines are compared.
+"""The record of a place's render, with which renders of other machines are compared.
 
 Renders differ in single bits between kinds of processors and versions of libraries, so that their
 digests differ. The record describes each photograph by few numbers: its camera, its pose and the
@@ -21,7 +21,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
-from objconnect.scene.storage.packed import pack
+from objconnect.scene.storage.packed import XZ_SUFFIX, pack
 from objconnect.scene.storage.records import Record
 
 # Blocks per side of a photograph, and decimals of their brightness.
@@ -29,14 +29,19 @@ _BLOCKS: Final = 8
 _DECIMALS: Final = 1
 # Decimals of poses: micrometres.
 _POSE_DECIMALS: Final = 6
-# Largest differences of renders that are alike: of a block (grey levels), of a number of a pose
-# (metres for translations), of a camera parameter and of the number of map points (relative). With
-# kernels of another instruction set, renders of a park differ by up to 0.02 grey levels; a car in
-# another position changes a block by several.
+# Renders are alike if no difference is larger than these: of the brightness of a block (grey
+# levels) and of a number of a pose (metres for translations), and the relative differences of a
+# camera parameter and of the number of map points. With kernels of another instruction set, renders
+# of a park differ by up to 0.02 grey levels; a car in another position changes a block by several.
 _BRIGHTNESS: Final = 0.5
 _POSITION_M: Final = 1e-5
 _CAMERA_SHARE: Final = 1e-9
 _MAP_SHARE: Final = 0.02
+
+
+def render_path(folder: Path, dataset: str) -> Path:
+    """Return the file of the record of a place's render in the folder of its track."""
+    return folder / "renders" / f"{dataset}.json{XZ_SUFFIX}"
 
 
 class RenderedFrame(Record):
@@ -56,7 +61,7 @@ class RenderedFrame(Record):
 
 
 class Render(Record):
-    """The record of a rendered and mapped site: all its frames, and the size of its map."""
+    """The record of a rendered and mapped place: all its frames, and the size of its map."""
 
     frames: tuple[RenderedFrame, ...] = Field(min_length=1)
     map_points: int = Field(ge=0)
@@ -105,19 +110,20 @@ def read_render(path: Path) -> Render:
 
 def difference(recorded: Render, render: Render) -> str:
     """Describe in words why two renders are not alike; the text is empty if they are."""
-    names, others = ([frame.name for frame in each.frames] for each in (recorded, render))
-    if names != others:
+    recorded_names = [frame.name for frame in recorded.frames]
+    names = [frame.name for frame in render.frames]
+    if names != recorded_names:
         return "other frames"
     for before, now in zip(recorded.frames, render.frames, strict=True):
         if not _is_same_camera(before.camera, now.camera):
             return f"another camera of {now.name}"
-    moved = _largest_differences(recorded, render, "cam_from_world")
-    if moved.max() > _POSITION_M:
-        return f"another pose of {names[int(moved.argmax())]}"
-    brighter = _largest_differences(recorded, render, "blocks")
-    if brighter.max() > _BRIGHTNESS:
-        worst = int(brighter.argmax())
-        return f"{names[worst]} differs by {brighter[worst]:.1f} grey levels"
+    pose = _largest_differences(recorded, render, "cam_from_world")
+    if pose.max() > _POSITION_M:
+        return f"another pose of {names[int(pose.argmax())]}"
+    brightness = _largest_differences(recorded, render, "blocks")
+    if brightness.max() > _BRIGHTNESS:
+        worst = int(brightness.argmax())
+        return f"{names[worst]} differs by {brightness[worst]:.1f} grey levels"
     if abs(render.map_points - recorded.map_points) > _MAP_SHARE * recorded.map_points:
         return f"a map of {render.map_points} points, not {recorded.map_points}"
     return ""
@@ -131,7 +137,10 @@ def _blocks(rgb: NDArray[np.uint8]) -> tuple[float, ...]:
 
 
 def _is_same_camera(words: str, others: str) -> bool:
-    """Return whether cameras are equal up to rounding; tangents differ between processors."""
+    """Return whether cameras are equal up to rounding.
+
+    Focal lengths are computed by tangents, whose last bits differ between processors.
+    """
     if words == others:
         return True
     before, now = Camera.parse(words.split()), Camera.parse(others.split())

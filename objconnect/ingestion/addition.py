@@ -1,4 +1,4 @@
-"""Add photographs to a finished scene, which makes a new scene of both.
+"""Make a new scene of a finished scene and more photographs.
 
 The finished scene is not changed, so that results on it stay valid. The new scene has the same
 frames, bit by bit, and the new photographs as a session of their own.
@@ -23,7 +23,7 @@ from objconnect.ingestion.outputs import (
     COVISIBILITY_POINTS,
     FRAMES,
     list_own_files,
-    sample,
+    sample_evenly,
     sample_points,
     write_map,
     write_measurements,
@@ -72,7 +72,8 @@ from objconnect.scene.storage.locks import write_lock
 
 Array = NDArray[np.float64]
 
-# Poses of map and frames that differ by less (m, rad) are equal up to rounding.
+# Poses of map and frames are equal up to rounding if their entries differ by less than this,
+# absolutely or relatively.
 _ROUNDING: Final = 1e-9
 
 
@@ -82,7 +83,7 @@ class _Source:
 
     Attributes:
         base: the scene that photographs are added to.
-        taken: the photographs as structure from motion takes them.
+        taken: the photographs with cameras, as structure from motion reads them.
         fixes: measured positions (3,) by name, metres in the scene's world.
         queries: names of the queries.
     """
@@ -101,7 +102,7 @@ def add_photographs(
     photographs: Path,
     scene: Path,
     out: Path,
-    asked: Plan,
+    settings: Plan,
     gps: Path | None = None,
     camera: Camera | None = None,
 ) -> IngestReport:
@@ -115,7 +116,7 @@ def add_photographs(
         photographs: folder of the new photographs.
         scene: finished scene with a map; it does not change.
         out: new folder, or one left by a run of the same scene, photographs and options.
-        asked: size, split and options of the run.
+        settings: size, split and options of the run.
         gps: table of positions that replace those in EXIF.
         camera: calibration of the new photographs.
 
@@ -127,16 +128,16 @@ def add_photographs(
     if scene.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the scene {scene}: choose a folder outside it")
     base = Scene.open(scene)
-    base.require_lists()
+    base.check_readable()
     base.covisibility.select([*base.splits.map, *sum(base.splits.queries.values(), ())])
     read_map_features(base)
-    session = _free_session(base)
+    session = _name_session(base)
     known = _known_photographs(base)
     flight = _drop_known(read_flight(photographs, session), known, scene)
     if gps is not None:
         flight = replace_positions(flight, gps)
     warn_of_doubts(flight, with_lenses=camera is None)
-    plan = asked.model_copy(
+    plan = settings.model_copy(
         update={
             "camera": None if camera is None else str(camera),
             "gps": None if gps is None else sha256_of(gps),
@@ -162,7 +163,7 @@ def add_photographs(
         )
 
 
-def _free_session(base: Scene) -> str:
+def _name_session(base: Scene) -> str:
     number = 1
     while (name := SESSION if number == 1 else f"{SESSION}-{number}") in base.sessions:
         number += 1
@@ -198,14 +199,14 @@ def _drop_known(flight: Flight, known: Mapping[str, str], scene: Path) -> Flight
 def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
     base, queries = source.base, source.queries
-    _copy(base, out)
+    _copy_sessions(base, out)
     known = _read_known_map(base)
     flight, model, rotated = _register(out, source, known)
     images, fixes = flight.images, source.fixes
     placed = replace(compare_with_fixes(_select_images(model, images), fixes), level="map")
     adjusted = AdjustedModel(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
-    wrong = write_measurements(frames, adjusted, images, fixes, queries)
+    wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
     splits = _write_lists(out, source, model, [image.name for image in images])
     rotated_files = [image.file for image in images if image.name in rotated]
@@ -215,7 +216,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
         adjusted,
         fixes,
         sparse_map,
-        Findings(wrong, rotated_files, georeference=base.manifest.effective_georeference),
+        Findings(wrong_attitudes, rotated_files, georeference=base.manifest.effective_georeference),
     ).model_copy(
         update={
             "registered": len(images),
@@ -226,12 +227,13 @@ def _build(out: Path, source: _Source) -> IngestReport:
     write_json(out / REPORT, report)
     title = f"{for_terminal(out.resolve().name)}: {len(images)} photographs added"
     draw(out / PICTURE, title, adjusted, [image.name for image in images], queries, fixes)
+    # Remove the copies of photographs that were not registered.
     for name in {image.name for image in source.flight.images} - model.images.keys():
         (out / "sessions" / name).unlink(missing_ok=True)
     return report
 
 
-def _copy(base: Scene, out: Path) -> None:
+def _copy_sessions(base: Scene, out: Path) -> None:
     """Link or copy the sessions and objects of a scene, each file whole or not at all."""
     wanted = {n: d for n, d in base.manifest.sha256.items() if n.startswith("sessions/")}
     wanted["objects.json"] = base.manifest.sha256.get("objects.json", "")
@@ -239,8 +241,8 @@ def _copy(base: Scene, out: Path) -> None:
         for done, (name, digest) in enumerate(wanted.items(), 1):
             if not (base.path / name).is_file() or sha256_of(base.path / name) != digest:
                 raise InputError(
-                    f"{base.path / name} was changed since the scene was finished: run 'objconnect "
-                    f"validate {base.path}'"
+                    f"{base.path / name} was changed or removed since the scene was finished: run "
+                    f"'objconnect validate {base.path}'"
                 )
             if not (out / name).is_file():
                 with atomic_write(out / name) as partial:
@@ -250,7 +252,7 @@ def _copy(base: Scene, out: Path) -> None:
 
 
 def _read_known_map(base: Scene) -> KnownMap:
-    """Return the map of a scene, with the poses of its frames where they are the map's."""
+    """Return the map of a scene, with the poses of its frames where they equal the map's."""
     sparse_map, features = read_map_features(base)
     exact: dict[str, Array] = {}
     for session in base.sessions:
@@ -311,30 +313,31 @@ def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photogra
     job = MatchingJob(root, (), SiftOptions())
     with progress_bar("extract", len(old) + len(new)) as advance:
         match_new(known, taken, job, database, advance)
-    fixed = [name for name in new if name in source.fixes]
-    near = choose_pairs([*old, *fixed], {**centres, **source.fixes}, options)
+    with_gps = [name for name in new if name in source.fixes]
+    near = choose_pairs([*old, *with_gps], {**centres, **source.fixes}, options)
     pairs = {pair for pair in near if pair[1] in source.fixes}
     pairs |= set(choose_pairs(new, source.fixes, options))
-    if len(fixed) < len(new):
-        blind = [name for name in new if name not in source.fixes]
+    if len(with_gps) < len(new):
+        without_gps = [name for name in new if name not in source.fixes]
         features = read_features(database, root)
-        pairs |= set(choose_similar(blind, old, features, options))
+        pairs |= set(choose_similar(without_gps, old, features, options))
     job = replace(job, pairs=sorted(pairs))
     with progress_bar("match", len(old) + len(new) + len(pairs)) as advance:
         match_new(known, taken, job, database, advance)
 
 
 def _select_images(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap:
-    """Return a model with some of its photographs."""
+    """Return a model with only the photographs ``images``."""
     return replace(model, images={image.name: model.images[image.name] for image in images})
 
 
 def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[str]) -> Splits:
     """Write split and covisibility of the scene with the new photographs, and return the split."""
-    base, asked = source.base, tuple(name for name in names if name in source.queries)
+    base = source.base
+    new_queries = tuple(name for name in names if name in source.queries)
     splits = Splits(
         map=(*base.splits.map, *(name for name in names if name not in source.queries)),
-        queries={**base.splits.queries, **({source.session: asked} if asked else {})},
+        queries={**base.splits.queries, **({source.session: new_queries} if new_queries else {})},
     )
     write_json(out / "splits.json", splits)
     before = base.covisibility
@@ -346,20 +349,20 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
         poses |= dict(zip(frames.names, frames.cam_from_world, strict=True))
     cameras |= {name: model.images[name].camera for name in names}
     poses |= {name: model.images[name].cam_from_world for name in names}
-    every = (*before.names, *names)
+    all_names = (*before.names, *names)
     points = [
         sample_points(model, name, COVISIBILITY_POINTS)
         if name in model.images
-        else sample(_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS)
-        for name in every
+        else sample_evenly(_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS)
+        for name in all_names
     ]
     overlap = visible_share(
-        [cameras[name] for name in every],
-        np.stack([poses[name] for name in every]),
+        [cameras[name] for name in all_names],
+        np.stack([poses[name] for name in all_names]),
         np.stack(points),
     )
     overlap[: len(before.names), : len(before.names)] = before.overlap
-    write_covisibility(out / COVISIBILITY, Covisibility(every, overlap))
+    write_covisibility(out / COVISIBILITY, Covisibility(all_names, overlap))
     return splits
 
 

@@ -24,21 +24,22 @@ from objconnect.scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-NO_ALTITUDE: Final = 1e4
+NO_ALTITUDE_SIGMA_M: Final = 1e4
 """Standard deviation of an altitude that is unknown or ignored (m)."""
 
 # Focal lengths of EXIF are adjusted where depths within a picture differ by more than this share.
 # Over flatter ground, EXIF is better than an estimate.
 _MIN_RELIEF: Final = 0.25
-# Principal points are adjusted where the mean of the unit vectors to the right of a lens's cameras
-# is shorter than this. If all cameras face one way, a principal point cannot be distinguished from
+# Principal points are adjusted where the mean of the x axes (unit vectors) of a lens's cameras is
+# shorter than this. If all cameras face one way, a principal point cannot be distinguished from
 # a shift.
 _MAX_COMMON_DIRECTION: Final = 0.8
 # Principal points are refined only where this reduces the reprojection error by more than this
 # share. Otherwise errors of GPS would move them.
 _MIN_GAIN: Final = 0.002
-# Maximum iterations of the delay. Each one changes the centres, and with them the velocities.
-_ROUNDS: Final = 3
+# Maximum number of estimates of the delay. Each one moves the camera centres, and so changes the
+# velocities that the next estimate uses.
+_MAX_DELAY_ESTIMATES: Final = 3
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class AdjustedModel:
         placed: The georegistration before the adjustment.
         refined: The lenses whose parameters were adjusted.
         delay: Seconds by which fixes lag behind the photographs; 0 where unknown.
-        undone: Fixes (3,) with the delay removed, by name, world metres; empty without a delay.
+        undelayed_fixes: Fixes (3,) with the delay removed, by name, world metres; empty without a
+            delay.
         folder: Folder of the model.
     """
 
@@ -58,7 +60,7 @@ class AdjustedModel:
     placed: Georegistration
     refined: RefinedLenses
     delay: float
-    undone: Mapping[str, Array]
+    undelayed_fixes: Mapping[str, Array]
     folder: Path
 
 
@@ -85,12 +87,12 @@ def adjust(
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
     placed, delay, used = _place(raw, order, fixes, times)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
-    sigma = np.minimum(placed.sigma, NO_ALTITUDE)
-    blind = find_blind(positions)
+    sigma = np.minimum(placed.sigma, NO_ALTITUDE_SIGMA_M)
+    without_altitude = find_missing_altitudes(positions)
     if placed.level == "ground":
-        blind = set(positions)
+        without_altitude = set(positions)
     for name in positions:
-        if name in blind:
+        if name in without_altitude:
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
     has_relief = _relief(raw) > _MIN_RELIEF
@@ -104,7 +106,9 @@ def adjust(
                 model_path,
                 taken,
                 placed.world_from_model,
-                MeasuredPositions(positions, sigma, dict.fromkeys(blind, NO_ALTITUDE)),
+                MeasuredPositions(
+                    positions, sigma, dict.fromkeys(without_altitude, NO_ALTITUDE_SIGMA_M)
+                ),
                 refined,
                 folder,
             )
@@ -117,11 +121,13 @@ def adjust(
         if refined.model.reprojection_error() < limit:
             best = refined
     return (
-        _raise_to_altitudes(best, used) if placed.level == "ground" and find_blind(used) else best
+        _raise_to_altitudes(best, used)
+        if placed.level == "ground" and find_missing_altitudes(used)
+        else best
     )
 
 
-def find_blind(fixes: Mapping[str, Array]) -> set[str]:
+def find_missing_altitudes(fixes: Mapping[str, Array]) -> set[str]:
     """Return the photographs whose fix has no altitude."""
     return {name for name, fix in fixes.items() if np.isnan(fix[2])}
 
@@ -129,7 +135,7 @@ def find_blind(fixes: Mapping[str, Array]) -> set[str]:
 def _raise_to_altitudes(adjusted: AdjustedModel, fixes: Mapping[str, Array]) -> AdjustedModel:
     """Return the model shifted vertically to the median of the known altitudes."""
     images = adjusted.model.images
-    names = [name for name in fixes.keys() - find_blind(fixes) if name in images]
+    names = [name for name in fixes.keys() - find_missing_altitudes(fixes) if name in images]
     if not names:
         return adjusted
     up = float(np.median([fixes[name][2] - images[name].centre[2] for name in names]))
@@ -156,14 +162,14 @@ def _place(
         removed; without a delay these are ``fixes`` itself.
     """
     placed, used, delay = georegister(raw, fixes), fixes, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_DELAY_ESTIMATES):
         centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
-        moving = estimate_motions(order, centres, times)
+        motions = estimate_motions(order, centres, times)
         trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
-        delay = find_delay(moving, centres, trusted)
+        delay = find_delay(motions, centres, trusted)
         if delay == 0:
             break
-        used = undo_delay(fixes, moving, delay)
+        used = undo_delay(fixes, motions, delay)
         placed = georegister(raw, used)
     if delay == 0 and used is not fixes:
         placed, used = georegister(raw, fixes), fixes

@@ -32,8 +32,8 @@ def find_upside_down(
 ) -> set[str]:
     """Return the names of photographs that were rotated by 180 degrees after they were taken.
 
-    Their attitudes differ from their gimbals' by 180 degrees, while more of the other photographs
-    agree with theirs. Such a photograph has the same lens as the others, but its principal point is
+    Their attitudes differ from their gimbals' by 180 degrees, while more photographs agree with
+    their gimbals. Such a photograph has the same lens as the others, but its principal point is
     mirrored.
 
     Args:

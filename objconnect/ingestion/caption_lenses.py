@@ -1,4 +1,4 @@
-"""Focal lengths and digital zoom of a drone's subtitles."""
+"""Parse focal lengths and digital zoom from a drone's subtitles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Lenses:
             unknown.
         zooms: Digital zoom of each subtitle, a ratio; 1 where the file has none, None where
             unknown.
-        doubts: Reasons why some are unknown, a phrase each.
+        doubts: Reasons why values are unknown, a phrase each; three at most.
         doubts_of: Reasons for each subtitle, or how its values were decided.
     """
 
@@ -42,7 +42,7 @@ class Lenses:
 
 
 def parse_lenses(
-    captions: Sequence[Caption], marks: DecimalMarks, lenses: Collection[float]
+    captions: Sequence[Caption], marks: DecimalMarks, map_focals: Collection[float]
 ) -> Lenses:
     """Parse the lenses of a file's subtitles.
 
@@ -51,9 +51,9 @@ def parse_lenses(
     Args:
         captions: Subtitles sorted by time.
         marks: Decimal marks of the file.
-        lenses: 35 mm equivalent focal lengths of the map's cameras, mm.
+        map_focals: 35 mm equivalent focal lengths of the map's cameras, mm.
     """
-    focals = _parse_focals(captions, marks, lenses)
+    focals = _parse_focals(captions, marks, map_focals)
     zooms = _parse_zooms(captions, marks)
     doubts_of = [
         tuple(doubt for reading in pair if reading is not None for doubt in reading.doubts)
@@ -73,7 +73,7 @@ def _fill_gaps(readings: Sequence[Reading[float] | None]) -> list[float | None]:
 
 
 def _parse_focals(
-    captions: Sequence[Caption], marks: DecimalMarks, lenses: Collection[float]
+    captions: Sequence[Caption], marks: DecimalMarks, map_focals: Collection[float]
 ) -> list[Reading[float] | None]:
     texts = [caption.fields.get(_FOCAL) for caption in captions]
     numbers = [None if text is None else _parse_millimetres(text, marks) for text in texts]
@@ -95,7 +95,7 @@ def _parse_focals(
     unit = known(1.0, _FOCAL)
     if not any("mm" in text for text in written):
         scaled = scales_whole_numbers(apertures, _writes_ten_thousandths(captions))
-        unit = millimetres_per_unit(written, values, scaled, lenses)
+        unit = millimetres_per_unit(written, values, scaled, map_focals)
     readings: list[Reading[float] | None] = []
     for text, number in zip(texts, numbers, strict=True):
         if text is None or number is None or number <= 0:
@@ -119,7 +119,7 @@ def _parse_millimetres(text: str, marks: DecimalMarks) -> float | None:
 
 
 def _writes_ten_thousandths(captions: Sequence[Caption]) -> bool:
-    """Return whether zooms are written as ``20000, delta:0``."""
+    """Return whether zooms are written in ten-thousandths, as ``20000, delta:0``."""
     return any(
         "delta" in caption.fields and caption.fields[name].strip().isdecimal()
         for caption in captions

@@ -1,4 +1,7 @@
-"""Positions of a drone's subtitles, by field names, by letters, or by plausibility checks."""
+"""Parse positions from a drone's subtitles.
+
+Field names or letters tell latitude from longitude; otherwise plausibility checks decide.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +31,10 @@ LATITUDES: Final = ("latitude", "lat")
 """Field names of the latitude."""
 LONGITUDES: Final = ("longitude", "longtitude", "lon", "lng", "long")
 """Field names of the longitude; one drone misspells it."""
-# Tuples with a position, the more accurate first.
+# Names of tuples with a position, the more accurate first.
 _PAIRS: Final = ("rtk", "gps")
 _SIGNS: Final = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
-_LARGEST: Final = 180.0
+_MAX_LONGITUDE: Final = 180.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Positions:
 
     Attributes:
         values: Latitude and longitude of each subtitle, degrees; None where unknown.
-        doubts: Reasons why positions are unknown or dropped, a phrase each.
+        doubts: Reasons why positions are unknown or dropped, a phrase each; three at most.
         doubt_of: Reason why the position of a subtitle is unknown or dropped, by row.
     """
 
@@ -90,7 +93,6 @@ def parse_positions(
     doubt_of |= dict.fromkeys(lost, "its position is out of a drone's reach")
     if lost:
         doubts[f"{len(lost)} positions jump out of a drone's reach, and are left out"] = None
-    # Show three phrases at most.
     return Positions(kept, tuple(doubts)[:3], doubt_of)
 
 
@@ -154,7 +156,7 @@ def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
         first, second = (parse_angle(part, marks) for part in parts[:2])
         if first is None or second is None:
             return _Fix(doubt=doubt)
-        if first == second == 0 or max(abs(first), abs(second)) > _LARGEST:
+        if first == second == 0 or max(abs(first), abs(second)) > _MAX_LONGITUDE:
             return _Fix()
         return _Fix(pair=(first, second))
     if "" in letters or set(kinds) != {"NS", "EW"}:
@@ -175,7 +177,9 @@ def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
 
 def _valid_position(latitude: float | None, longitude: float | None) -> Pair | None:
     """Return the coordinates; None where one is missing or out of range, or both are 0."""
-    if latitude is None or longitude is None or abs(latitude) > 90 or abs(longitude) > _LARGEST:
+    if latitude is None or longitude is None:
+        return None
+    if abs(latitude) > 90 or abs(longitude) > _MAX_LONGITUDE:
         return None
     return None if latitude == longitude == 0 else (latitude, longitude)
 
@@ -191,8 +195,8 @@ def _gather_pairs(
     }
     distances, speeds = [], []
     for at, row in enumerate(rows):
-        distance = _read_metres(captions[row].fields, "d", "m", marks)
-        speed = _read_metres(captions[row].fields, "h.s", "m/s", marks)
+        distance = _read_in_unit(captions[row].fields, "d", "m", marks)
+        speed = _read_in_unit(captions[row].fields, "h.s", "m/s", marks)
         distances += [] if distance is None else [(at, distance)]
         speeds += [] if speed is None else [speed]
     return PairedTrack(
@@ -205,7 +209,7 @@ def _gather_pairs(
     )
 
 
-def _read_metres(
+def _read_in_unit(
     fields: Mapping[str, str], name: str, unit: str, marks: DecimalMarks
 ) -> float | None:
     number, written = parse_quantity(fields.get(name), marks)

@@ -1,7 +1,7 @@
 """Split the text of a drone's subtitle into fields and tuples.
 
-A value is the whole text of a field. Nothing is removed from it here, so that its reader notices a
-unit, a second number or an unknown character.
+A value is the whole text of a field. Nothing is removed from it here, so that the code that
+parses it notices a unit, a second number or an unknown character.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SHORT: Final = r"(?:H\.S|V\.S|DZOOM|ISO|EV|SS|F/|GPS|RTK|HOME|[FG]\.PRY|H|D)"
 _SHORT_WORD: Final = re.compile(r"(?<![\w.])(H\.S|DZOOM|H|D)[ \t]+(?=[-+\d])")
 _END: Final = re.compile(rf"[\[\];\n|]|,\s*(?=[A-Za-z])|\s(?={_SHORT}(?:[\s(/]|$))")
 # Maximum length of a value. A longer one is not a number and is replaced by "...".
-_LONGEST: Final = 200
+_MAX_LENGTH: Final = 200
 _VALUE: Final = re.compile(r"([-+]?[\d.,]*\d[\d.,]*(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 _LETTER: Final = re.compile(r"(?:([NSEW])\s*:?\s*)?(.*?)\s*([NSEW])?")
 # U+FFFD is a degree sign that was written in another encoding.
@@ -55,12 +55,12 @@ class Caption:
         are joined, so that neither is read as a number.
         """
         text = html.unescape(_TAG.sub(" ", subtitle.text)).replace("\xa0", " ")
-        tuples = _unique((name.lower(), inner) for name, inner in _PARENTHESES.findall(text))
+        tuples = _merge((name.lower(), inner) for name, inner in _PARENTHESES.findall(text))
         plain = _PARENTHESES.sub(";", text)
         opened = plain.rfind("[")
         if opened > plain.rfind("]"):
             plain = plain[:opened]
-        fields = _unique(_fields(plain))
+        fields = _merge(_fields(plain))
         # ``BAROMETER(60.0)`` is a field in parentheses.
         fields |= {name: inner for name, inner in tuples.items() if name not in fields}
         return Caption(subtitle, text, fields, tuples)
@@ -76,7 +76,8 @@ class Caption:
                     yield match[1]
 
 
-def _unique(items: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> dict[str, str]:
+def _merge(items: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> dict[str, str]:
+    """Return texts by name; two different texts of one name are joined."""
     merged: dict[str, str] = {}
     for name, text in items:
         text = text.strip()
@@ -90,8 +91,8 @@ def _fields(text: str) -> Iterator[tuple[str, str]]:
     starts = [*(match.start() for match in names), len(text)]
     for match in (*names, *_SHORT_WORD.finditer(text)):
         after = starts[bisect_right(starts, match.start())]
-        whole = after - match.end() <= _LONGEST
-        value = text[match.end() : min(after, match.end() + _LONGEST)].lstrip(" \t")
+        whole = after - match.end() <= _MAX_LENGTH
+        value = text[match.end() : min(after, match.end() + _MAX_LENGTH)].lstrip(" \t")
         end = _END.search(value)
         value = (value[: end.start()] if end else value).rstrip(" \t,")
         yield match[1].lower(), value if end or whole else "..."
@@ -103,7 +104,7 @@ def split_tuple(inner: str) -> list[str]:
     Commas separate numbers with decimal points. Without points, only commas before white space
     separate, because a comma between digits may be a decimal mark. An ambiguous text is one part.
 
-    Example:
+    Examples:
         >>> [split_tuple(text) for text in ("8.5,47.1,17", "8,50, 47,10, 17", "8,5,47,1,17")]
         [['8.5', '47.1', '17'], ['8,50', '47,10', '17'], ['8,5,47,1,17']]
     """
@@ -117,7 +118,7 @@ def split_tuple(inner: str) -> list[str]:
 def split_letter(part: str) -> tuple[str, str]:
     """Split a coordinate into the letter of its direction (N, S, E, W or none) and the rest.
 
-    Example:
+    Examples:
         >>> split_letter("W: 97.6"), split_letter("8.5"), split_letter("47.1° N")
         (('W', '97.6'), ('', '8.5'), ('N', '47.1°'))
     """

@@ -42,7 +42,7 @@ from objconnect.ingestion.photographs import (
 )
 from objconnect.ingestion.picture import PICTURE, draw
 from objconnect.ingestion.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
-from objconnect.ingestion.positions import FEWEST, local_positions, replace_positions
+from objconnect.ingestion.positions import MIN_PHOTOGRAPHS, local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
 from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
 from objconnect.ingestion.split import Split, choose_queries
@@ -70,7 +70,7 @@ class _Source:
     """The inputs of a run.
 
     Attributes:
-        taken: the photographs as structure from motion takes them.
+        taken: the photographs with cameras, as structure from motion reads them.
         origin: geodetic coordinates of the world's origin.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
@@ -118,7 +118,7 @@ def ingest(
         gps: table of positions that replace those in EXIF, see ``replace_positions``.
         poses: poses and cameras of another program, see ``scene.imports``; photographs without a
             pose are left out.
-        poses_frame: frame of ``poses``, where the file leaves it open.
+        poses_frame: frame of ``poses``, if the file does not state it.
         gcp: list of ground control points, see ``control_points``. With ``poses``, which are not
             adjusted, all points are check points.
         checks: names of the check points, which do not take part in the adjustment.
@@ -145,8 +145,8 @@ def ingest(
                 "--add registers photographs in the map of the scene: leave out --poses, "
                 "--poses-frame, --gcp, --gcp-check and --mapper"
             )
-        asked = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
-        return add_photographs(photographs, add, out, asked, gps, camera)
+        settings = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
+        return add_photographs(photographs, add, out, settings, gps, camera)
     if poses is None and poses_frame is not None:
         raise InputError("--poses-frame needs a file of poses: give --poses")
     flight = read_flight(photographs)
@@ -244,6 +244,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
         queries,
         fixes,
     )
+    # Remove the copies of photographs that were not registered.
     for name in {image.name for image in source.flight.images} - model.images.keys():
         (out / "sessions" / name).unlink(missing_ok=True)
     return report
@@ -296,11 +297,11 @@ def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
 
 def _require_enough(flight: Flight, folder: Path) -> None:
     """Refuse a flight with too few photographs for a scene."""
-    if len(flight.images) < FEWEST:
+    if len(flight.images) < MIN_PHOTOGRAPHS:
         reasons = "".join(f"; {file}: {why}" for file, why in list(flight.left_out.items())[:3])
         raise InputError(
             f"{folder} has {len(flight.images)} usable photographs, a scene needs at least "
-            f"{FEWEST}{reasons}"
+            f"{MIN_PHOTOGRAPHS}{reasons}"
         )
 
 
@@ -324,9 +325,9 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
             out / "sessions", taken, out / WORK / DATABASE, folder, mapper, advance
         )
         members = [read_model(path).names for path in models_by_size]
-    if not members or len(members[0]) < FEWEST:
+    if not members or len(members[0]) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"no {FEWEST} of the {len(taken)} photographs could be registered together: "
+            f"no {MIN_PHOTOGRAPHS} of the {len(taken)} photographs could be registered together: "
             "photograph with more overlap, over ground with texture"
         )
     reasons = {photograph.name: "not registered: too few matches" for photograph in taken}

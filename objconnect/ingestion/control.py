@@ -26,10 +26,14 @@ Array = NDArray[np.float64]
 Role = Literal["used", "check", "wrong", "unseen"]
 
 # Minimum number of points of a similarity, and of points among which a wrong one is detected.
-_FEWEST: Final = 3
-_FEWEST_TO_DETECT: Final = 5
-# A point is wrong if the fit of the others leaves it further off than this (m), and than their
-# scatter explains. Inexact marks move a point by less, mixed-up names by more.
+_MIN_POINTS: Final = 3
+_MIN_POINTS_TO_DETECT: Final = 5
+# Gauss-Newton iterations of a triangulation, and the condition number above which its rays count as
+# parallel.
+_ITERATIONS: Final = 5
+_MAX_CONDITION: Final = 1e8
+# A point is wrong if its residual exceeds both this (m) and what the scatter of the other points
+# explains. Inexact marks move a point by less, mixed-up names by more.
 _WRONG_M: Final = 1.0
 
 
@@ -58,12 +62,14 @@ def control_text(points: Sequence[ControlResidual]) -> list[str]:
     """Return a summary as lines: errors by role, and every point that is wrong or unseen."""
     lines = []
     for role, what in (("used", "used"), ("check", "as check points")):
-        off = np.array([p.off for p in points if p.role == role and p.off is not None])
-        if len(off):
-            east_north, up = np.sqrt([(off[:, :2] ** 2).sum(1).mean(), (off[:, 2] ** 2).mean()])
+        residuals = np.array([p.off for p in points if p.role == role and p.off is not None])
+        if len(residuals):
+            east_north, up = np.sqrt(
+                [(residuals[:, :2] ** 2).sum(1).mean(), (residuals[:, 2] ** 2).mean()]
+            )
             lines.append(
-                f"{len(off)} ground control points {what}: horizontal {east_north:.3f} m rms, "
-                f"vertical {up:.3f} m rms"
+                f"{len(residuals)} ground control points {what}: horizontal "
+                f"{east_north:.3f} m rms, vertical {up:.3f} m rms"
             )
     for point in points:
         if point.role == "wrong" and point.off is not None:
@@ -96,22 +102,22 @@ def triangulate_marks(model: SparseMap, marks: Mapping[str, Array]) -> tuple[Arr
         direction /= np.linalg.norm(direction)
         plane = np.eye(3) - np.outer(direction, direction)
         normal, right = normal + plane, right + plane @ image.centre
-    if np.linalg.cond(normal) > 1e8:  # the rays are parallel
+    if np.linalg.cond(normal) > _MAX_CONDITION:
         return None
     point = torch.from_numpy(np.linalg.solve(normal, right))
-    for _ in range(5):
+    for _ in range(_ITERATIONS):
         residuals, slopes = [], []
         for image, pose, pixel in zip(images, poses, xy, strict=True):
-            seen = image.camera.project(pose.transform(point[None]), jacobian=True)
-            if not bool(seen.valid[0]):
+            projected = image.camera.project(pose.transform(point[None]), jacobian=True)
+            if not bool(projected.valid[0]):
                 return None
-            assert seen.jacobian is not None
-            residuals.append(seen.xy[0] - pixel)
-            slopes.append(seen.jacobian[0] @ pose.rotation)
+            assert projected.jacobian is not None
+            residuals.append(projected.xy[0] - pixel)
+            slopes.append(projected.jacobian[0] @ pose.rotation)
         step = torch.linalg.lstsq(torch.cat(slopes), torch.cat(residuals)[:, None]).solution
         point = point - step[:, 0]
-    off = torch.stack(residuals)
-    return point.numpy(), float((off**2).sum(1).mean().sqrt())
+    squares = torch.stack(residuals) ** 2
+    return point.numpy(), float(squares.sum(1).mean().sqrt())
 
 
 def fit_to_control(
@@ -137,7 +143,7 @@ def fit_to_control(
     """
     surveyed = {point.name: point.position(origin) for point in points}
     triangulated = {
-        p.name: seen[0] for p in points if (seen := triangulate_marks(adjusted.model, p.marks))
+        p.name: found[0] for p in points if (found := triangulate_marks(adjusted.model, p.marks))
     }
     control = [p for p in points if p.name in triangulated and not p.check]
     wrong = _find_wrong(
@@ -151,12 +157,12 @@ def fit_to_control(
     if used:
         fixed = [
             SurveyedPoint(
-                surveyed[p.name], options.control_sigma_m, _inside(p.marks, adjusted.model)
+                surveyed[p.name], options.control_sigma_m, _marks_in(p.marks, adjusted.model)
             )
             for p in used
         ]
         before = np.array([triangulated[p.name] for p in used])
-        adjusted = _fit_to_control(adjusted, fixed, before, taken, work)
+        adjusted = _move_to_points(adjusted, fixed, before, taken, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
@@ -165,12 +171,12 @@ def fit_to_control(
 
 def _find_wrong(triangulated: Array, surveyed: Array) -> NDArray[np.bool_]:
     """Return which points contradict the others, (N,); none where there are too few to judge."""
-    if len(triangulated) < _FEWEST_TO_DETECT or is_on_a_line(triangulated):
+    if len(triangulated) < _MIN_POINTS_TO_DETECT or is_on_a_line(triangulated):
         return np.zeros(len(triangulated), bool)
     return ~fit_robust_similarity(triangulated, surveyed, _WRONG_M)[1]
 
 
-def _fit_to_control(
+def _move_to_points(
     adjusted: AdjustedModel,
     points: Sequence[SurveyedPoint],
     triangulated: Array,
@@ -179,7 +185,7 @@ def _fit_to_control(
 ) -> AdjustedModel:
     """Return the model after the fit to points, which it has ``triangulated`` at (N, 3)."""
     surveyed = np.array([point.xyz for point in points])
-    if len(points) < _FEWEST or is_on_a_line(triangulated):
+    if len(points) < _MIN_POINTS or is_on_a_line(triangulated):
         shift = np.column_stack([np.eye(3), (surveyed - triangulated).mean(0)])
         return replace(adjusted, model=adjusted.model.transform(shift))
     with atomic_folder(work / "control") as folder:
@@ -195,18 +201,18 @@ def _fit_to_control(
     return replace(adjusted, model=model, placed=placed)
 
 
-def _inside(marks: Mapping[str, Array], model: SparseMap) -> dict[str, Array]:
+def _marks_in(marks: Mapping[str, Array], model: SparseMap) -> dict[str, Array]:
     return {name: xy for name, xy in marks.items() if name in model.images}
 
 
 def _residual(
     model: SparseMap, point: ControlPoint, role: Role, surveyed: Array
 ) -> ControlResidual:
-    marks = len(_inside(point.marks, model))
-    seen = triangulate_marks(model, point.marks)
-    if seen is None:
+    marks = len(_marks_in(point.marks, model))
+    triangulated = triangulate_marks(model, point.marks)
+    if triangulated is None:
         return ControlResidual(name=point.name, role=role, marks=marks)
-    east, north, up = (seen[0] - surveyed).tolist()
+    east, north, up = (triangulated[0] - surveyed).tolist()
     return ControlResidual(
-        name=point.name, role=role, marks=marks, off=(east, north, up), mark_px=seen[1]
+        name=point.name, role=role, marks=marks, off=(east, north, up), mark_px=triangulated[1]
     )

@@ -24,7 +24,7 @@ from objconnect.scene.imports.names import match_files
 from objconnect.scene.storage.files import read_text
 
 # Maximum distance (m) of surveyed points from the photographs' GPS positions.
-_FARTHEST_M = 20_000.0
+_MAX_DISTANCE_M = 20_000.0
 _COLUMNS = "x y z px py photograph [name]"
 
 
@@ -35,7 +35,7 @@ class ControlPoint:
     Attributes:
         name: name in the list, or its number there.
         geodetic: surveyed coordinates; the height is ellipsoidal unless the list's system has
-            another.
+            other heights.
         check: whether it is a check point, which does not take part in the adjustment.
         marks: (2,) COLMAP pixels by name of the photograph.
     """
@@ -74,7 +74,7 @@ def read_control_points(
     system = parse_system(header, f"{path}:1")
     images = {image.file: image for image in flight.images}
     listed = dict.fromkeys(row[5] for _, row in rows if len(row) > 5)
-    of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
+    file_of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
     points: dict[str, ControlPoint] = {}
     coordinates: dict[str, tuple[float, ...]] = {}
     for where, row in rows:
@@ -94,33 +94,37 @@ def read_control_points(
                     f"{where}: the coordinates of {name!r} are not on earth: check line 1 and units"
                 )
             points[name] = ControlPoint(name, geodetic, name in checks)
-        if photograph not in of:
+        if photograph not in file_of:
             continue
-        image = images[of[photograph]]
+        image = images[file_of[photograph]]
         if image.name in points[name].marks:
             raise InputError(
                 f"{where}: {name!r} is marked twice in {photograph}: remove one of the marks"
             )
         scale = np.array(reduce_size(image, size)) / np.array(image.size)
         points[name].marks[image.name] = (pixel + 0.5) * scale
-    _require(path, points, listed, flight, checks)
+    _require_marks(path, points, listed, flight, checks)
     _require_near(path, coordinates, system, flight)
     return list(points.values())
 
 
 def _parse_row(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
+    shown = " ".join(row)[:60]
+    if len(row) < 6:
+        raise InputError(f"{where}: expected {_COLUMNS}, got {shown!r}")
+    if not "".join(row).isprintable():
+        raise InputError(f"{where}: {shown!r} has a control character: remove it")
     try:
         numbers = [float(word) for word in row[:5]]
     except ValueError:
         numbers = [math.nan]
-    words = "".join(row).isprintable()
-    if len(row) < 6 or not words or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{where}: expected {_COLUMNS}, got {' '.join(row)[:60]!r}")
+    if not all(map(math.isfinite, numbers)):
+        raise InputError(f"{where}: x y z px py must be finite numbers, got {shown!r}")
     x, y, z, px, py = numbers
     return x, y, z, px, py, row[5], " ".join(row[6:])
 
 
-def _require(
+def _require_marks(
     path: Path,
     points: dict[str, ControlPoint],
     listed: Collection[str],
@@ -157,24 +161,25 @@ def _require_near(
         0.0,
     )
     listed = np.array(list(coordinates.values()))
-    off = _distance(listed, system, middle)
-    if not off > _FARTHEST_M:
+    distance_m = _distance(listed, system, middle)
+    if not distance_m > _MAX_DISTANCE_M:
         return
     remedy = f"check the system of line 1, {system.projection.name}, and the unit of x and y"
-    if _distance(listed[:, [1, 0, 2]], system, middle) <= _FARTHEST_M:
+    if _distance(listed[:, [1, 0, 2]], system, middle) <= _MAX_DISTANCE_M:
         remedy = "x and y are exchanged: give east or longitude first"
     raise InputError(
-        f"{path}: its points lie {off / 1000:.0f} km from the photographs' GPS positions: {remedy}"
+        f"{path}: its points lie {distance_m / 1000:.0f} km from the photographs' GPS positions: "
+        f"{remedy}"
     )
 
 
 def _distance(coordinates: NDArray[np.float64], system: NamedSystem, middle: Geodetic) -> float:
     """Return the median distance (m) of points (N, 3) from ``middle``; infinite if not on earth."""
-    off = []
+    distances = []
     for row in coordinates:
         try:
             point = system.projection.to_geodetic(row)
         except InputError:
             return math.inf
-        off.append(np.linalg.norm(enu_from_geodetic(point._replace(altitude=0.0), middle)))
-    return float(np.median(off))
+        distances.append(np.linalg.norm(enu_from_geodetic(point._replace(altitude=0.0), middle)))
+    return float(np.median(distances))

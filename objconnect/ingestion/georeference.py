@@ -17,8 +17,8 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 
-# Fewer fixes or points determine the georegistration without residuals.
-_FEWEST = 3
+# Minimum number of fixes or points. Fewer determine the georegistration exactly, without residuals.
+_MIN_FIXES = 3
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def estimate_georeference(
     """
     by_control = _from_control(control, options)
     used = [n for n in model.names if n in receiver.fixes and n not in placed.blunders]
-    if by_control is not None or len(used) < _FEWEST:
+    if by_control is not None or len(used) < _MIN_FIXES:
         return by_control
     stated = [receiver.stated.get(name) for name in used]
     measured = [sigma for sigma in stated if sigma is not None]
@@ -79,13 +79,13 @@ def _from_control(
     control: Sequence[ControlResidual], options: IngestOptions
 ) -> Georeference | None:
     """Return the accuracy by ground control points; None without enough usable ones."""
-    off = np.array([p.off for p in control if p.role == "check" and p.off is not None])
-    if not len(off):
+    residuals = np.array([p.off for p in control if p.role == "check" and p.off is not None])
+    if not len(residuals):
         used = [p.off for p in control if p.role == "used" and p.off is not None]
-        if len(used) < _FEWEST:  # the shift to them leaves no independent residuals
+        if len(used) < _MIN_FIXES:  # the shift to them leaves no independent residuals
             return None
-        off = np.array(used)
-    east, north, up = (off**2).mean(0) + options.control_sigma_m**2
+        residuals = np.array(used)
+    east, north, up = (residuals**2).mean(0) + options.control_sigma_m**2
     return _georeference(east + north, math.sqrt(up), "control")
 
 

@@ -30,7 +30,7 @@ MIN_SIGMA_M: Final = 0.02
 """Lower bound (m) of standard deviations of positions, that of a receiver with corrections."""
 
 # Random samples of least median of squares. If half of the fixes are wrong, the probability that no
-# sample of three is right is 1e-29.
+# sample of three is right is (7/8)^500, about 1e-29.
 _SAMPLES: Final = 500
 # Minimum width of a flight, as a share of its length, from which on its positions determine the
 # rotation about its course.
@@ -41,7 +41,7 @@ _MAX_TILT_DEG: Final = 8.0
 # Points further from the plane of the ground than this many standard deviations are not ground.
 _GROUND_SIGMAS: Final = 2.5
 # Minimum number of altitudes that determine a rotation.
-_FEWEST_ALTITUDES: Final = 3
+_MIN_ALTITUDES: Final = 3
 # Median of the chi-squared distribution, by its degrees of freedom.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
@@ -92,50 +92,53 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
         )
     centres = np.array([model.images[name].centre for name in names])
     measured = np.array([fixes[name] for name in names])
-    high = np.isfinite(measured[:, 2])
-    away = measured - np.median(measured, 0)
-    away[:, 2] = measured[:, 2] - np.median(measured[high, 2]) if high.any() else 0.0
-    if np.linalg.norm(np.nan_to_num(away), axis=1).max() < MIN_SIGMA_M:
+    has_altitude = np.isfinite(measured[:, 2])
+    offsets = measured - np.median(measured, 0)
+    offsets[:, 2] = (
+        measured[:, 2] - np.median(measured[has_altitude, 2]) if has_altitude.any() else 0.0
+    )
+    if np.linalg.norm(np.nan_to_num(offsets), axis=1).max() < MIN_SIGMA_M:
         raise InputError("all GPS positions are equal: scale and direction are unknown; give --gps")
 
-    upright = _upright(model)
+    upright = _level_rotation(model)
     level = "ground"
-    if high.sum() >= _FEWEST_ALTITUDES and not is_on_a_line(centres[high]):
-        placed, good = _fit_with_altitudes(centres, measured)
-        if _tilt_deg(placed, model, upright[2]) <= _MAX_TILT_DEG:
+    if has_altitude.sum() >= _MIN_ALTITUDES and not is_on_a_line(centres[has_altitude]):
+        similarity, good = _fit_with_altitudes(centres, measured)
+        if _tilt_deg(similarity, model, upright[2]) <= _MAX_TILT_DEG:
             level = "gps"
     if level == "ground":
-        placed, good = _fit_level(upright, centres, measured)
-    off = (_apply(placed, centres) - measured)[good]
+        similarity, good = _fit_level(upright, centres, measured)
+    residuals = (_apply(similarity, centres) - measured)[good]
     return Georegistration(
-        world_from_model=placed,
+        world_from_model=similarity,
         level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
-        sigma=np.maximum(rms_of(off), MIN_SIGMA_M),
+        sigma=np.maximum(rms_of(residuals), MIN_SIGMA_M),
     )
 
 
-def rms_of(off: Array) -> Array:
+def rms_of(differences: Array) -> Array:
     """Return the root mean square (3,) of differences (N, 3); vertical ones may be NaN.
 
-    The vertical one is infinite where all of them are NaN.
+    The vertical root mean square is infinite where all vertical differences are NaN.
     """
-    high = np.isfinite(off[:, 2])
-    if high.all():
-        return np.asarray(np.sqrt((off**2).mean(0)))
-    up = float(np.sqrt((off[high, 2] ** 2).mean())) if high.any() else np.inf
-    return np.array([*np.sqrt((off[:, :2] ** 2).mean(0)), up])
+    has_altitude = np.isfinite(differences[:, 2])
+    if has_altitude.all():
+        return np.asarray(np.sqrt((differences**2).mean(0)))
+    vertical = differences[has_altitude, 2]
+    up = float(np.sqrt((vertical**2).mean())) if len(vertical) else np.inf
+    return np.array([*np.sqrt((differences[:, :2] ** 2).mean(0)), up])
 
 
 def _fit_with_altitudes(centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Fit to the fixes with an altitude, and classify the others by their horizontal residuals."""
-    high = np.isfinite(measured[:, 2])
-    placed, inliers = fit_robust_similarity(centres[high], measured[high])
-    off = np.linalg.norm((_apply(placed, centres) - measured)[:, :2], axis=1)
-    usual = SIGMA_OF_MEDIAN * float(np.median(off[high][inliers]))
-    good = off <= max(BLUNDER_SIGMAS * usual, USUAL_ERROR_M)
-    good[high] = inliers
-    return placed, good
+    has_altitude = np.isfinite(measured[:, 2])
+    similarity, inliers = fit_robust_similarity(centres[has_altitude], measured[has_altitude])
+    distance = np.linalg.norm((_apply(similarity, centres) - measured)[:, :2], axis=1)
+    sigma = SIGMA_OF_MEDIAN * float(np.median(distance[has_altitude][inliers]))
+    good = distance <= max(BLUNDER_SIGMAS * sigma, USUAL_ERROR_M)
+    good[has_altitude] = inliers
+    return similarity, good
 
 
 def _apply(similarity: Array, points: Array) -> Array:
@@ -155,8 +158,8 @@ def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
     vertical = similarity[2, :3]
     backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
     disagreement = _angle_deg(ground, backwards)
-    off = min(_angle_deg(vertical, ground), _angle_deg(vertical, backwards))
-    return off if off > disagreement else 0.0
+    tilt = min(_angle_deg(vertical, ground), _angle_deg(vertical, backwards))
+    return tilt if tilt > disagreement else 0.0
 
 
 def _angle_deg(a: Array, b: Array) -> float:
@@ -187,10 +190,10 @@ def fit_robust_similarity(
 
 
 def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Fit with the ground level, and with heights at the scale of the model."""
-    level = centres @ upright.T
+    """Fit with the ground level; heights have the scale of the horizontal fit."""
+    levelled = centres @ upright.T
     horizontal, good = _fit_robust(
-        _fit_level_similarity, level, np.nan_to_num(measured), 2, USUAL_ERROR_M
+        _fit_level_similarity, levelled, np.nan_to_num(measured), 2, USUAL_ERROR_M
     )
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
     up = (measured - _apply(similarity, centres))[:, 2]
@@ -204,7 +207,10 @@ def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, 
 def _fit_robust(
     fit: _Fit, source: Array, target: Array, axes: int, usual_error_m: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Fit by least median of squares over random samples, then by least squares over inliers."""
+    """Fit by least median of squares over random samples, then by least squares over inliers.
+
+    Residuals count along the first ``axes`` axes; a sample has as many points.
+    """
     rng = np.random.default_rng(0)
     best, least = fit(source, target), np.inf
     for _ in range(_SAMPLES):
@@ -215,15 +221,15 @@ def _fit_robust(
             best, least = candidate, median
     for _ in range(5):
         sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
-        off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
-        good = off <= max(BLUNDER_SIGMAS * float(sigma), usual_error_m)
+        distance = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
+        good = distance <= max(BLUNDER_SIGMAS * float(sigma), usual_error_m)
         best = fit(source[good], target[good])
     return best, good
 
 
 def _median_square(similarity: Array, source: Array, target: Array, axes: int) -> float:
-    off = (_apply(similarity, source) - target)[:, :axes]
-    return float(np.median((off**2).sum(1)))
+    residuals = (_apply(similarity, source) - target)[:, :axes]
+    return float(np.median((residuals**2).sum(1)))
 
 
 def fit_similarity(source: Array, target: Array) -> Array:
@@ -244,15 +250,15 @@ def _fit_level_similarity(source: Array, target: Array) -> Array:
     return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
 
 
-def _upright(model: SparseMap) -> Array:
+def _level_rotation(model: SparseMap) -> Array:
     """Return the rotation (3, 3) that makes the ground level and puts the cameras above it."""
     points = model.xyz
-    near = np.ones(len(points), bool)
+    is_ground = np.ones(len(points), bool)
     for _ in range(10):
-        middle = points[near].mean(0)
-        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
-        off = np.abs((points - middle) @ normal)
-        near = off <= _GROUND_SIGMAS * SIGMA_OF_MEDIAN * np.median(off)
+        middle = points[is_ground].mean(0)
+        normal = np.linalg.svd(points[is_ground] - middle, full_matrices=False)[2][2]
+        distance = np.abs((points - middle) @ normal)
+        is_ground = distance <= _GROUND_SIGMAS * SIGMA_OF_MEDIAN * np.median(distance)
     if ((model.centres - middle) @ normal).mean() < 0:
         normal = -normal
     east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 # Significance level of the permutation test: the largest share of line reversals that may explain
 # the positions as well as the true courses do.
 _MAX_CHANCE: Final = 0.05
-# Up to this many lines, all reversals are tested. For more lines, as many are drawn at random.
+# Up to this many lines, all reversals are tested. For more lines, two to the power of this
+# many reversals are drawn at random.
 _ENUMERATED_LINES: Final = 10
 
 
@@ -53,18 +54,18 @@ def estimate_motions(
     """
     known = [name for name in names if name in centres and name in times]
     lines = flight_lines(known, centres)
-    moving = {}
+    motions = {}
     for k, name in enumerate(known):
-        near = [j for j in (k - 1, k, k + 1) if 0 <= j < len(known) and lines[j] == lines[k]]
-        first, last = known[near[0]], known[near[-1]]
+        neighbours = [j for j in (k - 1, k, k + 1) if 0 <= j < len(known) and lines[j] == lines[k]]
+        first, last = known[neighbours[0]], known[neighbours[-1]]
         if times[last] > times[first]:
             velocity = (centres[last] - centres[first]) / (times[last] - times[first])
-            moving[name] = Motion(lines[k], velocity)
-    return moving
+            motions[name] = Motion(lines[k], velocity)
+    return motions
 
 
 def find_delay(
-    moving: Mapping[str, Motion],
+    motions: Mapping[str, Motion],
     centres: Mapping[str, Array],
     fixes: Mapping[str, Array],
 ) -> float:
@@ -77,18 +78,18 @@ def find_delay(
     lines are never significant.
 
     Args:
-        moving: Result of ``estimate_motions``.
+        motions: Result of ``estimate_motions``.
         centres: Camera centres (3,) by name, world metres, georegistered by the fixes.
         fixes: Measured positions (3,) by name; those without a motion are ignored.
     """
-    names = [name for name in moving if name in fixes]
+    names = [name for name in motions if name in fixes]
     if not names:
         return 0.0
-    numbers = np.unique([moving[name].line for name in names], return_inverse=True)[1]
+    numbers = np.unique([motions[name].line for name in names], return_inverse=True)[1]
     reversals = _list_reversals(int(numbers.max()) + 1)
     if 1 / len(reversals) > _MAX_CHANCE:
         return 0.0
-    velocity = np.array([moving[name].velocity[:2] for name in names])
+    velocity = np.array([motions[name].velocity[:2] for name in names])
     x, y = np.array([centres[name][:2] for name in names]).T
     one, zero = np.ones(len(names)), np.zeros(len(names))
     similarity = np.hstack([[one, zero, x, -y], [zero, one, y, x]]).T
@@ -98,10 +99,10 @@ def find_delay(
         stacked = values.T.ravel()
         return np.asarray(stacked - basis @ (basis.T @ stacked))
 
-    off = residuals_at(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
-    moved = np.array([residuals_at(velocity * signs[numbers, None]) for signs in reversals])
-    along = moved @ off
-    squares = np.square(moved).sum(1)
+    offsets = residuals_at(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
+    velocities = np.array([residuals_at(velocity * signs[numbers, None]) for signs in reversals])
+    along = velocities @ offsets
+    squares = np.square(velocities).sum(1)
     explained = np.square(along) / np.maximum(squares, 1e-12)
     if (explained >= explained[0] * (1 - 1e-9)).mean() > _MAX_CHANCE:
         return 0.0
@@ -121,7 +122,7 @@ def _list_reversals(lines: int) -> Array:
 
 
 def undo_delay(
-    fixes: Mapping[str, Array], moving: Mapping[str, Motion], delay: float
+    fixes: Mapping[str, Array], motions: Mapping[str, Motion], delay: float
 ) -> dict[str, Array]:
     """Return the fixes (3,) with the delay removed, for the photographs that have a motion."""
-    return {name: fixes[name] + delay * moving[name].velocity for name in moving if name in fixes}
+    return {name: fixes[name] + delay * motions[name].velocity for name in motions if name in fixes}

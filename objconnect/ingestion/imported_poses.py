@@ -63,9 +63,11 @@ class ImportedPoses:
         return {name: -pose[:3, :3].T @ pose[:3, 3] for name, pose in poses.items()}
 
     def photographs(self) -> list[Photograph]:
-        """Return the photographs as the matcher takes them."""
+        """Return the photographs with calibrated cameras, for matching."""
         return [
-            Photograph(image.name, image.camera, str(image.camera), True, True)
+            Photograph(
+                image.name, image.camera, str(image.camera), calibrated=True, focal_known=True
+            )
             for image in self.images.values()
         ]
 
@@ -84,7 +86,7 @@ def read_imported(
         flight: the photographs.
         size: longest side of the photographs in the scene, pixels.
         calibration: camera of all photographs instead of those of the file.
-        frame: frame of the poses, where the file leaves it open; see ``read_foreign``.
+        frame: frame of the poses, if the file does not state it; see ``read_foreign``.
 
     Returns:
         The flight without photographs that have no pose, and the poses.
@@ -113,8 +115,8 @@ def read_imported(
             raise InputError(f"{path} has no camera of {image.file}: give --camera")
         sized = scale_camera(camera, size, image)
         images[image.name] = PosedImage(image.name, sized, foreign.cam_from_world[k])
-    left = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in matched}
-    return flight.without(left), ImportedPoses(images, foreign.origin)
+    left_out = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in matched}
+    return flight.without(left_out), ImportedPoses(images, foreign.origin)
 
 
 def triangulate_imported(
@@ -149,10 +151,10 @@ def triangulate_imported(
 def compare_with_fixes(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
     """Compare a model that is already in the world with its fixes, without moving it."""
     names = [name for name in model.names if name in fixes]
-    off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
-    distance = np.linalg.norm(np.nan_to_num(off), axis=1)
-    usual = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
-    good = distance <= max(BLUNDER_SIGMAS * usual, USUAL_ERROR_M)
-    sigma = rms_of(off[good]) if good.any() else np.full(3, MIN_SIGMA_M)
+    residuals = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
+    distance = np.linalg.norm(np.nan_to_num(residuals), axis=1)
+    usual_m = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
+    good = distance <= max(BLUNDER_SIGMAS * usual_m, USUAL_ERROR_M)
+    sigma = rms_of(residuals[good]) if good.any() else np.full(3, MIN_SIGMA_M)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)
     return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, MIN_SIGMA_M))

@@ -45,26 +45,29 @@ def apply_known_lenses(
     Args:
         scene: a scene with a map.
         images: the photographs with their EXIF.
-        taken: the same photographs as structure from motion takes them.
+        taken: the same photographs with cameras, as structure from motion reads them.
 
     Returns:
         ``taken`` with the known cameras.
     """
-    seen: Counter[tuple[_Lens, Camera]] = Counter()
+    counts: Counter[tuple[_Lens, Camera]] = Counter()
     for name, mapped in scene.sparse_map().images.items():
         exif = read_exif(scene.images_root / name)
         if exif.make or exif.model:
-            seen[_Lens((exif.make, exif.model), exif.focal_35mm, exif.focals), mapped.camera] += 1
-    known = [lens for lens, _ in seen.most_common()]
+            counts[_Lens((exif.make, exif.model), exif.focal_35mm, exif.focals), mapped.camera] += 1
+    known = [lens_and_camera for lens_and_camera, _ in counts.most_common()]
     calibrated = []
     for image, photograph in zip(images, taken, strict=True):
         exif = image.exif
         lens = _Lens((exif.make, exif.model), exif.focal_35mm, exif.focals)
         size = photograph.camera.width, photograph.camera.height
-        camera = next((c for like, c in known if lens.is_like(like) and _has_shape(c, size)), None)
+        camera = next(
+            (c for other, c in known if lens.is_like(other) and _has_shape(c, size)), None
+        )
         if camera is not None:
-            shared = camera.resize(*size)
-            photograph = Photograph(image.name, shared, image.lens, True, True)
+            photograph = Photograph(
+                image.name, camera.resize(*size), image.lens, calibrated=True, focal_known=True
+            )
         calibrated.append(photograph)
     return calibrated
 

@@ -19,10 +19,10 @@ from objconnect.scene.maps.matching import match
 from objconnect.scene.runtime.progress import progress_bar
 
 _DEFAULTS: Final = IngestOptions()
-# A photograph without a position is matched with this many before and after it.
-_BLIND: Final = 10
+# A photograph without a position is matched with this many before it and after it in time.
+_NEIGHBOURS_IN_TIME: Final = 10
 # Number of the largest features of a photograph that ``choose_similar`` compares.
-_LARGEST: Final = 500
+_MAX_FEATURES: Final = 500
 
 
 def choose_pairs(
@@ -45,10 +45,10 @@ def choose_pairs(
             distance = np.linalg.norm(xy - xy[i], axis=1)
             distance[i] = np.nan
             nearest = np.argsort(distance, kind="stable")  # NaN comes last
-            known = int(np.isfinite(distance).sum())
-            pairs |= {(i, int(j)) for j in nearest[: min(options.nearest, known)]}
+            with_fix = int(np.isfinite(distance).sum())
+            pairs |= {(i, int(j)) for j in nearest[: min(options.nearest, with_fix)]}
         else:
-            after = _BLIND
+            after = _NEIGHBOURS_IN_TIME
             pairs |= {(j, i) for j in range(max(i - after, 0), i)}
         pairs |= {(i, j) for j in range(i + 1, min(i + after + 1, len(names)))}
     return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
@@ -56,7 +56,7 @@ def choose_pairs(
 
 def choose_similar(
     names: Sequence[str],
-    known: Sequence[str],
+    map_names: Sequence[str],
     features: Mapping[str, Features],
     options: IngestOptions,
 ) -> list[tuple[str, str]]:
@@ -68,20 +68,20 @@ def choose_similar(
 
     Args:
         names: Photographs without a position.
-        known: Photographs of a map.
-        features: Features of all of them.
+        map_names: Photographs of a map.
+        features: Features of all these photographs.
         options: How many photographs of the map each one is matched with.
     """
     largest = {}
-    for name in (*known, *names):
+    for name in (*map_names, *names):
         item = features[name]
-        chosen = np.argsort(-item.scale, kind="stable")[:_LARGEST]
+        chosen = np.argsort(-item.scale, kind="stable")[:_MAX_FEATURES]
         largest[name] = unit_descriptors(item.descriptors[chosen])
     pairs = []
     with progress_bar("compare photographs", len(names)) as advance:
         for done, name in enumerate(names, 1):
-            votes = [len(match(largest[other], largest[name], MAX_RATIO)) for other in known]
+            votes = [len(match(largest[other], largest[name], MAX_RATIO)) for other in map_names]
             best = np.argsort(-np.array(votes), kind="stable")[: options.nearest]
-            pairs += [(known[k], name) for k in sorted(best.tolist()) if votes[k]]
+            pairs += [(map_names[k], name) for k in sorted(best.tolist()) if votes[k]]
             advance(done)
     return pairs

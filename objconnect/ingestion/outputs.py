@@ -9,7 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.adjustment import NO_ALTITUDE, AdjustedModel, find_blind
+from objconnect.ingestion.adjustment import (
+    NO_ALTITUDE_SIGMA_M,
+    AdjustedModel,
+    find_missing_altitudes,
+)
 from objconnect.ingestion.attitude import read_attitudes
 from objconnect.ingestion.georegister import MIN_SIGMA_M, rms_of
 from objconnect.ingestion.photographs import SESSION, FlightImage
@@ -61,16 +65,15 @@ def write_measurements(
     poses = np.stack([model.images[name].cam_from_world for name in names])
     measured = [name for name in names if name in fixes and name not in placed.blunders]
     mapped = [name for name in measured if name not in queries] or measured
-    off = residuals(model, fixes, mapped)
-    spread = rms_of(off) if mapped else np.zeros(3)
-    sigma = np.clip(spread, MIN_SIGMA_M, NO_ALTITUDE)
-    nothing = np.full(3, np.nan)
-    # An unknown altitude becomes that of the cameras, with a sigma of kilometres.
-    blind = find_blind({name: fixes[name] for name in measured})
+    spread = rms_of(residuals(model, fixes, mapped)) if mapped else np.zeros(3)
+    sigma = np.clip(spread, MIN_SIGMA_M, NO_ALTITUDE_SIGMA_M)
+    unknown = np.full(3, np.nan)
+    # An unknown altitude becomes the cameras' median height, with a sigma of kilometres.
+    without_altitude = find_missing_altitudes({name: fixes[name] for name in measured})
     height = float(np.median([model.images[name].centre[2] for name in model.names]))
-    level = np.array([*sigma[:2], NO_ALTITUDE])
+    sigma_without_altitude = np.array([*sigma[:2], NO_ALTITUDE_SIGMA_M])
     priors = {name: fixes[name] for name in measured}
-    priors |= {name: np.array([*fixes[name][:2], height]) for name in blind}
+    priors |= {name: np.array([*fixes[name][:2], height]) for name in without_altitude}
     attitude, attitude_sigma, wrong = read_attitudes(images, poses, queries)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
     frames = Frames(
@@ -78,9 +81,14 @@ def write_measurements(
         cameras=tuple(model.images[name].camera for name in names),
         cam_from_world=poses,
         time=np.array(times),
-        gps_prior=np.array([priors.get(name, nothing) for name in names]),
+        gps_prior=np.array([priors.get(name, unknown) for name in names]),
         gps_sigma=np.array(
-            [(level if n in blind else sigma) if n in priors else nothing for n in names]
+            [
+                (sigma_without_altitude if n in without_altitude else sigma)
+                if n in priors
+                else unknown
+                for n in names
+            ]
         ),
         attitude_prior=attitude,
         attitude_sigma_deg=attitude_sigma,
@@ -127,13 +135,13 @@ def write_map(
         if name not in queries
     ]
     with atomic_folder(out / "map", MAP_FILES) as folder:
-        root, before = out / "sessions", None if known is None else known.sparse_map
-        sparse_map, features = triangulate_again(root, images, database, folder, before)
+        root, known_map = out / "sessions", None if known is None else known.sparse_map
+        sparse_map, features = triangulate_again(root, images, database, folder, known_map)
         # The features have a key only if those of the known map have one.
-        sound = known is None or known.features.inputs_digest == _sift_key(
+        has_key = known is None or known.features.inputs_digest == _sift_key(
             root, known.sparse_map.names
         )
-        key = _sift_key(root, sparse_map.names) if sound else ""
+        key = _sift_key(root, sparse_map.names) if has_key else ""
         write_features(folder / FEATURES, features, key)
     return sparse_map
 
@@ -154,10 +162,10 @@ def write_lists(
     Covisibility is measured on at most ``COVISIBILITY_POINTS`` points of each photograph.
     """
     names = tuple(image.name for image in images)
-    asked = tuple(name for name in names if name in queries)
+    query_names = tuple(name for name in names if name in queries)
     splits = Splits(
         map=tuple(name for name in names if name not in queries),
-        queries={SESSION: asked} if asked else {},
+        queries={SESSION: query_names} if query_names else {},
     )
     write_json(out / "splits.json", splits)
     write_json(out / "objects.json", Objects(classes={}, objects=()))
@@ -175,15 +183,15 @@ def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
 def sample_points(model: SparseMap, name: str, number: int) -> NDArray[np.float64]:
     """Return points that a photograph of a model observes, (number, 3); NaN where it has fewer."""
     rows = model.images[name].point_rows
-    return sample(model.xyz[rows[rows >= 0]], number)
+    return sample_evenly(model.xyz[rows[rows >= 0]], number)
 
 
-def sample(points: NDArray[np.float64], number: int) -> NDArray[np.float64]:
-    """Return some of the points (N, 3), evenly spread over their order; NaN where there are fewer.
+def sample_evenly(points: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """Return ``number`` of the points (N, 3), evenly spread over their order, padded with NaN.
 
     The result has the shape (number, 3).
     """
     chosen = np.linspace(0, len(points) - 1, min(number, len(points))).astype(int)
-    some = np.full((number, 3), np.nan)
-    some[: len(chosen)] = points[chosen]
-    return some
+    padded = np.full((number, 3), np.nan)
+    padded[: len(chosen)] = points[chosen]
+    return padded

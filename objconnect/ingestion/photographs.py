@@ -17,12 +17,15 @@ from objconnect.scene.quantities.focal import FILM_LENGTH
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import require_folder
 from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, resize_file
 from objconnect.scene.storage.listing import list_files
 
 log = logging.getLogger(__name__)
 
 SESSION = "flight"
+"""Name of the session of ingested photographs."""
+
 _ENDINGS = (".jpg", ".jpeg")
 # Initial focal ratio f / max(w, h) of images without a focal length in EXIF; COLMAP's default.
 _GUESSED_FOCAL: Final = 1.2
@@ -96,8 +99,7 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
         InputError: The folder does not exist or holds no photograph, or two files would have the
             same name in the scene.
     """
-    if not folder.is_dir():
-        raise InputError(f"folder of photographs {folder} does not exist: check the path")
+    require_folder(folder, "folder of photographs")
     paths = list_files(folder, _ENDINGS, depth=None)
     files = sorted(path.relative_to(folder).as_posix() for path in paths)
     if not files:
@@ -143,7 +145,7 @@ def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
     doubts = {
         image.file: image.exif.doubts
         if with_lenses
-        else (*image.exif.place_doubts, *image.exif.other_doubts)
+        else (*image.exif.place_doubts, *image.exif.capture_doubts)
         for image in flight.images
     }
     for line in summarize_doubts(doubts):
@@ -157,7 +159,7 @@ def _read_image(folder: Path, file: str, digest: str, session: str = SESSION) ->
 
 
 def _sort(images: Iterable[FlightImage]) -> list[FlightImage]:
-    """Sort photographs by time where every one has it, else by name."""
+    """Sort by time if every photograph has one, else by file name."""
     by_name = sorted(images, key=lambda image: image.file)
     times = {image.file: image.exif.time for image in by_name if image.exif.time is not None}
     if len(times) < len(by_name):
@@ -200,7 +202,7 @@ def make_photographs(
     longest: int,
     calibration: Camera | None,
 ) -> list[Photograph]:
-    """Return photographs as structure from motion takes them, with a camera for each lens.
+    """Return photographs with the cameras at which structure from motion starts.
 
     Args:
         images: The photographs of a flight.

@@ -1,4 +1,4 @@
-"""The request of a run of ``ingest``, and the scene folder that resumes by it."""
+"""The request of a run of ``ingest``, by which an unfinished scene folder is resumed."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ _PLAN = "plan.json"
 class Plan(BaseModel):
     """The request of a run. A folder with another request is refused.
 
+    ``gps``, ``poses`` and ``gcp`` are digests of files, ``photographs`` holds digests by file.
     ``base`` is the digest of the scene that photographs are added to, and ``known`` holds the
     photographs of that scene: file by digest.
     """
@@ -80,7 +81,7 @@ def is_finished(out: Path, plan: Plan) -> bool:
             )
         unfinished.end()  # a run killed just before its end leaves intermediate results
         return True
-    if not unfinished.resume(
+    if not unfinished.can_resume(
         lambda difference: (
             f"{out} holds an unfinished scene of other {difference}: choose another folder or "
             "remove it"

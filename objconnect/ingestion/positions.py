@@ -22,8 +22,9 @@ from objconnect.scene.storage.tables import require_commas
 
 log = logging.getLogger(__name__)
 
-FEWEST = 3
-# Positions of a receiver that is stuck differ by less than this, metres.
+MIN_PHOTOGRAPHS = 3
+"""Least number of photographs of a scene."""
+# Positions of a receiver that is stuck are nearer to their median than this, metres.
 _EQUAL_M = 0.01
 _COLUMNS = ("name", "lat", "lon", "alt")
 
@@ -122,10 +123,11 @@ def local_positions(
         image.name: image.exif.position for image in images if image.exif.position is not None
     }
     if origin is None:
-        if len(known) < FEWEST:
+        if len(known) < MIN_PHOTOGRAPHS:
             raise InputError(
-                f"{len(known)} of {len(images)} photographs have a GPS position, {FEWEST} are "
-                "needed to georegister the scene: give --gps CSV with columns "
+                f"{len(known)} of {len(images)} photographs have a GPS position, "
+                f"{MIN_PHOTOGRAPHS} are needed to georegister the scene: give --gps CSV with "
+                "columns "
                 f"{','.join(_COLUMNS)}"
             )
         _require_altitudes(known)
@@ -143,18 +145,18 @@ def local_positions(
 
 def _require_altitudes(known: Mapping[str, Geodetic]) -> None:
     """Refuse positions of which none has an altitude; warn where few have one."""
-    high = sum(not math.isnan(place.altitude) for place in known.values())
-    if high == 0:
+    with_altitude = sum(not math.isnan(place.altitude) for place in known.values())
+    if with_altitude == 0:
         raise InputError(
             f"none of {len(known)} photographs with a GPS position has an altitude (GPSAltitude), "
             "so the height of the scene is unknown: give --gps CSV with columns "
             f"{','.join(_COLUMNS)}"
         )
-    if high < len(known):
+    if with_altitude < len(known):
         log.warning(
             "%d of %d photographs with a GPS position have an altitude (GPSAltitude): they alone "
             "determine the height of the scene",
-            high,
+            with_altitude,
             len(known),
         )
 

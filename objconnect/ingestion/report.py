@@ -18,7 +18,11 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.maps.sparse_map import SparseMap
 
-_SHOWN = 6  # lines per kind of reason in the text
+REPORT = Path("ingest.json")
+"""The report, in the folder of its scene."""
+
+# Maximum number of lines in the text for each kind of reason.
+_SHOWN = 6
 # A median distance of GPS from the cameras above this (m) gets a remark.
 _FAR_FROM_GPS_M = 30.0
 
@@ -152,10 +156,10 @@ def gps_remark(level: str, gps: Residuals | None) -> list[str]:
     """Return a remark where GPS contradicts the ground control points or the imported poses."""
     if gps is None or level not in ("control", "given"):
         return []
-    off = {"horizontally": gps.horizontal_median, "in height": gps.vertical_median}
+    medians = {"horizontally": gps.horizontal_median, "in height": gps.vertical_median}
     far = [
         f"{metres:.0f} m {axis}"
-        for axis, metres in off.items()
+        for axis, metres in medians.items()
         if metres is not None and metres > _FAR_FROM_GPS_M
     ]
     if not far:
@@ -177,8 +181,8 @@ def residuals(
     model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
 ) -> NDArray[np.float64]:
     """Return fixes minus camera centres of photographs, (N, 3) metres; up may be NaN."""
-    off = [fixes[name] - model.images[name].centre for name in names]
-    return np.array(off).reshape(-1, 3)
+    differences = [fixes[name] - model.images[name].centre for name in names]
+    return np.array(differences).reshape(-1, 3)
 
 
 def summarise(off: NDArray[np.float64]) -> Residuals:
@@ -203,30 +207,31 @@ def lenses_of(photographs: Sequence[Photograph], adjusted: AdjustedModel) -> tup
     return tuple(
         Lens(
             name=lens,
-            photographs=len(taken),
-            camera=str(images[taken[0].name].camera),
-            origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.refined.focal),
+            photographs=len(group),
+            camera=str(images[group[0].name].camera),
+            origin=_origin(group[0], images[group[0].name].camera, lens in adjusted.refined.focal),
         )
-        for lens, taken in by_lens.items()
+        for lens, group in by_lens.items()
     )
 
 
 def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
+    """Describe the source of a camera's parameters, given a photograph before the adjustment."""
     start, focal = first.camera.focal[0], camera.focal[0]
     if first.calibrated:
         return f"focal length {focal:.1f} px as given"
     x, y = np.subtract(camera.principal, (camera.width / 2, camera.height / 2))
-    middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px off the middle" if x or y else ""
+    principal = f"; principal point refined, {x:+.1f}, {y:+.1f} px off the middle" if x or y else ""
     if not first.focal_known:
         return (
             f"{first.focal_doubt or 'no focal length in EXIF'}: "
             f"guessed {start:.1f} px, refined to {focal:.1f} px "
-            f"(over flat ground, give --camera){middle}"
+            f"(over flat ground, give --camera){principal}"
         )
     if refined:
-        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{middle}"
+        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{principal}"
     kept = "kept: the ground is too flat to refine it"
-    return f"focal length {focal:.1f} px of EXIF {kept}{middle}"
+    return f"focal length {focal:.1f} px of EXIF {kept}{principal}"
 
 
 @dataclass(frozen=True)
@@ -287,8 +292,14 @@ def make_report(
         gps=summarise(residuals(model, fixes, used)) if used else None,
         lag_s=adjusted.delay,
         gps_without_lag=(
-            summarise(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
-            if adjusted.undone
+            summarise(
+                residuals(
+                    model,
+                    adjusted.undelayed_fixes,
+                    [n for n in used if n in adjusted.undelayed_fixes],
+                )
+            )
+            if adjusted.undelayed_fixes
             else None
         ),
         map_images=len(sparse_map.images),
@@ -297,6 +308,3 @@ def make_report(
         control=findings.control,
         georeference=findings.georeference,
     )
-
-
-REPORT = Path("ingest.json")

@@ -44,7 +44,7 @@ from objconnect.scene.quantities.coordinate_order import Pair
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.storage.subtitles import read_subtitles
-from objconnect.scene.storage.xmp import TURNS
+from objconnect.scene.storage.xmp import LARGEST_ANGLES
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ _TIME: Final = re.compile(
     r"\b(\d{4})[-.](\d{1,2})[-.](\d{1,2})(?:\s+|T)(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,6}))?"
     r"(?:[.,]\d{1,3})?\s?([AaPp][Mm]\b|Z\b|[-+]\d{2}:?\d{2}\b)?"
 )
-_HIGHEST_M: Final = 1e5
+_MAX_HEIGHT_M: Final = 1e5
 
 
 @dataclass(frozen=True)
@@ -166,19 +166,21 @@ def _is_empty(item: Telemetry) -> bool:
     return all(part is None for part in (item.place, item.gimbal, item.abs_alt, item.rel_alt))
 
 
-def at_time(flight: Sequence[Telemetry], seconds: float, most_s: float = 1.0) -> Telemetry | None:
+def at_time(
+    flight: Sequence[Telemetry], seconds: float, max_age_s: float = 1.0
+) -> Telemetry | None:
     """Return the telemetry at a time of the video.
 
     Args:
         flight: telemetry sorted by time.
         seconds: time from the start of the video.
-        most_s: maximum age, counted from the end of the subtitle, seconds.
+        max_age_s: maximum age, counted from the end of the subtitle, seconds.
 
     Returns:
         The last telemetry that began before that time; None where there is none or it is too old.
     """
     row = bisect_right(flight, seconds + 1e-6, key=lambda item: item.start_s) - 1
-    if row < 0 or seconds > max(flight[row].end_s, flight[row].start_s) + most_s:
+    if row < 0 or seconds > max(flight[row].end_s, flight[row].start_s) + max_age_s:
         return None
     return flight[row]
 
@@ -189,13 +191,13 @@ class _Heights:
 
     Attributes:
         marks: decimal marks of the file.
-        plain: whether a height without a unit is in metres. It is unknown in a file that uses
-            other units.
+        unitless_is_metres: whether a height without a unit is in metres. It is unknown in a file
+            that uses other units.
         doubts: reasons why heights are unknown.
     """
 
     marks: DecimalMarks
-    plain: bool
+    unitless_is_metres: bool
     doubts: tuple[str, ...]
 
     @staticmethod
@@ -243,8 +245,8 @@ class _Heights:
 
     def _metres(self, text: str) -> float | None:
         number, unit = parse_quantity(text, self.marks)
-        metres = metres_per(unit) if unit else 1.0 if self.plain else None
-        if number is None or metres is None or abs(number * metres) >= _HIGHEST_M:
+        metres = metres_per(unit) if unit else 1.0 if self.unitless_is_metres else None
+        if number is None or metres is None or abs(number * metres) >= _MAX_HEIGHT_M:
             return None
         return number * metres
 
@@ -271,7 +273,7 @@ def _parse_attitudes(
 
 
 def _is_in_range(angles: tuple[float, float, float]) -> bool:
-    return all(abs(angle) <= most for angle, most in zip(angles, TURNS, strict=True))
+    return all(abs(angle) <= most for angle, most in zip(angles, LARGEST_ANGLES, strict=True))
 
 
 def _parse_gimbal(caption: Caption, marks: DecimalMarks) -> tuple[float, float, float] | None:

@@ -17,11 +17,11 @@ class Damping(nn.Module):
         self.theta = nn.Parameter(torch.zeros(6))
 
     def forward(self) -> Tensor:
-        """Return (6,) factors of the Hessian's diagonal: rotation, then translation."""
+        """Return factors (6,) on the Hessian's diagonal: rotation, then translation."""
         return damping_factors(self.theta)
 
 
 def damping_factors(theta: Tensor) -> Tensor:
-    """Map learned parameters (..., 6) of any size to factors of the Hessian's diagonal."""
+    """Map learned parameters (..., 6) of any value to factors on the Hessian's diagonal."""
     low, high = _LOG_RANGE
     return 10 ** (low + (high - low) * torch.sigmoid(theta))

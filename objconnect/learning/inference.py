@@ -1,7 +1,7 @@
 """Preparation of networks for inference by fused layers.
 
 A convolution, its batch normalisation and its ReLU become one pass. Results are the same up to
-rounding. In bfloat16 the convolutions run on the processor's matrix or vector units for it.
+rounding. In bfloat16 the convolutions use the processor's matrix or vector units for bfloat16.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
 def resolve_precision(precision: str) -> str:
-    """Return the precision on this processor: ``auto`` becomes one of the others."""
+    """Return the precision to use on this processor: ``auto`` becomes bfloat16 or float32."""
     if precision != "auto":
         return precision
     return "bfloat16" if has_bfloat16_units() else "float32"
@@ -30,8 +30,8 @@ def resolve_precision(precision: str) -> str:
 def has_bfloat16_units() -> bool:
     """Return whether the processor computes faster in bfloat16 than in single precision.
 
-    It does with matrix units (Intel's AMX), and with AMD's vector units (AVX-512). Intel's vector
-    units are no faster than single precision.
+    That is the case with matrix units (Intel's AMX) and with AMD's vector units (AVX-512). On
+    Intel's vector units, bfloat16 is no faster than single precision.
     """
     if torch.cpu._is_amx_tile_supported():
         return True
@@ -43,7 +43,7 @@ def processor_maker() -> str:
     """Return the vendor string of the processor; empty if unknown."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:  # Not Linux; on Windows the vendor is at the end.
+    except OSError:  # The system is not Linux. On Windows the vendor is the last part.
         return platform.processor().rpartition(", ")[2]
     return next((line.split()[-1] for line in lines if line.startswith("vendor_id")), "")
 
@@ -52,11 +52,11 @@ Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(res
 """Precision of the convolutions; ``auto`` is resolved in the configuration, so that results record
 the precision that was used."""
 
-# oneDNN's convolution fused with a ReLU; some builds of torch lack it.
-_FUSED: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
+# oneDNN's convolution fused with a ReLU; None in builds of torch that lack it.
+_CONVOLVE_RELU: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
 
 
-def _has_fast_units(dtype: torch.dtype) -> bool:
+def _onednn_supports(dtype: torch.dtype) -> bool:
     """Return whether oneDNN supports a type on this processor."""
     return dtype == torch.float32 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
 
@@ -66,25 +66,26 @@ class ConvReLU(nn.Module):
 
     def __init__(self, convolution: nn.Conv2d, dtype: torch.dtype) -> None:
         super().__init__()
-        made = copy.deepcopy(convolution).to(dtype).requires_grad_(False)
+        copied = copy.deepcopy(convolution).to(dtype).requires_grad_(False)
         # torch's annotations lack this argument.
-        self.convolution = made.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        copied = copied.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.convolution = copied
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return the output maps (B, C, h, w)."""
         layer = self.convolution
         maps = maps.to(layer.weight.dtype)
-        if _FUSED is None or maps.device.type != "cpu" or not _has_fast_units(maps.dtype):
+        if _CONVOLVE_RELU is None or maps.device.type != "cpu" or not _onednn_supports(maps.dtype):
             return torch.relu_(layer(maps))
-        where = (layer.padding, layer.stride, layer.dilation, layer.groups)
-        result: Tensor = _FUSED(maps, layer.weight, layer.bias, *where, "relu", [], "")
+        geometry = (layer.padding, layer.stride, layer.dilation, layer.groups)
+        result: Tensor = _CONVOLVE_RELU(maps, layer.weight, layer.bias, *geometry, "relu", [], "")
         return result
 
 
 class Pooling(nn.Module):
     """Max pooling of 2x2 cells, for integers too.
 
-    Torch's own takes two to three times as long, because it also returns the indices.
+    torch's layer takes two to three times as long, because it also computes indices.
     """
 
     def forward(self, maps: Tensor) -> Tensor:
@@ -109,7 +110,7 @@ class CellwiseConv(nn.Module):
 
 
 def fuse_layers(network: nn.Module, precision: str) -> None:
-    """Fuse the layers of a trained network in place; it can then be neither trained nor saved.
+    """Fuse the layers of a trained network in place. It can then be neither trained nor saved.
 
     Args:
         network: network with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
@@ -119,7 +120,7 @@ def fuse_layers(network: nn.Module, precision: str) -> None:
     for name in ("encoder", "decoder"):
         for module in [*network.get_submodule(name).modules()]:
             if isinstance(module, nn.Sequential):
-                layers = [*_fold([*module], dtype)]
+                layers = [*_fuse([*module], dtype)]
                 del module[:]
                 module.extend(layers)
     for name in ("features", "confidence"):
@@ -130,8 +131,8 @@ def fuse_layers(network: nn.Module, precision: str) -> None:
             heads[number] = CellwiseConv(head.requires_grad_(False))
 
 
-def _fold(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
-    """Yield the fused layers of a sequence."""
+def _fuse(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
+    """Yield the layers of a sequence, fused; ``layers`` is emptied."""
     while layers:
         layer = layers.pop(0)
         if isinstance(layer, nn.Conv2d):

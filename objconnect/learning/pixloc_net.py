@@ -1,7 +1,7 @@
-"""The U-Net of PixLoc on VGG16, which returns features and confidences at several strides.
+"""The network of PixLoc: a U-Net on VGG16 with features and confidences at several strides.
 
-It follows Sarlin et al. (CVPR 2021) and their code (github.com/cvg/pixloc, commit 65a51a7), and
-loads their weights.
+It follows Sarlin et al. (CVPR 2021) and their code (github.com/cvg/pixloc, commit 65a51a7). Their
+weights can be loaded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class PixlocNetConfig(Config):
     )
     decoder: tuple[Channels, Channels, Channels, Channels] = Field(
         (64, 64, 64, 32),
-        description="Numbers of channels of the decoder's steps, from stride 8 to stride 1.",
+        description="Numbers of channels of the decoder's steps at strides 8, 4, 2 and 1.",
     )
     extra_convolutions: int = Field(
         0,
@@ -54,7 +54,7 @@ class PixlocNetConfig(Config):
     )
 
     @model_validator(mode="after")
-    def _levels(self) -> Self:
+    def _check_levels(self) -> Self:
         check_levels(self.strides, self.dims)
         return self
 
@@ -71,40 +71,42 @@ class PixlocNet(nn.Module):
         self.config = config
         self.encoder = vgg16_encoder(config.width, config.extra_convolutions)
         self.decoder = Decoder(config.width, config.decoder, config.strides)
-        inputs = self.decoder.sizes
+        sizes = self.decoder.sizes
         self.features = nn.ModuleList(
-            nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
+            nn.Conv2d(size, dim, 1) for size, dim in zip(sizes, config.dims, strict=True)
         )
-        self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in inputs)
+        self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in sizes)
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
 
     def forward(
-        self, image: Tensor, levels: int | None = None, shown: NDArray[np.bool_] | None = None
+        self, image: Tensor, levels: int | None = None, needed: NDArray[np.bool_] | None = None
     ) -> list[tuple[Tensor, Tensor]]:
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
             image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
-            levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are needed, as for ``Decoder.levels``.
+            levels: number of levels from the coarsest; None for all.
+            needed: cells of the finest level that are needed, as for ``Decoder.levels``.
 
         Returns:
-            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
-            pixels wide and start at the top left corner. The part of an image beyond a multiple of
-            16 pixels is cut off.
+            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are as many
+            pixels wide as the level's stride and start at the top left corner. The part of an image
+            beyond a multiple of 16 pixels is cut off.
         """
         blocks = encode(self.encoder, image, self.config.strides[-1])
         heads = [partial(self._level, number) for number in range(len(self.features))]
-        made = islice(self.decoder.levels(blocks, heads, shown), levels)
-        return [(features, confidence) for features, confidence in made]
+        outputs = islice(self.decoder.levels(blocks, heads, needed), levels)
+        return [(features, confidence) for features, confidence in outputs]
 
     def _level(self, number: int, maps: Tensor) -> Level:
+        # The sign is negative because the authors' head predicts the uncertainty.
         return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
 
 
 def read_network(path: Path) -> tuple[PixlocNet, str]:
-    """Read a network from our weights or the authors' checkpoint; return it with its digest.
+    """Read a network from weights of this package or from a checkpoint of PixLoc's authors; return
+    it with the digest of the file.
 
     Raises:
         InputError: the file does not exist, is damaged, or belongs to another network.
@@ -120,27 +122,27 @@ def read_network(path: Path) -> tuple[PixlocNet, str]:
     network = PixlocNet(config)
     load_into(network, tensors, path)
     # torch's annotations lack this argument.
-    fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return fast, weights.sha256
+    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network, weights.sha256
 
 
 def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Convert the authors' checkpoint to our names; also return the configuration it needs.
+    """Rename the tensors of the authors' checkpoint; return them with the network's configuration.
 
     The authors' levels run from fine to coarse, and their tangent is translation, then rotation.
     """
     head = re.compile(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(weight|bias)")
     heads = [match for name in tensors if (match := head.fullmatch(name))]
     last = max((int(match[2]) for match in heads), default=0)
-    ours: dict[str, Tensor] = {}
+    renamed: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
         if match := head.fullmatch(name):
             kind = "features" if match[1] == "adaptation" else "confidence"
-            ours[f"{kind}.{last - int(match[2])}.{match[3]}"] = tensor
+            renamed[f"{kind}.{last - int(match[2])}.{match[3]}"] = tensor
         elif match := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
-            ours[f"damping.{last - int(match[1])}.theta"] = tensor.roll(3)
+            renamed[f"damping.{last - int(match[1])}.theta"] = tensor.roll(3)
         else:
-            ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
-    weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]
+            renamed[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
+    weights = [renamed.get(f"features.{level}.weight") for level in range(last + 1)]
     dims = [len(weight) for weight in weights if weight is not None]
-    return ours, {"dims": dims, "extra_convolutions": int("encoder.2.7.weight" in ours)}
+    return renamed, {"dims": dims, "extra_convolutions": int("encoder.2.7.weight" in renamed)}

@@ -1,9 +1,10 @@
 """8-bit quantization of networks, for processors with VNNI.
 
 Maps between convolutions are integers 0 to 255, weights are -127 to 127 (Jacob et al., CVPR 2018).
-Every channel has its own scale, which is folded into the weights on either side (Nagel et al., ICCV
-2019), so that no map is rescaled. Scales come from the largest values in calibration pictures;
-larger values are clipped. Heads are not quantized.
+Every channel has its own scale, the quantization step. The scale is folded into the weights of the
+convolutions before and after the map (Nagel et al., ICCV 2019), so that no map is rescaled. Scales
+come from the largest values in calibration pictures; larger values are clipped. Heads are not
+quantized.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from torch.nn import functional
 from objconnect.learning.inference import CellwiseConv, ConvReLU, has_bfloat16_units
 from objconnect.learning.vgg import IMAGENET_MEAN, IMAGENET_STD
 from objconnect.scene.errors import InputError
-from objconnect.scene.runtime.device import loops_serve
+from objconnect.scene.runtime.device import supports_loops
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
 Channelwise = dict[str, Tensor]
@@ -29,18 +30,21 @@ Channelwise = dict[str, Tensor]
 
 @contextmanager
 def largest_values(network: nn.Module) -> Iterator[Channelwise]:
-    """Yield the largest values of a fused network's channels, updated by its passes in the
-    context."""
+    """Yield the largest values of the channels of a fused network (``inference.fuse_layers``).
+
+    Each forward pass of the network within the context updates them.
+    """
     largest: Channelwise = {}
 
     def watch(name: str, module: ConvReLU) -> torch.utils.hooks.RemovableHandle:
         def observe(_module: nn.Module, _inputs: tuple[Tensor, ...], maps: Tensor) -> None:
-            here = maps.detach().amax((0, 2, 3)).float()
-            largest[name] = torch.maximum(largest.get(name, here), here)
+            of_pass = maps.detach().amax((0, 2, 3)).float()
+            largest[name] = torch.maximum(largest.get(name, of_pass), of_pass)
 
         return module.register_forward_hook(observe)
 
-    # In training mode the encoder processes whole pictures: strips have zeros at their borders.
+    # In training mode the encoder processes whole pictures. In evaluation mode it would process
+    # strips, whose borders are padded with zeros.
     encoder = network.get_submodule("encoder").train()
     named = network.named_modules()
     handles = [watch(name, module) for name, module in named if isinstance(module, ConvReLU)]
@@ -56,44 +60,48 @@ def require_quantizable(network: nn.Module) -> None:
     """Check that ``quantize`` supports a network on this processor.
 
     Raises:
-        InputError: the network is not on the CPU, the CPU has no VNNI, or the network has another
-            decoder or objects.
+        InputError: the network is not on the CPU, the CPU has no VNNI, or the network has a decoder
+            other than the U-Net, or objects.
     """
     if any(each.device.type != "cpu" for each in network.parameters()):
-        raise InputError("quantized=true runs on the CPU only: give device=cpu, too")
+        raise InputError("quantized=true runs on the CPU only: give device=cpu too")
     if not torch.cpu._is_vnni_supported():
         raise InputError("quantized=true needs a processor with VNNI: give quantized=false")
-    with_objects = any(name.startswith("objects_of.") for name, _ in network.named_modules())
-    if with_objects or not isinstance(network.get_submodule("decoder"), nn.ModuleList):
-        raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
+    if not isinstance(network.get_submodule("decoder"), nn.ModuleList):
+        raise InputError(
+            "quantized=true needs a network with a U-Net decoder: give quantized=false"
+        )
+    if any(name.startswith("objects_of.") for name, _ in network.named_modules()):
+        raise InputError("quantized=true supports no network with objects: give quantized=false")
 
 
 def quantize(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
     """Return a copy of a fused network whose convolutions have 8-bit input and output.
 
     Args:
-        network: network with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``;
-            the decoder is a list of steps, each with the previous map and a block of the encoder as
-            input.
+        network: network with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
+            The decoder is a list of steps, whose input is the map of the step before and a block of
+            the encoder.
         scales: quantization steps (C,) of the output channels of convolutions, by the name of the
             module.
-        strides: strides of the heads' levels.
+        strides: strides of the levels of the heads.
 
     Raises:
         InputError: see ``require_quantizable``.
     """
     require_quantizable(network)
-    made = copy.deepcopy(network)
-    blocks = _quantize_encoder(_sequences(made.get_submodule("encoder")), scales)
-    levels = _quantize_decoder(_sequences(made.get_submodule("decoder")), blocks, scales)
+    quantized = copy.deepcopy(network)
+    blocks = _quantize_encoder(_sequences(quantized.get_submodule("encoder")), scales)
+    levels = _quantize_decoder(_sequences(quantized.get_submodule("decoder")), blocks, scales)
     for name in ("features", "confidence"):
-        heads = made.get_submodule(name)
+        heads = quantized.get_submodule(name)
         assert isinstance(heads, nn.ModuleList)
         for number, (head, stride) in enumerate(zip(heads, strides, strict=True)):
             assert isinstance(head, CellwiseConv)
-            # Level 0 has the stride of the encoder's last block, each further one half of that.
+            # Level 0 has the stride of the encoder's last block, and each further level half the
+            # stride of the level before it.
             heads[number] = _Head(head.convolution, levels[len(blocks) - stride.bit_length()])
-    return made
+    return quantized
 
 
 def _sequences(parts: nn.Module) -> list[nn.Sequential]:
@@ -105,10 +113,10 @@ def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> 
     pixels = _QuantizedPixels()
     into, zero, blocks = torch.full((3,), pixels.scale), pixels.zero, []
     for number, block in enumerate(encoder):
-        for place, layer in enumerate(block):
+        for index, layer in enumerate(block):
             if isinstance(layer, ConvReLU):
-                out = scales[f"encoder.{number}.{place}"]
-                block[place] = _QuantizedConvReLU(layer.convolution, into, out, zero)
+                out = scales[f"encoder.{number}.{index}"]
+                block[index] = _QuantizedConvReLU(layer.convolution, into, out, zero)
                 into, zero = out, 0
         blocks.append(into)
     encoder[0].insert(0, pixels)
@@ -123,12 +131,12 @@ def _quantize_decoder(
     for number, step in enumerate(decoder):
         (layer,) = step
         assert isinstance(layer, ConvReLU)
-        # Only heads read the last map, so it is not rounded.
-        last = number == len(decoder) - 1
+        # Only heads, which are not quantized, read the last map. It is not rounded.
+        is_last = number == len(decoder) - 1
         out = scales[f"decoder.{number}.0"]
-        out = torch.ones_like(out) if last else out
-        joined = torch.cat([levels[-1], blocks[-2 - number]])
-        step[0] = _QuantizedConvReLU(layer.convolution, joined, out, rounded=not last)
+        out = torch.ones_like(out) if is_last else out
+        into = torch.cat([levels[-1], blocks[-2 - number]])
+        step[0] = _QuantizedConvReLU(layer.convolution, into, out, rounded=not is_last)
         levels.append(out)
     return levels
 
@@ -137,11 +145,12 @@ def double(maps: Tensor) -> Tensor:
     """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
-    if loops_serve(maps.device):
+    if supports_loops(maps.device):
         from objconnect.learning.upsampling import double_integers
 
         return double_integers(maps)
-    # Along either axis, a cell is 3/4 of the one it lies in and 1/4 of the next.
+    # Along either axis, a new cell is 3/4 of the cell that contains it and 1/4 of the nearest other
+    # cell.
     wide = maps.permute(0, 2, 3, 1).to(torch.int16)
     for axis, shift, half in ((1, 0, 0), (2, 4, 8)):
         ends = [wide.narrow(axis, 0, 1), wide, wide.narrow(axis, wide.shape[axis] - 1, 1)]
@@ -158,7 +167,12 @@ def _heads_type() -> torch.dtype:
 
 
 class _QuantizedPixels(nn.Module):
-    """Quantizes a normalised picture to the resolution of its bytes."""
+    """Quantizes a normalised picture to 8 bits, in steps of about its original bytes.
+
+    Attributes:
+        scale: quantization step.
+        zero: the integer that stands for 0.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -200,17 +214,17 @@ class _QuantizedConvReLU(nn.Module):
         self._steps = weight.abs().amax((1, 2, 3)).clamp(min=1e-12) / 127
         self._zeros = torch.zeros(len(weight), dtype=torch.int64)
         sides = (convolution.stride, convolution.padding, convolution.dilation)
-        self._where: list[Any] = [*map(list, sides), convolution.groups]
+        self._geometry: list[Any] = [*map(list, sides), convolution.groups]
         integers = (weight / self._steps[:, None, None, None]).round().to(torch.int8)
         self._weight = torch.ops.onednn.qconv_prepack(
-            integers, self._steps, 1.0, zero, *self._where, None
+            integers, self._steps, 1.0, zero, *self._geometry, None
         )
         self._type = torch.uint8 if rounded else _heads_type()
 
     def forward(self, maps: Tensor) -> Tensor:
         weight = (self._weight, self._steps, self._zeros, self._bias)
         result: Tensor = torch.ops.onednn.qconv2d_pointwise(
-            maps, 1.0, self._zero, *weight, *self._where, 1.0, 0, self._type, "relu", [], ""
+            maps, 1.0, self._zero, *weight, *self._geometry, 1.0, 0, self._type, "relu", [], ""
         )
         return result
 
@@ -224,9 +238,9 @@ class _Head(CellwiseConv):
     """
 
     def __init__(self, convolution: nn.Conv2d, scale: Tensor) -> None:
-        made = copy.deepcopy(convolution).float().requires_grad_(False)
-        made.weight *= scale[None, :, None, None]
-        super().__init__(made.to(_heads_type()))
+        scaled = copy.deepcopy(convolution).float().requires_grad_(False)
+        scaled.weight *= scale[None, :, None, None]
+        super().__init__(scaled.to(_heads_type()))
 
     def forward(self, maps: Tensor) -> Tensor:
         return super().forward(maps.to(self.convolution.weight.dtype))

@@ -1,4 +1,4 @@
-"""The U-Net decoder on VGG16, with maps at several strides; the finest is computed in strips."""
+"""The U-Net decoder on VGG16, with maps at several strides, which are computed in strips."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from objconnect.learning.quantization import double
 from objconnect.learning.vgg import channels
 
 STRIDES: Final = (16, 8, 4, 2, 1)
-# Number of rows decoded at once: few enough for the processor's cache, and even.
+"""Strides of the maps that a decoder can make, px per cell, coarse to fine."""
+# Number of rows that are decoded at once: an even number, small enough for the processor's cache.
 _ROWS: Final = 64
-# Margin of cells around the needed ones: the convolution and the resizing of the next level need
-# (4 + 1) / 2 + 1 of them, and interpolated slopes two.
+# Margin of cells that are computed around the needed cells. The convolution and the resizing of the
+# next finer level need at most (4 + 1) / 2 + 1 cells, and interpolated slopes two.
 _REACH: Final = 4
 
 
@@ -30,9 +31,9 @@ def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
         ValueError: no network on VGG16 has such levels.
     """
     if any(stride not in STRIDES for stride in strides):
-        raise ValueError(f"strides must be of {STRIDES}")
+        raise ValueError(f"strides must be among {', '.join(map(str, STRIDES))}")
     if any(fine >= coarse for coarse, fine in pairwise(strides)):
-        raise ValueError("strides must become finer")
+        raise ValueError("strides must decrease")
     if len(dims) != len(strides):
         raise ValueError("dims must give one number of channels per stride")
 
@@ -46,14 +47,20 @@ Channels = Annotated[int, Field(ge=1, le=2048)]
 
 
 class Decoder(nn.ModuleList):
-    """The decoder: steps from stride 16 to finer ones, each with a skip from the encoder.
+    """The decoder: steps from stride 16 to finer strides, each with a skip connection.
 
     Attributes:
         sizes: channels of each level, coarse to fine.
     """
 
     def __init__(self, width: float, steps: Sequence[int], strides: Sequence[int]) -> None:
-        """Build the decoder for an encoder of ``width``; ``steps`` are channels, stride 8 to 1."""
+        """Build the decoder.
+
+        Args:
+            width: channels of the encoder as a share of VGG16's.
+            steps: channels of the steps at strides 8, 4, 2 and 1.
+            strides: strides of the levels, coarse to fine.
+        """
         skips = channels(width)[::-1]
         sizes = [skips[0], *steps[: STRIDES.index(strides[-1])]]
         super().__init__(
@@ -70,20 +77,20 @@ class Decoder(nn.ModuleList):
     def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
         """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
-        Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
-        beyond a multiple of 16 pixels is cut off.
+        Cells are as many pixels wide as the level's stride and start at the top left corner. The
+        part of an image beyond a multiple of 16 pixels is cut off.
 
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
         """
-        for (maps,) in self.levels(blocks, [_itself] * len(self._wanted)):
+        for (maps,) in self.levels(blocks, [_identity] * len(self._wanted)):
             yield maps
 
     def levels(
         self,
         blocks: Sequence[Tensor],
         heads: Sequence[Cellwise],
-        shown: NDArray[np.bool_] | None = None,
+        needed: NDArray[np.bool_] | None = None,
     ) -> Iterator[tuple[Tensor, ...]]:
         """Yield the output of each level's head on the map of ``forward``.
 
@@ -92,12 +99,12 @@ class Decoder(nn.ModuleList):
         Args:
             blocks: outputs of the encoder's blocks, as for ``forward``.
             heads: heads of the levels, coarse to fine.
-            shown: cells (h, w) of the finest level that are needed; None for all. Cells of any
-                level far from them may be zero. The others do not change.
+            needed: cells (h, w) of the finest level that are needed; None for all. Cells far from
+                them may be zero in the output of any level; cells near them do not change.
         """
         skips = list(blocks)
-        del blocks  # frees each of them once it is decoded
-        wanted = _spans(shown)
+        del blocks  # so that each block is freed once it is decoded
+        wanted = _spans(needed)
         decoded = skips.pop()
         if 0 in self._wanted:
             yield heads[0](decoded)
@@ -106,34 +113,34 @@ class Decoder(nn.ModuleList):
             if number == len(self):
                 yield _decode(step, decoded, skips.pop(), heads[-1], spans)
                 return
-            (decoded,) = _decode(step, decoded, skips.pop(), _itself, spans)
+            (decoded,) = _decode(step, decoded, skips.pop(), _identity, spans)
             if number in self._wanted:
                 yield heads[self._wanted.index(number)](decoded)
 
 
-def _itself(maps: Tensor) -> tuple[Tensor]:
+def _identity(maps: Tensor) -> tuple[Tensor]:
     return (maps,)
 
 
-def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
+def _spans(needed: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
     """Return the needed columns (h, 2) of each row: the first, and one past the last.
 
-    They are w and 0 in rows without any.
+    They are w and 0 in rows without a needed cell.
 
     Args:
-        shown: needed cells (h, w), or None for all.
+        needed: cells (h, w), or None for all.
     """
-    if shown is None or not shown.any():
+    if needed is None or not needed.any():
         return None
-    width, some = shown.shape[1], shown.any(1)
-    first = np.where(some, shown.argmax(1), width)
-    last = np.where(some, width - shown[:, ::-1].argmax(1), 0)
+    width, has_any = needed.shape[1], needed.any(1)
+    first = np.where(has_any, needed.argmax(1), width)
+    last = np.where(has_any, width - needed[:, ::-1].argmax(1), 0)
     spans: NDArray[np.int64] = np.stack([first, last], 1)
     return spans
 
 
 def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
-    """Return the spans of a level with cells ``times`` as large."""
+    """Return the spans of a level whose cells are ``times`` as large."""
     if spans is None:
         return None
     begins = np.arange(0, len(spans), times)
@@ -144,13 +151,14 @@ def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] |
 
 
 class _Window(NamedTuple):
-    """The inputs of cells ``first`` to ``last``, both even, along one side of a map.
+    """The inputs from which a range of cells of a decoded map is computed, along one axis.
 
     Attributes:
         coarse: cells of the map of half the resolution.
-        fine: cells of the encoder's block, with one more at either side inside the map.
-        shift: start of ``fine`` in the resized coarse map.
-        before: start of the needed cells in ``fine``.
+        fine: cells of the encoder's block: those of the range, and one more at either side if the
+            map has it.
+        shift: start of ``fine`` in the coarse cells after resizing.
+        before: start of the range in ``fine``.
     """
 
     coarse: slice
@@ -160,6 +168,7 @@ class _Window(NamedTuple):
 
     @staticmethod
     def of(first: int, last: int, size: int) -> _Window:
+        """Return the inputs of cells ``first`` to ``last``, both even, of ``size`` cells."""
         # The convolution needs one more cell at either side, and the resizing one coarse cell.
         before, after = int(first > 0), int(last < size)
         start = max(first // 2 - 2, 0)
@@ -178,15 +187,23 @@ def _decode(
     head: Cellwise,
     spans: NDArray[np.int64] | None = None,
 ) -> tuple[Tensor, ...]:
-    """Apply a step of the decoder, and a head, to maps of half its resolution and a skip.
+    """Apply a step of the decoder and a head.
 
-    It runs in strips of rows, because the input of the convolution takes three times the memory of
-    the result. With ``spans`` (rows, 2), only columns near them are computed; the others are zero.
+    They run in strips of rows, because the input of the convolution takes three times the memory of
+    the result.
+
+    Args:
+        step: the step.
+        coarse: maps (B, C, h, w) of the step before, of half the resolution.
+        skip: maps of the encoder's block of the same resolution as the result.
+        head: the head, which is applied to the result of the step.
+        spans: (2 h, 2) needed columns of each row; only columns near them are computed, and the
+            others are zero. None for all.
     """
     rows, columns = (2 * side for side in coarse.shape[-2:])
     # In training, batch normalisation needs whole maps.
     count = rows if step.training else _ROWS
-    whole: list[Tensor] = []
+    outputs: list[Tensor] = []
     for top in range(0, rows, count):
         bottom, left, right = min(top + count, rows), 0, columns
         if spans is not None:
@@ -195,21 +212,21 @@ def _decode(
             right = min((int(near[:, 1].max()) + _REACH + 1) // 2 * 2, columns)
             if left >= right:
                 continue
-        high, wide = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
-        up = double(coarse[..., high.coarse, wide.coarse])
-        fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
-        up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
-        made = head(step(torch.cat([up, fine], 1)))
-        if made[0].shape[-2:] == (rows, columns):
-            return made
-        whole = whole or [_zeros(maps, rows, columns) for maps in made]
-        for maps, part in zip(whole, made, strict=True):
-            part = part[..., high.before :, wide.before :]
+        y, x = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
+        up = double(coarse[..., y.coarse, x.coarse])
+        fine = skip[..., :rows, :columns][..., y.fine, x.fine]
+        up = up[..., y.shift :, x.shift :][..., : fine.shape[-2], : fine.shape[-1]]
+        strip = head(step(torch.cat([up, fine], 1)))
+        if strip[0].shape[-2:] == (rows, columns):
+            return strip
+        outputs = outputs or [_zeros(maps, rows, columns) for maps in strip]
+        for maps, part in zip(outputs, strip, strict=True):
+            part = part[..., y.before :, x.before :]
             maps[..., top:bottom, left:right] = part[..., : bottom - top, : right - left]
-    return tuple(whole)
+    return tuple(outputs)
 
 
 def _zeros(like: Tensor, rows: int, columns: int) -> Tensor:
-    """Return maps of zeros, channels-last, with the channels and type of others."""
+    """Return maps of zeros, channels-last in memory, with the channels and type of others."""
     batch, depth = like.shape[:2]
     return like.new_zeros((batch, rows, columns, depth)).permute(0, 3, 1, 2)

@@ -17,28 +17,29 @@ def double_integers(maps: Tensor) -> Tensor:
     """Resize uint8 maps (B, C, h, w) as ``quantization.double`` does."""
     cells = maps.permute(0, 2, 3, 1).contiguous().numpy()
     batch, height, width, channels = cells.shape
-    made = np.empty((batch, 2 * height, 2 * width, channels), np.uint8)
-    # A row with a column more at either end.
+    out = np.empty((batch, 2 * height, 2 * width, channels), np.uint8)
+    # Work space for a row with an additional column at either end.
     row = np.empty((width + 2) * channels, np.int16)
-    compile_loop(_double, _SIGNATURE)(cells, made, row)
-    return from_numpy(made).permute(0, 3, 1, 2)
+    compile_loop(_double, _SIGNATURE)(cells, out, row)
+    return from_numpy(out).permute(0, 3, 1, 2)
 
 
-def _double(cells: NDArray[np.uint8], made: NDArray[np.uint8], row: NDArray[np.int16]) -> None:
+def _double(cells: NDArray[np.uint8], out: NDArray[np.uint8], row: NDArray[np.int16]) -> None:
+    """Write cells (B, h, w, C), resized, to ``out`` (B, 2 h, 2 w, C)."""
     batch, height, width, channels = cells.shape
     count = np.uint64(channels)
-    for one in range(batch):
+    for item in range(batch):
         for y in range(2 * height):
-            here = y // 2
-            # A cell is 3/4 of the one it lies in and 1/4 of the next.
-            other = min(max(here + (1 if y % 2 else -1), 0), height - 1)
-            near, far = cells[one, here].ravel(), cells[one, other].ravel()
+            # A new cell is 3/4 of the cell that contains it and 1/4 of the nearest other cell.
+            containing = y // 2
+            other = min(max(containing + (1 if y % 2 else -1), 0), height - 1)
+            near, far = cells[item, containing].ravel(), cells[item, other].ravel()
             for k in range(np.uint64(width * channels)):
                 row[k + count] = np.int16(3) * np.int16(near[k]) + np.int16(far[k])
             for k in range(count):
                 row[k] = row[k + count]
                 row[k + np.uint64((width + 1) * channels)] = row[k + np.uint64(width * channels)]
-            into = made[one, y].ravel()
+            into = out[item, y].ravel()
             for x in range(width):
                 left, middle = np.uint64(x * channels), np.uint64((x + 1) * channels)
                 right, first = np.uint64((x + 2) * channels), np.uint64(2 * x * channels)

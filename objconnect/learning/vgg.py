@@ -1,4 +1,4 @@
-"""The convolutions of VGG16 and VGG19 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
+"""The convolutions of VGG16 and VGG19 (Simonyan and Zisserman, ICLR 2015), of any width."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-# Channels of the convolutions of each block. Between blocks there is a pooling by 2.
+# Channels of the convolutions of each block of VGG16. Between blocks there is a pooling by 2.
 BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# ImageNet's mean and standard deviation of RGB in 0..1, which normalise the input.
+# ImageNet's mean and standard deviation of RGB in 0..1, by which the input is normalised.
 IMAGENET_MEAN: Final = (0.485, 0.456, 0.406)
 IMAGENET_STD: Final = (0.229, 0.224, 0.225)
-# Number of rows of a strip in the first block, an even number: smaller strips take more time.
+# Number of rows of a strip in the first block, an even number. Smaller strips take more time.
 _ROWS: Final = 128
-# Number of further rows at either side that the block's two convolutions need.
+# Number of additional rows at either side that the block's two convolutions need.
 _HALO: Final = 2
 
 
 def channels(width: float) -> list[int]:
-    """Return the output channels of the five blocks. ``width`` 1 is VGG16; less is slimmer."""
+    """Return the output channels of the five blocks; ``width`` is a share of VGG16's."""
     return [round(block[-1] * width) for block in BLOCKS]
 
 
@@ -61,9 +61,9 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
 
     Args:
         encoder: result of ``vgg16_encoder``.
-        image: images (B, 3, H, W), RGB, in 0..1 or of bytes. They are normalised by ImageNet's
-            statistics here.
-        finest: finest stride of the outputs; at stride 1 they take most of the memory.
+        image: images (B, 3, H, W), RGB, in 0..1 or of bytes. They are normalised here by
+            ImageNet's mean and standard deviation.
+        finest: finest stride of the outputs. The output at stride 1 takes most of the memory.
     """
     first, second = encoder[0], encoder[1]
     assert isinstance(second, nn.Sequential)
@@ -101,7 +101,7 @@ def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
     the same height, because oneDNN compiles a convolution for each size.
     """
     height = image.shape[-2]
-    # Strips begin at even rows, which are pooled with the next ones.
+    # Strips begin at even rows, because each even row is pooled with the row after it.
     count = min(_ROWS + 2 * _HALO + height % 2, height)
     pooled: Tensor | None = None
     done = 0
@@ -109,18 +109,18 @@ def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
         begin = min(max(2 * done - _HALO, 0), height - count)
         end = begin + count
         last = height // 2 if end == height else (end - _HALO) // 2
-        made = layers(_normalise(image[..., begin:end, :]))
+        strip = layers(_normalise(image[..., begin:end, :]))
         if pooled is None:
-            batch, depth, _, width = made.shape
-            pooled = made.new_empty((batch, height // 2, width, depth)).permute(0, 3, 1, 2)
-        pooled[..., done:last, :] = made[..., done - begin // 2 : last - begin // 2, :]
+            batch, depth, _, width = strip.shape
+            pooled = strip.new_empty((batch, height // 2, width, depth)).permute(0, 3, 1, 2)
+        pooled[..., done:last, :] = strip[..., done - begin // 2 : last - begin // 2, :]
         done = last
     assert pooled is not None
     return pooled
 
 
 def keep_variance(network: nn.Module) -> None:
-    """Initialise convolutions larger than 1x1 so that ReLUs keep the variance (He et al.)."""
+    """Initialise convolutions larger than 1x1 so that ReLUs keep the variance (He et al., 2015)."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -1,24 +1,30 @@
-"""Provenance of poses: the method with its configuration, and the versions of packages."""
+"""Provenance of poses: the method, its configuration and weights, and the versions of packages."""
 
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from objconnect.scene.localizer import Localizer
 from objconnect.scene.storage.records import Record
 
-# The only key in the configuration of an external method.
+# The only key in the configuration of an external method; the value is a digest of its poses.
 _POSES = "poses"
 
 
 class Method(Record):
-    """A method; ``config`` holds everything that changes its result."""
+    """A method; ``config`` holds every option that changes its result, as it was in effect.
+
+    ``objects`` are those in effect of a method that has objects: "none", or "learned" with the file
+    of their weights and its digest.
+    """
 
     name: str
     config: dict[str, Any]
     weights_sha256: str | None
+    objects: str | None = None
 
     @staticmethod
     def of(localizer: Localizer) -> Method:
@@ -27,11 +33,12 @@ class Method(Record):
             name=localizer.name,
             config=localizer.config.model_dump(mode="json"),
             weights_sha256=localizer.weights_sha256,
+            objects=getattr(localizer, "objects", None),
         )
 
     @staticmethod
     def external(name: str, poses_sha256: str) -> Method:
-        """Return the record of another program, of which only the poses are known."""
+        """Return the record of another program, whose configuration is unknown."""
         return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
 
     @property
@@ -52,14 +59,16 @@ class Environment(Record):
     @staticmethod
     def current() -> Environment:
         """Return the versions in this process; "unknown" for a package that is not installed."""
-
-        def version_of(package: str) -> str:
-            try:
-                return version(package)
-            except PackageNotFoundError:
-                return "unknown"
-
         names = ("objconnect", "numpy", "torch", "pycolmap")
         return Environment(
-            python=platform.python_version(), **{name: version_of(name) for name in names}
+            python=platform.python_version(), **{name: _version_of(name) for name in names}
         )
+
+
+@cache
+def _version_of(package: str) -> str:
+    """Return the version of a package, whose metadata is parsed once in a process."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,4 +1,4 @@
-"""Ground resolution of photographs, and the scale that makes two of them comparable."""
+"""Ground resolution of photographs, and the scale that gives a photograph a wanted resolution."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# Least number of points in view that determine the resolution of a photograph.
+# Least number of points in view from which the resolution of a photograph is known.
 _MIN_POINTS: Final = 10
-# Sine of the least angle of the optical axis below the horizon. Flatter views, as from a car, have
-# near and far things side by side and no single resolution.
-_LEAST_DOWN: Final = math.sin(math.radians(20))
+# Sine of the least angle of the optical axis below the horizon. Flatter views, as from a car, show
+# near and far things side by side and have no single resolution.
+_MIN_DOWN: Final = math.sin(math.radians(20))
 SAME_RESOLUTION: Final = 1.25
-"""Ratio of resolutions below which photographs are not resized; networks tolerate it."""
+"""Ratio of resolutions below which photographs are not resized, because networks tolerate it."""
 
 
 def metres_per_pixel(
@@ -29,18 +29,19 @@ def metres_per_pixel(
     xyz: NDArray[np.float64],
     view_from_camera: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the ground resolution of a photograph at the median depth of the points in view.
+    """Return the ground resolution (m/px) of a photograph at the median depth of points in view.
 
-    It is NaN if these are too few, or if the camera looks nearly along the ground.
+    It is NaN if too few points are in view, or if the camera looks nearly along the ground.
 
     Args:
         pose: ``cam_from_world``.
         camera: camera of the photograph.
-        xyz: (N, 3) points that may be in view.
-        view_from_camera: (3, 3) rotation of the camera for the view; None for none.
+        xyz: (N, 3) points that may be in view, world metres.
+        view_from_camera: (3, 3) rotation to the levelled view of the photograph whose resolution is
+            wanted; None if it is not levelled.
     """
     axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
-    if -float(axis @ pose.rotation.numpy()[:, 2]) < _LEAST_DOWN:
+    if -float(axis @ pose.rotation.numpy()[:, 2]) < _MIN_DOWN:
         return math.nan
     in_camera = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(in_camera)
@@ -52,7 +53,10 @@ def metres_per_pixel(
 
 
 def map_resolution(sparse_map: SparseMap, scale_of: Callable[[Camera], float]) -> float:
-    """Return the median metres per pixel of a map's resized photographs, NaN if unknown."""
+    """Return the median metres per pixel of a map's resized photographs; NaN if unknown.
+
+    ``scale_of`` returns the scale to which photographs of a camera are resized.
+    """
     resolutions = [
         metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
         / scale_of(image.camera)
@@ -63,29 +67,29 @@ def map_resolution(sparse_map: SparseMap, scale_of: Callable[[Camera], float]) -
 
 
 def observed_xyz(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """Return the points (N, 3) that a photograph of a map observes."""
+    """Return the points (N, 3) that a photograph of a map observes, world metres."""
     return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
 
 
 def scale_to(
-    wanted: float, own: float, largest: float, same_resolution: float = SAME_RESOLUTION
+    wanted: float, resolution: float, largest: float, same_resolution: float = SAME_RESOLUTION
 ) -> float:
     """Return the scale of a photograph that gives a wanted resolution.
 
     Args:
         wanted: metres per pixel of the result; NaN if unknown.
-        own: metres per pixel of the photograph; NaN if unknown.
-        largest: the largest scale; beyond 1 it is used only to reach ``wanted``.
+        resolution: metres per pixel of the photograph; NaN if unknown.
+        largest: the largest scale. Scales above 1 are used only to reach ``wanted``.
         same_resolution: ratio of resolutions below which the photograph is not resized.
 
-    Example:
-        >>> scale_to(wanted=0.2, own=0.1, largest=1.0)
+    Examples:
+        >>> scale_to(wanted=0.2, resolution=0.1, largest=1.0)
         0.5
-        >>> scale_to(wanted=0.11, own=0.1, largest=1.0)
+        >>> scale_to(wanted=0.11, resolution=0.1, largest=1.0)
         1.0
     """
     plain = min(1.0, largest)
-    matching = own / wanted
+    matching = resolution / wanted
     if math.isfinite(matching) and not 1 / same_resolution < matching / plain < same_resolution:
         return min(matching, largest)
     return plain

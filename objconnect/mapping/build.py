@@ -18,7 +18,7 @@ from objconnect.scene.bundle.pictures import draw_pictures
 from objconnect.scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
 from objconnect.scene.bundle.supplement import SUPPLEMENT
 from objconnect.scene.colmap.database import MappingJob
-from objconnect.scene.colmap.native import VERSION
+from objconnect.scene.colmap.native import PYCOLMAP_VERSION
 from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from objconnect.scene.colmap.triangulation import triangulate
@@ -31,7 +31,7 @@ from objconnect.scene.storage.digests import digest_of, digests_in
 from objconnect.scene.storage.leftovers import remove_partial
 from objconnect.scene.storage.locks import resumable_file, write_lock
 
-_KEPT = f"{TEMPORARY_PREFIX}mapping"
+_WORK = f"{TEMPORARY_PREFIX}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 _DEFAULTS: Final = MapOptions()
@@ -73,13 +73,13 @@ def build_map(
 
 def _build(scene: Scene, method: Method, cluster: str | None, options: MapOptions) -> MapReport:
     path = scene.path
-    images, seen = _map_frames(scene)
+    images, ids_in_view = _map_frames(scene)
     names = [image.name for image in images]
     flights = [name.partition("/")[0] for name in names]
     chosen = choose_pairs(scene.covisibility.select(names).mutual, flights, options)
     pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
-        raise InputError(f"the map frames of {path} do not overlap: fly more of them")
+        raise InputError(f"the map frames of {path} do not overlap: fly with more overlap")
     build, steps = {
         "triangulate": (triangulate, len(images) + len(pairs)),
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
@@ -87,7 +87,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
     remove_partial(path)
     supplemented = (scene.map_path / SUPPLEMENT).exists()
     digest = _digest(scene.images_root, images, pairs)
-    with resumable_file(path / _KEPT, f"{digest}.db") as database:
+    with resumable_file(path / _WORK, f"{digest}.db") as database:
         with (
             atomic_folder(scene.map_path, MAP_FILES) as folder,
             progress_bar("map", steps) as advance,
@@ -114,7 +114,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
         len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
     )
     kinds = class_coverage(scene, sparse_map, features) if rendered else {}
-    in_view = [item for item in scene.objects.objects if item.id in seen]
+    in_view = [item for item in scene.objects.objects if item.id in ids_in_view]
     objects = ObjectTruth(in_view, owners)
     return report(sparse_map, images, objects, len(pairs), kinds, options.model_dump(mode="json"))
 
@@ -127,7 +127,7 @@ def _digest(
     """Return a digest of the inputs of features and matches."""
     photographs = digests_in(root, (image.name for image in images), "missing")
     cameras = [image.camera for image in images]
-    return digest_of(VERSION, _SIFT, pairs, cameras, photographs)[:16]
+    return digest_of(PYCOLMAP_VERSION, _SIFT, pairs, cameras, photographs)[:16]
 
 
 def choose_pairs(
@@ -136,7 +136,7 @@ def choose_pairs(
     """Choose the pairs of frames to match, each once: neighbours in space and in time.
 
     Args:
-        overlap: symmetric (N, N) shares of the surface of one frame that another sees.
+        overlap: symmetric (N, N) shares (0 to 1) of the surface in one frame that the other shows.
         flights: flight of each frame; frames of one flight are sorted by time.
         options: minimum overlap, and number of neighbours of each frame.
     """
@@ -153,16 +153,16 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
     """Return the map photographs and the identifiers of the objects they show."""
     wanted = set(scene.splits.map)
     images = []
-    seen: set[int] = set()
+    object_ids: set[int] = set()
     for session in scene.sessions:
         frames = scene.frames(session)
-        with scene.dense(session) as dense:
+        with scene.layers(session) as layers:
             for k, name in enumerate(frames.names):
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    if dense.has("instance"):
-                        seen |= set(np.unique(dense.read("instance", k)).tolist())
+                    if layers.has("instance"):
+                        object_ids |= set(np.unique(layers.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
-    return images, seen
+    return images, object_ids

@@ -1,4 +1,4 @@
-"""Measure the shares of kinds of surfaces in pixels, keypoints and map points.
+"""Measure the share of each kind of surface in pixels, keypoints and map points.
 
 In real photographs, a kind of surface has about the same share of keypoints as of pixels. Rendered
 surfaces need enough texture for this; otherwise most map points would be on the ground.
@@ -50,17 +50,21 @@ def class_coverage(
     pixels, keypoints = np.zeros(len(KINDS) + 1), np.zeros(len(KINDS) + 1)
     votes = np.zeros((len(sparse_map.xyz), len(KINDS) + 1))
     for session in scene.sessions:
-        with scene.dense(session) as dense:
+        with scene.layers(session) as layers:
             for k, name in enumerate(scene.frames(session).names):
                 if name not in features:
                     continue
-                kind = kind_of[dense.read("semantic", k)]
+                kind = kind_of[layers.read("semantic", k)]
                 pixels += np.bincount(kind.ravel(), minlength=len(pixels))
-                keypoints += np.bincount(_at(kind, features[name].xy), minlength=len(pixels))
+                keypoints += np.bincount(_values_at(kind, features[name].xy), minlength=len(pixels))
                 if name in sparse_map.images:
                     image = sparse_map.images[name]
-                    seen = image.point_rows >= 0
-                    np.add.at(votes, (image.point_rows[seen], _at(kind, image.xy[seen])), 1)
+                    is_observed = image.point_rows >= 0
+                    np.add.at(
+                        votes,
+                        (image.point_rows[is_observed], _values_at(kind, image.xy[is_observed])),
+                        1,
+                    )
     points = np.bincount(votes.argmax(1), minlength=len(pixels))
     shares = [counts[:-1] / max(counts[:-1].sum(), 1) for counts in (pixels, keypoints, points)]
     return {name: KindShare(*(float(share[k]) for share in shares)) for k, name in enumerate(KINDS)}
@@ -68,15 +72,15 @@ def class_coverage(
 
 def _kind_of_label() -> NDArray[np.int64]:
     """Return the index into KINDS by semantic label; the sky has the index after the last."""
-    kind = np.full(256, 3)
-    kind[:FIRST_OBJECT_LABEL] = 0
+    kind = np.full(256, KINDS.index("other things"))
+    kind[:FIRST_OBJECT_LABEL] = KINDS.index("ground")
     kind[CLASSES["sky"]] = len(KINDS)
-    kind[CLASSES["building"]] = 1
-    kind[[CLASSES["tree"], CLASSES["hedge"]]] = 2
+    kind[CLASSES["building"]] = KINDS.index("buildings")
+    kind[[CLASSES["tree"], CLASSES["hedge"]]] = KINDS.index("vegetation")
     return kind
 
 
-def _at(kind: NDArray[np.int64], xy: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+def _values_at(kind: NDArray[np.int64], xy: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
     """Return the values of a raster (H, W) at COLMAP pixels (N, 2)."""
     column, row = np.floor(xy).astype(int).T
     height, width = kind.shape

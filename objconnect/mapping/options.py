@@ -14,14 +14,14 @@ class MapOptions(Config):
         0.2,
         ge=0,
         lt=1,
-        description="Minimum overlap of a pair: the share (0 to 1) of each picture that the other "
-        "shows.",
+        description="Minimum overlap of a pair: the share (0 to 1) of each photograph's surface "
+        "that the other shows.",
     )
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Maximum number of pictures with which each one is matched, those of largest "
-        "overlap.",
+        description="Maximum number of photographs with which each one is matched, those of "
+        "largest overlap.",
     )
     following: int = Field(
         4,

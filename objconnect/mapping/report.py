@@ -99,6 +99,7 @@ class ObjectTruth:
     """The objects in the photographs of a map, and the objects on which its points lie.
 
     Attributes:
+        objects: objects that a map photograph shows.
         owners: id (M,) of the object on which each point of the map lies, 0 for the ground.
     """
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.inference import Precision, fuse_layers
 from objconnect.localization.cache.map_cache import open_cache
-from objconnect.localization.coarse.finder import LONGEST, CoarseSearch, CoarseSearchOptions
+from objconnect.localization.coarse.finder import LONGER_SIDE_PX, CoarseSearch, CoarseSearchOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
@@ -35,7 +35,7 @@ class CoarseLocalizerConfig(Config):
 
 
 class CoarseLocalizer:
-    """Returns the best candidate of the coarse search, which is exact to some metres and degrees.
+    """Returns the best candidate of the coarse search, which no alignment refines.
 
     It implements ``objconnect.scene.localizer.Localizer``.
     """
@@ -48,13 +48,13 @@ class CoarseLocalizer:
         network.to(torch_device(config.device))
         fuse_layers(network, config.precision)
         self.weights_sha256: str | None = digest
-        extract = MapExtractor(network, 2 * LONGEST, config.precision)
+        extract = MapExtractor(network, 2 * LONGER_SIDE_PX, config.precision)
         self._finder = CoarseSearch(extract, config.place)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Make the mosaic of the map, or read it from the cache."""
-        with open_cache(sparse_map, images, cache) as kept:
-            self._finder.prepare(kept, f"{self.weights_sha256} {self.config.precision}")
+        with open_cache(sparse_map, images, cache) as map_cache:
+            self._finder.prepare(map_cache, f"{self.weights_sha256} {self.config.precision}")
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:

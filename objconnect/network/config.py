@@ -1,4 +1,4 @@
-"""Configuration of the object-connect network."""
+"""Configuration of the object-connect network. Equation numbers are those of its paper."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ class DetectorConfig(Config):
     stride: int = Field(
         4,
         ge=1,
-        description="Stride of its maps, px per cell; one of the strides of the network's levels.",
+        description="Stride of the detector's maps, px per cell; one of the strides of the "
+        "network's levels.",
     )
-    size: int = Field(64, ge=4, description="Number of channels of its convolutions.")
+    size: int = Field(64, ge=4, description="Number of channels of the detector's convolutions.")
     vector: int = Field(32, ge=2, description="Number of channels of an object's vector.")
 
 
@@ -60,15 +61,15 @@ class ObjConnectNetConfig(Config):
     )
     decoder: Literal["fpn", "unet"] = Field(
         "unet",
-        description="Decoder that combines coarse and fine features: ``fpn`` is the paper's "
-        "feature pyramid and ``unet`` that of PixLoc.",
+        description="Decoder that combines coarse and fine features: ``fpn`` is the feature "
+        "pyramid of the object-connect paper and ``unet`` the decoder of PixLoc.",
     )
     pyramid: int = Field(
         64, ge=8, le=2048, description="Number of channels of the feature pyramid."
     )
     steps: tuple[Channels, Channels, Channels, Channels] = Field(
         (64, 64, 64, 32),
-        description="Numbers of channels of the U-Net, from stride 8 to stride 1.",
+        description="Numbers of channels of the U-Net at strides 8, 4, 2 and 1.",
     )
     strides: tuple[int, ...] = Field(
         (16, 4, 2),
@@ -114,7 +115,7 @@ class ObjConnectNetConfig(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _earlier(cls, values: Any) -> Any:
+    def _drop_constants(cls, values: Any) -> Any:
         """Drop constants that older weights record as options, if their values are supported."""
         if not isinstance(values, Mapping):
             return values
@@ -126,16 +127,19 @@ class ObjConnectNetConfig(Config):
         return {name: value for name, value in values.items() if name not in _FIXED}
 
     @model_validator(mode="after")
-    def _levels(self) -> Self:
+    def _check_combination(self) -> Self:
         check_levels(self.strides, self.dims)
-        blocks = self.attention or self.object_graph or self.scene_graph
-        if self.segmentation == "none" and blocks:
+        has_object_blocks = self.attention or self.object_graph or self.scene_graph
+        if self.segmentation == "none" and has_object_blocks:
             raise ValueError(
                 "without segmentation there are no objects: switch attention, object_graph and "
                 "scene_graph off too"
             )
         if self.segmentation == "learned" and self.detector is None:
-            raise ValueError("learned segmentation needs a detector")
+            raise ValueError("segmentation 'learned' needs a detector: set detector too")
         if self.detector is not None and self.detector.stride not in self.strides:
-            raise ValueError("the stride of the detector must be one of the levels' strides")
+            raise ValueError(
+                f"detector.stride is {self.detector.stride}: set it to one of strides, "
+                f"{', '.join(map(str, self.strides))}"
+            )
         return self

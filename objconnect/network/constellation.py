@@ -1,8 +1,10 @@
 """A graph network over the objects of a scene, which describes an object among its neighbours.
 
-Nodes are centres with vectors. Edges to the nearest neighbours encode their metric offsets. The
-same graph describes the objects of a photograph, laid out on the ground under an assumed heading
-and height, and those of a map, so that the two can be compared.
+A node is an object with its centre and vector. Edges to its nearest neighbours encode their offsets
+in metres. The same network describes the objects of a photograph, laid out on the ground under an
+assumed heading and height, and the objects of a map, so that the two can be compared.
+
+Layers have the names of the weights in files.
 """
 
 from __future__ import annotations
@@ -20,10 +22,10 @@ from objconnect.network.config import ConstellationConfig
 
 # Unit of the offsets between neighbours, metres.
 _UNIT_M: Final = 10.0
-# Number of nodes whose neighbours are computed at once.
+# Number of nodes whose neighbours are computed at once, which bounds memory.
 _AT_ONCE: Final = 512
 # Number of channels of an edge.
-_EDGE: Final = 12
+_EDGE_SIZE: Final = 12
 
 
 class _Layer(nn.Module):
@@ -33,21 +35,25 @@ class _Layer(nn.Module):
         super().__init__()
         self.own = nn.Linear(size, size)
         self.other = nn.Linear(size, size, bias=False)
-        self.where = nn.Sequential(nn.Linear(_EDGE, size), nn.ReLU(), nn.Linear(size, size))
+        self.where = nn.Sequential(nn.Linear(_EDGE_SIZE, size), nn.ReLU(), nn.Linear(size, size))
         self.weight = nn.Linear(size, 1)
         self.join = nn.Sequential(nn.Linear(2 * size, size), nn.ReLU(), nn.Linear(size, size))
 
-    def forward(self, nodes: Tensor, near: Tensor, edges: Tensor, there: Tensor) -> Tensor:
-        around = self.other(nodes)[:, near]
-        message = (self.own(nodes)[:, :, None] + around + self.where(edges)).relu()
-        heard = torch.sigmoid(self.weight(message)) * there[..., None]
-        total = (heard * message).sum(2) / heard.sum(2).clamp_min(1.0)
-        result: Tensor = nodes + self.join(torch.cat([nodes, total], -1))
+    def forward(self, nodes: Tensor, near: Tensor, edges: Tensor, exists: Tensor) -> Tensor:
+        neighbours = self.other(nodes)[:, near]
+        message = (self.own(nodes)[:, :, None] + neighbours + self.where(edges)).relu()
+        weight = torch.sigmoid(self.weight(message)) * exists[..., None]
+        mean = (weight * message).sum(2) / weight.sum(2).clamp_min(1.0)
+        result: Tensor = nodes + self.join(torch.cat([nodes, mean], -1))
         return result
 
 
 class ConstellationGraph(nn.Module):
-    """Vectors of objects among their neighbours."""
+    """Graph network whose output describes each object among its neighbours by a vector.
+
+    Attributes:
+        sharpness: logarithm of the factor on cosines between output vectors in a softmax.
+    """
 
     def __init__(self, config: ConstellationConfig) -> None:
         super().__init__()
@@ -62,58 +68,61 @@ class ConstellationGraph(nn.Module):
         self.sharpness = nn.Parameter(torch.tensor(math.log(10.0)))
 
     def to_tensor(self, numbers: NDArray[np.float32] | NDArray[np.float64]) -> Tensor:
-        """Return numbers as a tensor in single precision on the graph's device."""
+        """Return an array as a tensor in single precision on the graph's device."""
         return torch.from_numpy(numbers).to(self.sharpness.device).float()
 
-    def neighbours(self, where: Tensor) -> tuple[Tensor, Tensor]:
-        """Return rows (N, k) of the nearest neighbours of positions (N, 2), and which exist."""
-        count = min(self.config.neighbours, len(where) - 1)
-        shape, device = (len(where), self.config.neighbours), where.device
+    def neighbours(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rows (N, k) of the nearest neighbours of positions (N, 2), and which exist (N, k).
+
+        Fewer than k neighbours exist if N is at most k.
+        """
+        count = min(self.config.neighbours, len(xy) - 1)
+        shape, device = (len(xy), self.config.neighbours), xy.device
         near = torch.zeros(shape, dtype=torch.long, device=device)
-        there = torch.zeros(shape, device=device)
+        exists = torch.zeros(shape, device=device)
         if count > 0:
             # In parts, because all distances of a large map do not fit into memory.
-            for first in range(0, len(where), _AT_ONCE):
-                last = min(first + _AT_ONCE, len(where))
+            for first in range(0, len(xy), _AT_ONCE):
+                last = min(first + _AT_ONCE, len(xy))
                 rows = torch.arange(first, last, device=device)
-                away = torch.cdist(where[None, rows], where[None])[0]
-                away[rows - first, rows] = math.inf
-                near[rows, :count] = away.topk(count, largest=False).indices
-            there[:, :count] = 1
-        return near, there
+                distance = torch.cdist(xy[None, rows], xy[None])[0]
+                distance[rows - first, rows] = math.inf
+                near[rows, :count] = distance.topk(count, largest=False).indices
+            exists[:, :count] = 1
+        return near, exists
 
     def forward(
         self,
         vectors: Tensor,
-        where: Tensor,
+        xy: Tensor,
         rise: Tensor,
         side: Tensor,
         near: Tensor,
-        there: Tensor,
+        exists: Tensor,
     ) -> Tensor:
         """Return unit vectors (H, N, out) of N objects under H hypotheses.
 
         Args:
             vectors: (N, V) vectors of the objects.
-            where: (H, N, 2) positions to the east and north, metres.
-            rise: (H, N) height of the centres above the ground, metres.
-            side: (H, N) sides of the objects, metres.
+            xy: (H, N, 2) positions to the east and north, metres.
+            rise: (H, N) heights of the centres above the ground, metres.
+            side: (H, N) sides of squares of the objects' sizes, metres.
             near: (N, k) rows of the neighbours.
-            there: (N, k) 1 if the neighbour exists, else 0.
+            exists: (N, k) 1 if the neighbour exists, else 0.
         """
         extent = torch.stack([side.clamp_min(0.1).log(), rise.clamp(-5, 50) / 5], -1)
-        own = vectors.expand(len(where), -1, -1)
-        nodes = self.node(torch.cat([own, extent], -1))
+        per_hypothesis = vectors.expand(len(xy), -1, -1)
+        nodes = self.node(torch.cat([per_hypothesis, extent], -1))
         if len(self.layers):
-            edges = _edges(where, near)
+            edges = _edges(xy, near)
             for layer in self.layers:
-                nodes = layer(nodes, near, edges, there)
+                nodes = layer(nodes, near, edges, exists)
         return functional.normalize(self.out(nodes), dim=-1)
 
 
-def _edges(where: Tensor, near: Tensor) -> Tensor:
-    """Return the encoded offsets of neighbours, (H, N, k, _EDGE)."""
-    offset = (where[:, near] - where[:, :, None]) / _UNIT_M
+def _edges(xy: Tensor, near: Tensor) -> Tensor:
+    """Return the encoded offsets from nodes to their neighbours, (H, N, k, _EDGE_SIZE)."""
+    offset = (xy[:, near] - xy[:, :, None]) / _UNIT_M
     length = offset.norm(dim=-1, keepdim=True)
     bounded = offset / (1 + length)
     waves = [wave(offset * scale) for scale in (0.8, 2.5) for wave in (torch.sin, torch.cos)]

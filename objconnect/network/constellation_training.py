@@ -1,11 +1,11 @@
-"""Train the graph over objects.
+"""Training of the graph network over objects.
 
-``python -m objconnect.network.constellation_training SCENE...``
+``python -m objconnect.network.constellation_training SCENE... --weights FILE --out FILE``
 
 The detector finds the objects of a scene's map and of its queries. An object of a query at the
-position of a landmark is that landmark. The graph is trained to describe the two alike and all
-other landmarks differently. Headings and heights get errors as large as those of a search, and some
-objects are left out.
+position of a landmark is that landmark. The graph network is trained to give these two similar
+vectors, and all other landmarks different ones. Headings and heights get errors as large as those
+of a search, and a random part of the objects is left out.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from objconnect.learning.checkpoint import write_weights
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.network.config import ConstellationConfig
 from objconnect.network.constellation import ConstellationGraph
-from objconnect.network.landmarks import Landmarks, place_on_ground
+from objconnect.network.landmarks import Landmarks, ObjectLayout, lay_out, place_on_ground
 from objconnect.network.network import read_network, start_from
 from objconnect.network.object_map import ObjectFinder, map_ground
-from objconnect.network.object_matching import ObjectLayout, describe_landmarks, lay_out
+from objconnect.network.object_matching import describe_landmarks
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
@@ -40,29 +40,34 @@ from objconnect.scene.runtime.device import AUTO, torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
-# Longer side (px) of resized images, as for queries.
-LONGEST: Final = 1024
+# Larger images are resized to this longer side (px), as in the localizer.
+LONGER_SIDE_PX: Final = 1024
 SAME_M: Final = 1.5
-"""Largest distance between an object and its landmark, metres."""
-# Number of photographs in a step, all of one scene; highest learning rate and weight decay.
+"""Largest horizontal distance between an object and its landmark, metres."""
+# Number of queries in a step, all of one scene.
 _QUERIES: Final = 4
+# Highest learning rate, and weight decay.
 _RATE: Final = 2e-3
 _DECAY: Final = 1e-3
-# Largest share of the landmarks that are left out of a step.
+# Largest share of the landmarks that a step leaves out.
 _MISSING_LANDMARKS: Final = 0.25
 
 
 class ConstellationTraining(Config):
-    """Options of the training of the graph: its length and the errors of queries."""
+    """Options of the training of the graph network: its length and the errors of queries."""
 
     steps: int = Field(1500, ge=1, description="Number of steps of the optimizer.")
     turn_deg: float = Field(
         6.0, ge=0, description="Standard deviation of the error of the heading, deg."
     )
     stretch: float = Field(
-        0.08, ge=0, description="Standard deviation of the logarithm of the error of the height."
+        0.08, ge=0, description="Standard deviation of the logarithm of the factor on the height."
     )
-    moved_m: float = Field(0.4, ge=0, description="Standard deviation of the error of a centre, m.")
+    moved_m: float = Field(
+        0.4,
+        ge=0,
+        description="Standard deviation of the error of an object's position per axis, m.",
+    )
     missing: float = Field(
         0.4,
         ge=0,
@@ -76,6 +81,9 @@ class TrainingQuery(NamedTuple):
     """The objects of a query, laid out at its true heading.
 
     Attributes:
+        name: name of the photograph.
+        session: session of the photograph.
+        layout: the N objects.
         height: height of the camera above the ground, metres.
         landmark: (N,) row of the landmark of each object, -1 for none.
         xyz: (N, 3) true positions of the objects, world metres.
@@ -83,7 +91,7 @@ class TrainingQuery(NamedTuple):
 
     name: str
     session: str
-    laid: ObjectLayout
+    layout: ObjectLayout
     height: float
     landmark: NDArray[np.int64]
     xyz: NDArray[np.float64]
@@ -121,70 +129,76 @@ def build_training_scene(scene: Scene, finder: ObjectFinder) -> TrainingScene:
                 if not looks_down(pose.rotation.numpy()):
                     continue
                 found = finder(read_rgb(scene.images_root / name, camera), camera)
-                laid = lay_out(found, camera, pose.rotation)
-                if not len(laid):
+                layout = lay_out(found, camera, pose.rotation)
+                if not len(layout):
                     continue
                 placed = place_on_ground(found, camera, pose, ground).xyz
-                xyz = placed[laid.rows]
+                xyz = placed[layout.rows]
                 centre = pose.centre().numpy()
                 height = float(centre[2]) - ground.height_at(centre[0], centre[1])
-                same = _same(xyz, landmarks.xyz)
-                queries.append(TrainingQuery(name, session, laid, height, same, xyz))
+                landmark = _landmark_at(xyz, landmarks.xyz)
+                queries.append(TrainingQuery(name, session, layout, height, landmark, xyz))
     return TrainingScene(scene.name, landmarks, queries)
 
 
-def _same(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the row of the landmark at each object's position, -1 for none, each row once."""
+def _landmark_at(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the row (N,) of the landmark at each object's position; -1 for none.
+
+    Object and landmark are the nearest of each other, so that no landmark occurs twice.
+
+    Args:
+        xyz: (N, 3) positions of objects, world metres.
+        landmarks: (M, 3) centres of landmarks, world metres.
+    """
     if not len(landmarks):
         return np.full(len(xyz), -1)
-    away = np.linalg.norm(xyz[:, None, :2] - landmarks[None, :, :2], axis=-1)
-    away = np.where(np.isfinite(away), away, np.inf)
-    nearest = away.argmin(1)
-    mutual = away.argmin(0)[nearest] == np.arange(len(xyz))
-    return np.where(mutual & (away[np.arange(len(xyz)), nearest] < SAME_M), nearest, -1)
+    distance = np.linalg.norm(xyz[:, None, :2] - landmarks[None, :, :2], axis=-1)
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    nearest = distance.argmin(1)
+    mutual = distance.argmin(0)[nearest] == np.arange(len(xyz))
+    return np.where(mutual & (distance[np.arange(len(xyz)), nearest] < SAME_M), nearest, -1)
 
 
 def describe_query(
     graph: ConstellationGraph,
     query: TrainingQuery,
     rows: NDArray[np.int64],
-    wrong: tuple[float, float] = (0.0, 1.0),
+    errors: tuple[float, float] = (0.0, 1.0),
     moved: NDArray[np.float64] | None = None,
 ) -> Tensor:
-    """Return unit vectors (n, D) of some objects of a query among themselves.
+    """Return unit vectors (n, D) of a part of the objects of a query; the rest is left out.
 
     Args:
-        graph: the graph.
+        graph: the graph network.
         query: the query.
         rows: (n,) rows of the objects.
-        wrong: error of the heading (rad), and factor on the height.
+        errors: error of the heading (rad), and factor on the height.
         moved: (n, 2) errors of the objects' positions, metres.
     """
-    laid, (turn, stretch) = query.laid, wrong
+    layout, (turn, stretch) = query.layout, errors
     cosine, sine = np.cos(turn), np.sin(turn)
-    turned = laid.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
+    turned = layout.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
     height = query.height * stretch
-    where = turned * height + (0 if moved is None else moved)
-    place = graph.to_tensor(where)
-    near, there = graph.neighbours(place)
+    xy = graph.to_tensor(turned * height + (0 if moved is None else moved))
+    near, exists = graph.neighbours(xy)
     described: Tensor = graph(
-        laid.vectors[torch.from_numpy(rows)].to(place.device),
-        place[None],
-        graph.to_tensor(laid.rise[rows] * height)[None],
-        graph.to_tensor(laid.side[rows] * height)[None],
+        layout.vectors[torch.from_numpy(rows)].to(xy.device),
+        xy[None],
+        graph.to_tensor(layout.rise[rows] * height)[None],
+        graph.to_tensor(layout.side[rows] * height)[None],
         near,
-        there,
+        exists,
     )
     return described[0]
 
 
 def train_graph(
-    lessons: Sequence[TrainingScene],
+    scenes: Sequence[TrainingScene],
     config: ConstellationConfig,
     options: ConstellationTraining,
     device: torch.device,
 ) -> ConstellationGraph:
-    """Train a graph on scenes, on a device. Equal arguments give equal graphs on one machine.
+    """Train a graph network. On one machine, equal arguments give equal weights.
 
     Raises:
         InputError: no query of the scenes shows a landmark.
@@ -194,22 +208,26 @@ def train_graph(
     graph = ConstellationGraph(config).to(device)
     optimizer = torch.optim.AdamW(graph.parameters(), _RATE, weight_decay=_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, options.steps, pct_start=0.05)
-    usable = [(of, [q for q in of.queries if (q.landmark >= 0).any()]) for of in lessons]
-    usable = [(of, queries) for of, queries in usable if queries]
+    usable = [(scene, [q for q in scene.queries if (q.landmark >= 0).any()]) for scene in scenes]
+    usable = [(scene, queries) for scene, queries in usable if queries]
     if not usable:
-        raise InputError("no query of these scenes shows an object of its map")
+        raise InputError(
+            "no query of the given scenes shows a landmark of its map: give scenes whose queries "
+            "look down and overlap with the map"
+        )
     with progress_bar("graph over objects", options.steps) as advance:
         for step in range(options.steps):
-            of, queries = usable[rng.integers(len(usable))]
+            scene, queries = usable[rng.integers(len(usable))]
             left_out = rng.uniform(0, _MISSING_LANDMARKS)
-            kept = np.flatnonzero(rng.random(len(of.landmarks)) >= left_out)
-            number = np.full(len(of.landmarks) + 1, -1)
-            number[kept] = np.arange(len(kept))
-            theirs = describe_landmarks(graph, of.landmarks.some(kept))
+            kept = np.flatnonzero(rng.random(len(scene.landmarks)) >= left_out)
+            # Rows after landmarks are left out. The last entry, at -1, stands for no landmark.
+            new_row = np.full(len(scene.landmarks) + 1, -1)
+            new_row[kept] = np.arange(len(kept))
+            landmark_vectors = describe_landmarks(graph, scene.landmarks.select(kept))
             losses = []
             for _ in range(_QUERIES):
                 query = queries[rng.integers(len(queries))]
-                loss = _query_loss(graph, query, theirs, number, rng, options)
+                loss = _query_loss(graph, query, landmark_vectors, new_row, rng, options)
                 if loss is not None:
                     losses.append(loss)
             if losses:
@@ -225,29 +243,42 @@ def train_graph(
 def _query_loss(
     graph: ConstellationGraph,
     query: TrainingQuery,
-    theirs: Tensor,
-    number: NDArray[np.int64],
+    landmark_vectors: Tensor,
+    new_row: NDArray[np.int64],
     rng: np.random.Generator,
     options: ConstellationTraining,
 ) -> Tensor | None:
-    """Return the cross entropy of matching a query's objects with landmarks, and back."""
+    """Return the cross entropy of matching objects to landmarks, and landmarks to objects.
+
+    It is None if fewer than two objects are left that have a landmark.
+
+    Args:
+        graph: the graph network.
+        query: the query.
+        landmark_vectors: (M, D) unit vectors of the landmarks that are not left out.
+        new_row: row in ``landmark_vectors`` of each row of the scene's landmarks; -1 for none.
+        rng: source of the errors.
+        options: sizes of the errors.
+    """
     left_out = rng.uniform(0, options.missing)
     rows = np.flatnonzero(rng.random(len(query.landmark)) >= left_out)
-    wrong = (
+    errors = (
         float(rng.normal(0, np.radians(options.turn_deg))),
         float(np.exp(rng.normal(0, options.stretch))),
     )
     moved = rng.normal(0, options.moved_m, (len(rows), 2))
-    target = number[query.landmark[rows]]
+    target = new_row[query.landmark[rows]]
     known = np.flatnonzero(target >= 0)
     if len(known) < 2:
         return None
-    own = describe_query(graph, query, rows, wrong, moved)
-    alike = graph.sharpness.exp() * own @ theirs.T
-    mine, their = (torch.from_numpy(each).to(alike.device) for each in (known, target[known]))
-    there = functional.cross_entropy(alike[mine], their)
-    back = functional.cross_entropy(alike.T[their], mine)
-    return there + 0.5 * back
+    described = describe_query(graph, query, rows, errors, moved)
+    similarity = graph.sharpness.exp() * described @ landmark_vectors.T
+    objects, landmarks = (
+        torch.from_numpy(each).to(similarity.device) for each in (known, target[known])
+    )
+    to_landmarks = functional.cross_entropy(similarity[objects], landmarks)
+    to_objects = functional.cross_entropy(similarity.T[landmarks], objects)
+    return to_landmarks + 0.5 * to_objects
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -263,13 +294,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         device = torch_device(given.device)
         network = read_network(given.weights)[0].to(device)
         if network.detector is None:
-            raise InputError(f"{given.weights} has no detector of objects")
-        extract = MapExtractor(network, LONGEST, "float32")
+            raise InputError(
+                f"{given.weights} has no detector of objects: train one with 'objconnect train "
+                "objects'"
+            )
+        extract = MapExtractor(network, LONGER_SIDE_PX, "float32")
         finder = ObjectFinder(extract, network.detector)
         options = ConstellationTraining(seed=given.seed)
-        lessons = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
+        scenes = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
         config = ConstellationConfig(vector=network.detector.config.vector)
-        graph = train_graph(lessons, config, options, device)
+        graph = train_graph(scenes, config, options, device)
         whole = start_from(given.weights, {"constellation": config.model_dump()})
         assert whole.constellation is not None
         whole.constellation.load_state_dict(graph.state_dict())

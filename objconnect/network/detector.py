@@ -1,4 +1,4 @@
-"""Class-agnostic object detector: the centre, the cells and the vector of each object.
+"""Class-agnostic object detector: the centre, size, cells and vector of each object.
 
 Centres are peaks of a heat map, after Zhou et al., "Objects as Points" (2019). Cells belong to the
 centre that they point to, after Cheng et al., "Panoptic-DeepLab" (CVPR 2020). The input is the
@@ -19,9 +19,10 @@ from objconnect.network.config import DetectorConfig
 from objconnect.network.segmentation import NOTHING
 
 Level = tuple[Tensor, Tensor]
+"""Features (B, C, h, w) and confidences (B, 1, h, w) of one level."""
 
-# Initial logit of the heat map, about one in a hundred: few cells hold a centre.
-_RARE: Final = -4.6
+# Initial logit of the heat map: a probability of about 0.01, because few cells hold a centre.
+_INITIAL_LOGIT: Final = -4.6
 
 
 class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
@@ -44,7 +45,7 @@ class DetectorMaps(tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]):
 
     @property
     def log_side(self) -> Tensor:
-        """Logarithm (B, h, w) of the side of its object, pixels."""
+        """Logarithm (B, h, w) of the side of the cell's object, pixels."""
         return self[3]
 
     @property
@@ -66,7 +67,7 @@ class Detections:
     Attributes:
         xy: (N, 2) centres, pixels.
         score: (N,) probability that there is an object.
-        side: (N,) side of a square of its size, pixels.
+        side: (N,) side of a square of the object's size, pixels.
         rise: (N,) height of the centre above the ground, converted to pixels at the object's depth.
         vectors: (N, V) unit-length embeddings for matching objects.
     """
@@ -87,7 +88,10 @@ class Detections:
 
 
 class ObjectDetector(nn.Module):
-    """A few convolutions over the features of all levels, coarse to fine, at one stride."""
+    """A few convolutions over the features of all levels, resized to one stride.
+
+    Layers have the names of the weights in files.
+    """
 
     def __init__(self, config: DetectorConfig, strides: Sequence[int], dims: Sequence[int]) -> None:
         super().__init__()
@@ -114,7 +118,7 @@ class ObjectDetector(nn.Module):
         with torch.no_grad():
             assert self.places.bias is not None
             self.places.bias.zero_()
-            self.places.bias[0] = _RARE
+            self.places.bias[0] = _INITIAL_LOGIT
 
     def forward(self, levels: Sequence[Level]) -> DetectorMaps:
         """Return the maps for the features and confidences of all levels.
@@ -131,13 +135,17 @@ class ObjectDetector(nn.Module):
         stride = self.config.stride
         shape = levels[self._strides.index(stride)][0].shape[-2:]
         parts = []
-        for (features, confidence), own in zip(levels, self._strides, strict=True):
+        for (features, confidence), level_stride in zip(levels, self._strides, strict=True):
             unit = functional.normalize(features, dim=1) * features.shape[1] ** 0.5
             both = torch.cat([unit, confidence], 1)
-            if own < stride:
-                both = functional.avg_pool2d(both, stride // own)[..., : shape[0], : shape[1]]
-            elif own > stride:
-                both = functional.interpolate(both, scale_factor=own / stride, mode="bilinear")
+            if level_stride < stride:
+                both = functional.avg_pool2d(both, stride // level_stride)[
+                    ..., : shape[0], : shape[1]
+                ]
+            elif level_stride > stride:
+                both = functional.interpolate(
+                    both, scale_factor=level_stride / stride, mode="bilinear"
+                )
                 missing = [shape[1] - both.shape[3], shape[0] - both.shape[2]]
                 both = functional.pad(both, (0, missing[0], 0, missing[1]), "replicate")
             parts.append(both)
@@ -153,17 +161,17 @@ class ObjectDetector(nn.Module):
         )
 
 
-def extract_detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Detections:
+def extract_detections(maps: DetectorMaps, stride: int, count: int, min_score: float) -> Detections:
     """Return the objects of the first image of a batch: peaks of the heat map.
 
     Args:
         maps: maps of the detector.
         stride: pixels per cell.
         count: maximum number of objects.
-        least: least probability of an object.
+        min_score: least probability of an object.
     """
     heat = torch.sigmoid(maps.centre[:1].float())
-    peak = (heat == functional.max_pool2d(heat, 3, 1, 1)) & (heat >= least)
+    peak = (heat == functional.max_pool2d(heat, 3, 1, 1)) & (heat >= min_score)
     rows, columns = torch.nonzero(peak[0], as_tuple=True)
     score, order = heat[0, rows, columns].sort(descending=True, stable=True)
     score, rows, columns = score[:count], rows[order[:count]], columns[order[:count]]
@@ -180,32 +188,33 @@ def extract_detections(maps: DetectorMaps, stride: int, count: int, least: float
 
 
 def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> Tensor:
-    """Return the object of each cell of the first image, (h, w) int64, or ``NOTHING``.
+    """Return the row of the object of each cell of the first image, (h, w) int64, or ``NOTHING``.
 
-    A cell inside an object belongs to the centre nearest to the position it points to.
+    A cell inside an object belongs to the centre nearest to the position to which its offset
+    points.
 
     Args:
         maps: maps of the detector.
         found: objects of the image.
         stride: pixels per cell of the detector's maps.
-        cell: pixels per cell of the label map. If it is finer than the maps, these are
-            interpolated, because many objects are only a few of their cells wide.
+        cell: pixels per cell of the label map. If it is less than ``stride``, the maps are
+            interpolated, because many objects are only a few cells of the maps wide.
     """
     finer = max(1, stride // cell)
     # Positions are interpolated instead of offsets, which are relative to their cells.
-    pointed = functional.interpolate(
+    target = functional.interpolate(
         maps.offset[:1].float() + cell_centres(maps.offset), scale_factor=finer, mode="bilinear"
     )
     inside = functional.interpolate(
         maps.inside[:1, None].float(), scale_factor=finer, mode="bilinear"
     )
-    labels = torch.full(pointed.shape[-2:], NOTHING, device=pointed.device)
+    labels = torch.full(target.shape[-2:], NOTHING, device=target.device)
     rows, columns = torch.nonzero(inside[0, 0] > 0, as_tuple=True)
     if not len(found) or not len(rows):
         return labels
-    places = pointed[0, :, rows, columns].T * stride
-    away, nearest = torch.cdist(places, found.xy.float()).min(1)
-    near = away <= (found.side[nearest] / 2).clamp_min(1.5 * stride)
+    xy = target[0, :, rows, columns].T * stride
+    distance, nearest = torch.cdist(xy, found.xy.float()).min(1)
+    near = distance <= (found.side[nearest] / 2).clamp_min(1.5 * stride)
     labels[rows[near], columns[near]] = nearest[near]
     return labels
 

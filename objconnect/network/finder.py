@@ -1,4 +1,4 @@
-"""Candidate poses of a query from its objects, as starts of the alignment without a prior."""
+"""Candidate poses of a query by its objects, from which alignment starts without a full prior."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, possible_headings
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.localization.featuremetric.priors import region
 from objconnect.localization.featuremetric.references import ReferenceSource
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
 from objconnect.network.object_matching import Connector
+from objconnect.network.object_pairs import Bounds
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior, Query
-from objconnect.scene.runtime.progress import progress_within
 
-# Number of headings over the full turn; within half a step the graph's vectors change little.
+# Number of headings over the full turn, around each of which objects may agree.
 _HEADINGS: Final = 24
-# Tilts of the camera to try, one after the other, if gravity is unknown.
+# Tilts of the camera to try if gravity is unknown.
 _TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
-# Ratio of the best to the second-best score at the first tilt from which no other tilt is tried.
-_CLEAR_RATIO: Final = 2.0
 
 
 class ObjectSearchOptions(Config):
     """Options of the search by objects."""
 
-    candidates: int = Field(12, ge=1, description="Maximum number of candidates.")
+    candidates: int = Field(4, ge=1, description="Maximum number of candidates.")
     most_landmarks: int = Field(
         5000,
         ge=0,
-        description="Number of landmarks of a map above which the coarse search comes before the "
-        "search by objects. Its time grows less with the map, and more objects look alike.",
+        description="Number of objects of a map above which the coarse search comes before the "
+        "search by objects: the time of the coarse search grows less with the map, and in a large "
+        "map more objects look alike.",
     )
 
 
@@ -52,8 +52,8 @@ class ObjectSearch:
         options: options of the search.
 
     Attributes:
-        is_first: once prepared, whether the map is small enough for this search to come before the
-            coarse search.
+        is_first: whether this search comes before the coarse search, because the map has few
+            landmarks. It is valid once ``prepare`` has run.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ObjectSearch:
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector)
         self._connect: Connector | None = None
-        self._watched: MapObjects | None = None
+        self._observer: MapObjects | None = None
         self.is_first = True
 
     def observer(self, source: ReferenceSource) -> MapObjects | None:
@@ -71,8 +71,8 @@ class ObjectSearch:
 
         It is None if the cache holds the objects.
         """
-        self._watched = self._find.observer(source)
-        return self._watched
+        self._observer = self._find.observer(source)
+        return self._observer
 
     def prepare(self, source: ReferenceSource) -> None:
         """Find the objects of a map unless the observer or the cache has them.
@@ -80,8 +80,8 @@ class ObjectSearch:
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
-        landmarks = self._find.load_landmarks(source, self._watched)
-        self._watched, sparse_map = None, source.kept.sparse_map
+        landmarks = self._find.load_landmarks(source, self._observer)
+        self._observer, sparse_map = None, source.map_cache.sparse_map
         ground = map_ground(sparse_map)
         # A map of street-level photographs has no objects seen from above.
         self._connect = None
@@ -95,36 +95,25 @@ class ObjectSearch:
         if self._connect is None:
             return []
         found = self._find(query.image, query.camera)
-        base, *rest = headings_around(query.prior, self._heights)
-        if query.prior is not None and query.prior.cam_from_world_rotation is not None:
-            return self._connect(found, query.camera, base, *rest)
-        connect = self._connect
-        candidates: list[Candidate] = []
-        with progress_within("objects, tilts of camera", len(_TILTS_DEG)) as advance:
-            for done, degrees in enumerate(_TILTS_DEG, 1):
-                # A tilted camera looks ahead: the ground is at the bottom of its picture.
-                up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
-                candidates += connect(found, query.camera, up @ base, *rest)
-                advance(done)
-                if done == 1 and (not candidates or _is_clear(candidates)):
-                    break
-        return sorted(candidates, key=lambda each: -each.score)[: self._options.candidates]
+        return self._connect(found, query.camera, *allowed_poses(query.prior, self._heights))
 
 
-def _is_clear(candidates: Sequence[Candidate]) -> bool:
-    """Return whether the first candidate has a clearly higher score than the second."""
-    return len(candidates) == 1 or candidates[0].score > _CLEAR_RATIO * candidates[1].score
-
-
-def headings_around(
+def allowed_poses(
     prior: Prior | None, heights: Sequence[float], headings: int = _HEADINGS
-) -> tuple[Tensor, list[float], list[float]]:
-    """Return the attitude at a heading of 0, and the headings (rad) and heights (m) to try.
+) -> tuple[list[Tensor], Bounds]:
+    """Return the attitudes at a heading of 0 to try, and the headings, heights and region.
 
     Args:
-        prior: prior of the query; without an attitude the camera is assumed to look straight down.
+        prior: prior of the query; without an attitude several tilts of the camera are tried.
         heights: heights of the map's photographs above the ground, metres.
-        headings: number of headings over the full turn.
+        headings: number of headings on the full circle.
     """
     base, turns = possible_headings(prior, headings)
-    return base, turns, [part * float(np.median(heights)) for part in ALTITUDES]
+    bounds = Bounds(
+        turns, [part * float(np.median(heights)) for part in ALTITUDE_RATIOS], region(prior)
+    )
+    if prior is not None and prior.cam_from_world_rotation is not None:
+        return [base], bounds
+    # A tilted camera looks ahead: the ground is at the bottom of its picture.
+    tilts = [torch.tensor([-math.radians(degrees), 0.0, 0.0]).double() for degrees in _TILTS_DEG]
+    return [so3_exp(tilt) @ base for tilt in tilts], bounds

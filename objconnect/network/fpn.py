@@ -22,9 +22,12 @@ class FeaturePyramid(nn.Module):
     """
 
     def __init__(self, width: float, size: int, strides: tuple[int, ...]) -> None:
-        """Build a pyramid of ``size`` channels at ``strides``, coarse to fine.
+        """Build a pyramid.
 
-        ``width`` is that of the encoder.
+        Args:
+            width: channels of the encoder as a share of VGG16's.
+            size: channels of each level.
+            strides: pixels per cell of each level, coarse to fine.
         """
         super().__init__()
         self.sizes = [size] * len(strides)
@@ -43,8 +46,8 @@ class FeaturePyramid(nn.Module):
     def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
         """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
-        Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
-        beyond a multiple of 16 pixels is cut off.
+        Cells are as many pixels wide as the level's stride and start at the top left corner. The
+        part of an image beyond a multiple of 16 pixels is cut off.
 
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the pyramid to 16.

@@ -1,8 +1,8 @@
 """Graphs over the points of an object, and over the objects of a scene.
 
-The points of an object are the cells of its region, not the map points that the current pose
-projects into it. The features then depend on the image alone, and any number of pose hypotheses
-share them.
+The points of an object are the cells of its region in the feature map, not the map points that the
+current pose projects into the region, as in the paper. The features then depend on the image alone,
+and any number of pose hypotheses share them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from objconnect.network.objects import Occupancy, affinity, centres, init_small
 
+# Numerical guard of a division by a mean square.
 _TINY = 1e-6
 
 
@@ -31,9 +32,9 @@ class PointConvolution(nn.Module):
 
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
         """Convolve points (B, h w, C); the result has the same shape and is not negative."""
-        around = self.others(objects.mean(points).to(points.dtype))
-        joined: Tensor = (self.own(points) + objects.paint(around)).relu()
-        return joined
+        means = self.others(objects.mean(points).to(points.dtype))
+        convolved: Tensor = (self.own(points) + objects.paint(means)).relu()
+        return convolved
 
 
 class ObjectGraph(nn.Module):
@@ -46,12 +47,12 @@ class ObjectGraph(nn.Module):
 
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
         """Return points (B, h w, C) with the output of the graph added."""
-        channels = self.weights(points, objects)
-        message = self.convolution(points * objects.paint(channels).to(points.dtype), objects)
-        # Cells without an object have no neighbours.
-        inside = objects.paint(torch.ones_like(channels[..., :1])).to(points.dtype)
-        added: Tensor = points + inside * self.out(message)
-        return added
+        weights = self.weights(points, objects)
+        message = self.convolution(points * objects.paint(weights).to(points.dtype), objects)
+        # Points without an object stay unchanged.
+        inside = objects.paint(torch.ones_like(weights[..., :1])).to(points.dtype)
+        result: Tensor = points + inside * self.out(message)
+        return result
 
     def weights(self, points: Tensor, objects: Occupancy) -> Tensor:
         """Return f_c (B, N, C) float32 by equation (4), f_c = GAP(G(F_P; zeta)) * f_c.
@@ -67,9 +68,9 @@ class SceneGraph(nn.Module):
     """The graph over the objects. It merges similar near objects softly and keeps differences.
 
     The edges are ``a_ij = softmax_j(alpha cos(f_i, f_j) - beta |c_i - c_j| / s)``, where s is the
-    side of a mean object. The vector of an object becomes H(m_i (+) (f_i - m_i)), where m_i is the
-    sum of a_ij f_j. m_i is what the object shares with others, and f_i - m_i is the difference. The
-    vector is added to the object's cells.
+    square root of the mean area of the objects. The vector of an object becomes H(m_i (+) (f_i -
+    m_i)), where m_i is the sum of a_ij f_j. m_i is what the object shares with others, and f_i -
+    m_i is the difference. The vector is added to the object's cells.
     """
 
     def __init__(self, size: int) -> None:
@@ -79,25 +80,25 @@ class SceneGraph(nn.Module):
         self.join = nn.Linear(2 * size, size)
         self.out = init_small(nn.Linear(size, size))
 
-    def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
-        """Return rows (B, h w, C) with the output of the graph added."""
-        vectors = affinity(objects, rows)
+    def forward(self, cells: Tensor, objects: Occupancy) -> Tensor:
+        """Return the features of cells (B, h w, C) with the output of the graph added."""
+        vectors = affinity(objects, cells)
         merged = self.edges(vectors, objects) @ vectors
         joined = self.join(torch.cat([merged, vectors - merged], -1)).relu()
-        return rows + objects.paint(self.out(joined)).to(rows.dtype)
+        return cells + objects.paint(self.out(joined)).to(cells.dtype)
 
     def edges(self, vectors: Tensor, objects: Occupancy) -> Tensor:
         """Return the edges (B, N, N) float32. Rows sum to one; edges of absent objects are 0."""
         direction = functional.normalize(vectors.float(), dim=-1)
-        alike = (direction @ direction.transpose(1, 2)).float()
-        place = centres(objects)
+        cosine = (direction @ direction.transpose(1, 2)).float()
+        xy = centres(objects)
         present = objects.present
         side = (objects.area.sum(1) / present.sum(1).clamp(min=1)).clamp(min=1).sqrt()
-        apart = torch.cdist(place, place) / side[:, None, None]
-        score = self.alpha * alike - self.beta * apart
-        both = present[:, :, None] & present[:, None]
-        # A finite value, because rows without any object would become NaN.
-        return score.masked_fill(~both, -1e9).softmax(-1) * both
+        distance = torch.cdist(xy, xy) / side[:, None, None]
+        score = self.alpha * cosine - self.beta * distance
+        both_present = present[:, :, None] & present[:, None]
+        # Minus infinity would give NaN in the rows of absent objects.
+        return score.masked_fill(~both_present, -1e9).softmax(-1) * both_present
 
 
 def _unit(vectors: Tensor) -> Tensor:

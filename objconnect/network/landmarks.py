@@ -1,7 +1,8 @@
 """The landmarks of a map: objects that several photographs show, with vectors and sizes.
 
-A photograph gives the ray to an object's centre and its height above the ground, which comes from
-the map's points. Near and similar objects of several photographs are one landmark.
+A photograph gives the ray to an object's centre, and the height of the centre above the ground. The
+heights of the ground come from the map's points. Near and similar objects of several photographs
+are one landmark.
 """
 
 from __future__ import annotations
@@ -21,28 +22,32 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.nearest import Nearest
 from objconnect.scene.geometry.pose import Pose
 
-# Least drop of the ray to an object's foot, per unit of depth, for an intersection with the map's
-# ground: flatter rays meet it too far away.
+# Least drop of the ray to an object's foot, metres per metre of depth. Objects on flatter rays are
+# left out, because these meet the ground too far away.
 _MIN_DROP: Final = 0.2
-# Iterations of the intersection of a ray with uneven ground.
+# The same for an intersection with level ground.
+_MIN_LEVEL_DROP: Final = 0.35
+# Number of iterations that intersect a ray with uneven ground.
 _ROUNDS: Final = 3
-COUNT: Final = 256
+MAX_OBJECTS: Final = 256
 """Maximum number of objects of a photograph, which bounds time."""
 LEAST_SCORE: Final = 0.2
 """Least probability of an object."""
-# Largest distance of objects of one landmark: metres, and a share of the side of large objects.
+# Largest distance of the objects of one landmark from its best object: the larger of this number of
+# metres and this share of the best object's side.
 _RADIUS_M: Final = 1.0
 _RADIUS_SHARE: Final = 0.35
 # Least cosine between vectors of one landmark.
 _LEAST_COSINE: Final = 0.4
-# Number of nearest objects of all photographs that may join a landmark.
-_CROWD: Final = 64
-# Least number and share of the photographs with a landmark in view that must detect it.
+# Number of the objects nearest to a landmark, of all photographs, that may join it.
+_NEAREST: Final = 64
+# A landmark must be detected in at least this number, and this share, of the photographs that have
+# it in view.
 _LEAST_VIEWS: Final = 2
 _LEAST_SHARE: Final = 0.3
 
 
-class Placed(NamedTuple):
+class PlacedObjects(NamedTuple):
     """N objects of a photograph, placed on the ground.
 
     Attributes:
@@ -63,10 +68,10 @@ class Landmarks:
     Attributes:
         xyz: (M, 3) centres, world metres.
         vectors: (M, V) float32, of unit length.
-        sides: (M,) side of a square of its size, metres.
+        sides: (M,) side of a square of the object's size, metres.
         rises: (M,) height of the centre above the ground, metres.
         scores: (M,) probability that there is an object.
-        views: (M,) number of photographs that show it.
+        views: (M,) number of photographs in which the object was detected.
     """
 
     ARRAYS: ClassVar = ("xyz", "vectors", "sides", "rises", "scores", "views")
@@ -81,8 +86,8 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def some(self, rows: NDArray[np.int64]) -> Landmarks:
-        """Return the landmarks of some rows."""
+    def select(self, rows: NDArray[np.int64]) -> Landmarks:
+        """Return the landmarks with these rows."""
         return Landmarks(*(getattr(self, name)[rows] for name in self.ARRAYS))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -92,17 +97,17 @@ class Landmarks:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Landmarks:
-        """Return the landmarks of ``arrays``.
+        """Return the landmarks whose ``arrays`` these are.
 
         Raises:
-            ValueError: the arrays have other shapes.
+            ValueError: the shapes of the arrays are not those of landmarks.
         """
         xyz, *floats, views = (arrays[name] for name in Landmarks.ARRAYS)
         vectors, sides, rises, scores = (each.astype(np.float32) for each in floats)
         if not all(len(each) == len(xyz) for each in (vectors, sides, rises, scores, views)):
-            raise ValueError("its arrays have different lengths")
+            raise ValueError("the arrays of landmarks have different lengths")
         if xyz.shape != (len(xyz), 3) or vectors.ndim != 2:
-            raise ValueError("its arrays have not the shapes of landmarks")
+            raise ValueError("xyz is not (M, 3), or vectors is not (M, V)")
         return Landmarks(xyz.astype(np.float64), vectors, sides, rises, scores, views)
 
 
@@ -133,7 +138,47 @@ def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> Ob
     return ObjectRays(along, sides, rises, drops)
 
 
-def place_on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid) -> Placed:
+@dataclass(frozen=True)
+class ObjectLayout:
+    """N objects on level ground; lengths are in heights of the camera above it.
+
+    Attributes:
+        offset: (N, 2) from the point below the camera, to the east and north.
+        rise: (N,) heights of the centres above the ground.
+        side: (N,) sides.
+        vectors: (N, V) of unit length.
+        rows: (N,) rows of the photograph's objects.
+    """
+
+    offset: NDArray[np.float64]
+    rise: NDArray[np.float64]
+    side: NDArray[np.float64]
+    vectors: Tensor
+    rows: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+
+def lay_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> ObjectLayout:
+    """Lay the objects of a photograph out on level ground.
+
+    Args:
+        found: the objects.
+        camera: camera of the photograph.
+        cam_from_world: rotation (3, 3).
+    """
+    rays = object_rays(found, camera, cam_from_world)
+    rows = np.flatnonzero(rays.drops > _MIN_LEVEL_DROP)
+    depth = 1 / rays.drops[rows]
+    offset = depth[:, None] * rays.along[rows, :2]
+    vectors = found.vectors[torch.from_numpy(rows)]
+    return ObjectLayout(offset, rays.rises[rows] * depth, rays.sides[rows] * depth, vectors, rows)
+
+
+def place_on_ground(
+    found: Detections, camera: Camera, pose: Pose, ground: GroundGrid
+) -> PlacedObjects:
     """Place the objects of a photograph with a pose ``cam_from_world`` on the ground."""
     rays = object_rays(found, camera, pose.rotation)
     centre = pose.centre().numpy()
@@ -143,7 +188,7 @@ def place_on_ground(found: Detections, camera: Camera, pose: Pose, ground: Groun
         depth = (centre[2] - height) / drops
         xyz = centre + depth[:, None] * rays.along
         height = np.array([ground.height_at(x, y) if x == x else 0.0 for x, y, _ in xyz.tolist()])
-    return Placed(xyz, rays.sides * depth, rays.rises * depth)
+    return PlacedObjects(xyz, rays.sides * depth, rays.rises * depth)
 
 
 class View(NamedTuple):
@@ -153,7 +198,7 @@ class View(NamedTuple):
     camera: Camera
     pose: Pose
     found: Detections
-    placed: Placed
+    placed: PlacedObjects
 
 
 class Tracks(NamedTuple):
@@ -171,16 +216,17 @@ class Tracks(NamedTuple):
 
 
 def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
-    """Merge the objects of several photographs to landmarks; return these and their tracks.
+    """Merge the objects of several photographs to landmarks; return the landmarks and their tracks.
 
-    The object with the highest score takes near and similar ones of other photographs; then the
-    next.
+    The object with the highest score forms a group with near and similar objects of other
+    photographs; then the best of the remaining objects forms the next group, and so on. A group is
+    a landmark if enough of the photographs that have it in view detected it.
     """
     size = views[0].found.vectors.shape[1] if views else 1
     rows = [np.flatnonzero(np.isfinite(view.placed.xyz).all(1)) for view in views]
 
-    def join(of: Callable[[View], NDArray[np.float64]], *shape: int) -> NDArray[np.float64]:
-        parts = [of(view)[kept] for view, kept in zip(views, rows, strict=True)]
+    def join(values: Callable[[View], NDArray[np.float64]], *shape: int) -> NDArray[np.float64]:
+        parts = [values(view)[kept] for view, kept in zip(views, rows, strict=True)]
         return np.concatenate([np.empty((0, *shape)), *parts])
 
     xyz = join(lambda view: view.placed.xyz, 3)
@@ -190,30 +236,31 @@ def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     photograph = np.repeat(np.arange(len(views)), [len(kept) for kept in rows])
     groups = _groups(xyz, vectors, scores, sides, photograph)
     centres = np.array([np.median(xyz[group], 0) for group in groups]).reshape(-1, 3)
-    looks = np.array([vectors[group].mean(0) for group in groups]).reshape(-1, size)
-    looks /= np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-9)
-    number = np.array([len(group) for group in groups], np.int32)
-    shown = np.sum([_shows(view, centres) for view in views], 0) if views else number
-    enough = (number >= _LEAST_VIEWS) & (number >= _LEAST_SHARE * shown)
-    kept = enough | (shown <= 1)
+    mean_vectors = np.array([vectors[group].mean(0) for group in groups]).reshape(-1, size)
+    mean_vectors /= np.maximum(np.linalg.norm(mean_vectors, axis=1, keepdims=True), 1e-9)
+    detected = np.array([len(group) for group in groups], np.int32)
+    in_view = np.sum([_shows(view, centres) for view in views], 0) if views else detected
+    confirmed = (detected >= _LEAST_VIEWS) & (detected >= _LEAST_SHARE * in_view)
+    # An object that only one photograph has in view cannot be confirmed by another.
+    kept = confirmed | (in_view <= 1)
 
-    def middle(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    def medians(values: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.array([np.median(values[group]) for group in groups], np.float32)[kept]
 
     landmarks = Landmarks(
         centres[kept],
-        looks[kept].astype(np.float32),
-        middle(sides),
-        middle(rises),
-        middle(scores),
-        number[kept],
+        mean_vectors[kept].astype(np.float32),
+        medians(sides),
+        medians(rises),
+        medians(scores),
+        detected[kept],
     )
     xy = join(lambda view: view.found.xy.double().numpy(), 2)
-    members = [group for group, keep in zip(groups, kept.tolist(), strict=True) if keep]
-    shown_in = np.array([row for group in members for row in group], np.int64)
-    landmark = np.repeat(np.arange(len(members)), [len(group) for group in members])
-    names = [views[k].name for k in photograph[shown_in].tolist()]
-    return landmarks, Tracks(landmark, names, xy[shown_in])
+    kept_groups = [group for group, keep in zip(groups, kept.tolist(), strict=True) if keep]
+    observations = np.array([row for group in kept_groups for row in group], np.int64)
+    landmark = np.repeat(np.arange(len(kept_groups)), [len(group) for group in kept_groups])
+    names = [views[k].name for k in photograph[observations].tolist()]
+    return landmarks, Tracks(landmark, names, xy[observations])
 
 
 def _groups(
@@ -223,21 +270,29 @@ def _groups(
     sides: NDArray[np.float64],
     photograph: NDArray[np.int64],
 ) -> list[list[int]]:
-    """Return the rows of the objects of each landmark, at most one per photograph."""
+    """Return the rows of the objects of each group, at most one per photograph.
+
+    Args:
+        xyz: (N, 3) centres of the objects of all photographs, world metres.
+        vectors: (N, V) of unit length.
+        scores: (N,) probabilities that there is an object.
+        sides: (N,) metres.
+        photograph: (N,) index of the photograph of each object.
+    """
     if not len(xyz):
         return []
-    taken = np.zeros(len(xyz), bool)
+    is_used = np.zeros(len(xyz), bool)
     reach = np.maximum(_RADIUS_M, _RADIUS_SHARE * sides)
     nearest = Nearest(xyz[:, :2])
     groups = []
     for first in np.argsort(-scores, kind="stable").tolist():
-        if taken[first]:
+        if is_used[first]:
             continue
-        near = nearest(xyz[first, :2], _CROWD)
-        away = np.linalg.norm(xyz[near, :2] - xyz[first, :2], axis=1)
-        alike = vectors[near] @ vectors[first] > _LEAST_COSINE
-        near = near[~taken[near] & (away <= reach[first]) & alike]
-        taken[near] = taken[first] = True
+        near = nearest(xyz[first, :2], _NEAREST)
+        distance = np.linalg.norm(xyz[near, :2] - xyz[first, :2], axis=1)
+        is_similar = vectors[near] @ vectors[first] > _LEAST_COSINE
+        near = near[~is_used[near] & (distance <= reach[first]) & is_similar]
+        is_used[near] = is_used[first] = True
         _, once = np.unique(photograph[near], return_index=True)
         groups.append(sorted({first, *near[once].tolist()}))
     return groups

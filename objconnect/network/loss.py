@@ -1,4 +1,4 @@
-"""Training losses: equations (6) to (8), and the contrastive loss that they need beside them.
+"""Training losses: equations (6) to (8) of the paper, with a contrastive loss in addition.
 
 Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
 Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and
@@ -17,7 +17,7 @@ from torch.nn import functional
 from objconnect.learning.training.contrastive import sample
 from objconnect.learning.training.options import LOSSES, LossOptions
 from objconnect.learning.training.pairs import PairBatch
-from objconnect.learning.training.pose_loss import Seen, pose_loss
+from objconnect.learning.training.pose_loss import VisiblePoints, pose_loss
 from objconnect.localization.align.residuals import Level
 from objconnect.scene.geometry.pose import Pose
 
@@ -28,9 +28,9 @@ _MIN_POINTS: Final = 4
 def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
     """Equation (7), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
 
-    It is computed at the true pose of image 2. The paper uses the predicted pose, which equals it
-    at the end of training. At the beginning, the predicted pose would make features of different
-    points similar.
+    It is computed at the true pose of image 2. The paper uses the predicted pose. At the end of
+    training the two are nearly equal; at the beginning, the predicted pose would make features of
+    different points similar.
 
     Args:
         levels: features of unit length.
@@ -41,7 +41,7 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
     for level in levels:
         assert not isinstance(level.stride, tuple)
         features_b = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
-        # The square root has no derivative at zero.
+        # 1e-8 is added because the square root has no derivative at zero.
         squared = (features_b - level.reference).square().sum(-1)
         distances.append(((squared + 1e-8).sqrt() * batch.valid).sum() / count)
     return torch.stack(distances).mean()
@@ -64,9 +64,9 @@ def pose_distance(
         batch: pairs with the true poses.
 
     Returns:
-        The loss, and the distance (B,) in pixels after each level.
+        The loss, and the mean pseudo-Huber distance (B,) after each level (``pose_loss``).
     """
-    seen = Seen(batch.points, batch.intrinsics_b, batch.valid)
+    seen = VisiblePoints(batch.points, batch.intrinsics_b, batch.valid)
     return pose_loss(by_level, strides, batch.b_from_a, seen)
 
 
@@ -75,7 +75,7 @@ def total(
 ) -> Tensor:
     """Return the loss of equation (6), the weighted sum of (7) and (8), plus the contrastive loss.
 
-    Both losses are about one when features begin to be distinctive.
+    (7) and (8) are both about one when features begin to be distinctive.
 
     Args:
         contrast: the contrastive loss.
@@ -95,8 +95,8 @@ def measure_correspondence(
 ) -> tuple[Tensor, Tensor]:
     """Measure how well each object of image a corresponds to an object of image b.
 
-    The measure is the target of the confidence. It is the intersection over union of the points of
-    an object and those of the object of image b that shares the most points with it.
+    The measure is the target of the objects' confidence. It is the intersection over union of the
+    points of the object and those of an object of image b, the largest over all objects of image b.
 
     Args:
         labels_a: object (B, P) of each point in image a, negative for none.
@@ -105,7 +105,8 @@ def measure_correspondence(
         count: number N of objects.
 
     Returns:
-        The measure (B, N) in 0..1, and whether each object has enough points for it, (B, N) bool.
+        The measure (B, N) in 0..1, and whether each object has enough points to measure it,
+        (B, N) bool.
     """
     batch = len(labels_a)
     used = valid & (labels_a >= 0) & (labels_b >= 0)
@@ -117,9 +118,15 @@ def measure_correspondence(
     return (shared / either).amax(2), in_a >= _MIN_POINTS
 
 
-def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:
-    """Return the cross entropy between the confidence (B, N) and ``measure_correspondence``."""
-    # In half precision, one minus a small number would be one.
+def object_confidence_loss(confidence: Tensor, target: Tensor, counts: Tensor) -> Tensor:
+    """Return the cross entropy between the objects' confidence and its target.
+
+    Args:
+        confidence: (B, N) confidences of the objects.
+        target: (B, N) from ``measure_correspondence``.
+        counts: (B, N) bool, which objects count.
+    """
+    # In single precision, because one minus a small number would be one in half precision.
     p = confidence.float().clamp(1e-4, 1 - 1e-4)
-    entropy = -(kept * p.log() + (1 - kept) * (1 - p).log())
+    entropy = -(target * p.log() + (1 - target) * (1 - p).log())
     return (entropy * counts).sum() / counts.sum().clamp(min=1)

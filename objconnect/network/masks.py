@@ -15,11 +15,12 @@ from objconnect.network.segmentation import NOTHING, Labels, keep_largest
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text, require_readable
 
-# More objects than a label picture of 16 bits can have.
-_ALL = 1 << 16
-# Maximum size of a label picture (33 megapixels); larger arrays would take a gigabyte.
-_MOST_PIXELS = 1 << 25
-_GREY = ("1", "L", "P", "I", "I;16")
+# Number of objects to keep when all are kept: a label picture of 16 bits has fewer.
+_MAX_LABELS = 1 << 16
+# Maximum size of a label picture or mask (33 megapixels), whose labels (int64) take 0.27 GB.
+_MAX_PIXELS = 1 << 25
+# Modes of Pillow with one number per pixel.
+_ONE_CHANNEL = ("1", "L", "P", "I", "I;16")
 
 
 def read_label_png(path: Path, count: int) -> Labels:
@@ -41,9 +42,9 @@ def read_label_png(path: Path, count: int) -> Labels:
         with Image.open(path, formats=("PNG",)) as image:
             _check_size(image.width, image.height, f"label picture {path}")
             if not image.tile:
-                raise InputError(f"label picture {path} is damaged: it has no pixels")
-            # A damaged chunk may claim 4 GB, which decoders allocate at once; this checks chunks
-            # first.
+                raise InputError(f"label picture {path} has no pixels: write it again")
+            # A damaged chunk may claim 4 GB, which a decoder would allocate. ``verify`` checks the
+            # chunks without decoding.
             image.verify()
         with Image.open(path, formats=("PNG",)) as image:
             mode, values = image.mode, np.asarray(image)
@@ -52,21 +53,24 @@ def read_label_png(path: Path, count: int) -> Labels:
     except InputError:
         raise
     except UnidentifiedImageError:
-        raise InputError(f"{path} is not a PNG file") from None
+        raise InputError(f"label picture {path} is not a PNG file: convert it to PNG") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"label picture {path} is damaged: {error}") from None
-    if mode not in _GREY:
-        raise InputError(f"{path} has colours ({mode}): labels are one number per pixel")
+        raise InputError(f"label picture {path} is damaged ({error}): write it again") from None
+    if mode not in _ONE_CHANNEL:
+        raise InputError(
+            f"label picture {path} has colours ({mode}): write one label per pixel, as a grey or "
+            "palette PNG"
+        )
     labels = values.astype(np.int64)
     labels[values == 0] = NOTHING
     return keep_largest(labels, count)
 
 
 def _check_size(width: int, height: int, what: str) -> None:
-    if width * height > _MOST_PIXELS:
+    if width * height > _MAX_PIXELS:
         raise InputError(
-            f"{what} has {width} x {height} pixels; the maximum is {_MOST_PIXELS} pixels: make it "
-            "smaller"
+            f"{what} has {width} x {height} pixels; the maximum is {_MAX_PIXELS} pixels: make "
+            "photographs and masks smaller"
         )
 
 
@@ -95,16 +99,18 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
+        raise _not_coco(path, error) from None
     if not ids:
-        raise InputError(f"{path} has no image {image!r}")
+        raise InputError(f"{path} has no image {image!r}: compare the names of its images")
     if not segmentations:
-        raise InputError(f"{path} has no masks of {image!r}")
+        raise InputError(f"{path} has no masks of {image!r}: add annotations with its image_id")
     masks = [
         _mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(segmentations)
     ]
     if len({mask.shape for mask in masks}) > 1:
-        raise InputError(f"{path}: the masks of {image!r} have several sizes")
+        raise InputError(
+            f"{path}: the masks of {image!r} have several sizes: write all in the photograph's size"
+        )
     labels = np.full(masks[0].shape, NOTHING, np.int64)
     for number in np.argsort([-int(mask.sum()) for mask in masks], kind="stable"):
         labels[masks[number]] = number
@@ -112,7 +118,10 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
 
 
 def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
-    """Decode a mask from lengths of alternating runs of zeros and ones, column by column."""
+    """Decode a mask (H, W) from lengths of alternating runs of zeros and ones, column by column.
+
+    ``where`` names the file and the mask in errors.
+    """
     if not isinstance(segmentation, dict):
         raise InputError(f"{where} is a polygon: convert masks to run lengths (RLE)")
     try:
@@ -120,9 +129,13 @@ def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
         counts = segmentation["counts"]
         runs = _runs(counts) if isinstance(counts, str) else [int(run) for run in counts]
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise InputError(f"{where} cannot be read: {error!r}") from None
-    if min(height, width, *runs) < 0 or sum(runs) != height * width:
-        raise InputError(f"{where} has {sum(runs)} pixels, its size is {width} x {height}")
+        raise InputError(f"{where} cannot be read ({error!r}): write the masks again") from None
+    if min(height, width, *runs) < 0:
+        raise InputError(f"{where} has a negative side or run length: write the masks again")
+    if sum(runs) != height * width:
+        raise InputError(
+            f"{where} has {sum(runs)} pixels, its size is {width} x {height}: write the masks again"
+        )
     _check_size(width, height, where)
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return values.reshape(width, height).T
@@ -143,7 +156,7 @@ def _runs(text: str) -> list[int]:
         while more:
             bits = ord(text[position]) - 48
             if not 0 <= bits < 64:
-                raise ValueError(f"character {text[position]!r}")
+                raise ValueError(f"character {text[position]!r} in its run lengths")
             value |= (bits & 31) << shift
             shift += 5
             position += 1
@@ -160,34 +173,51 @@ def read_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels
     Args:
         source: folder of label pictures, NAME.png for the photograph NAME.jpg, or a file of COCO
             annotations.
-        names: names of the photographs. The last part of a name is tried too.
+        names: names of the photographs. If a name has no masks, its last part is tried.
 
     Raises:
-        InputError: as the readers, or the source has masks of none of the photographs.
+        InputError: the source is missing or has masks of none of the photographs, or a file of
+            masks cannot be read, is damaged, is too large or has masks that do not fit.
     """
-    listed = _coco_names(source) if source.is_file() else frozenset()
-    any_masks = False
+    if not source.is_dir():
+        require_readable(source, "masks")
+    coco_names = frozenset() if source.is_dir() else _coco_names(source)
+    has_masks = False
     for name in names:
-        for called in (name, name.rpartition("/")[2]):
-            picture = source / Path(called).with_suffix(".png")
-            if called in listed:
-                labels = read_coco(source, called, _ALL)
+        for candidate in (name, name.rpartition("/")[2]):
+            picture = source / Path(candidate).with_suffix(".png")
+            if candidate in coco_names:
+                labels = read_coco(source, candidate, _MAX_LABELS)
             elif os.path.lexists(picture):
-                labels = read_label_png(picture, _ALL)
+                labels = read_label_png(picture, _MAX_LABELS)
             else:
                 continue
-            any_masks = True
+            has_masks = True
             yield name, labels
             break
-    if not any_masks:
-        raise InputError(f"{source} has masks of none of the map's photographs")
+    if not has_masks:
+        raise InputError(
+            f"{source} has masks of none of the map's photographs: name label pictures NAME.png "
+            "for the photograph NAME.jpg, or give COCO annotations with its file_name"
+        )
 
 
 def _coco_names(path: Path) -> frozenset[str]:
+    """Return the names of the images that have masks; COCO also lists images without."""
     try:
         content = parse_json(read_text(path, "COCO annotations"))
-        return frozenset(str(entry["file_name"]) for entry in content["images"])
+        ids = {annotation["image_id"] for annotation in content["annotations"]}
+        return frozenset(
+            str(entry["file_name"]) for entry in content["images"] if entry["id"] in ids
+        )
     except InputError:
         raise
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
+        raise _not_coco(path, error) from None
+
+
+def _not_coco(path: Path, error: Exception) -> InputError:
+    return InputError(
+        f'{path} is not a file of COCO annotations ({error!r}): write "images" with id and '
+        'file_name, and "annotations" with image_id and segmentation'
+    )

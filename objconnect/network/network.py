@@ -36,13 +36,14 @@ from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 
 _ENCODER: Final = "encoder."
-# A key that only configurations of this network have.
-_OURS: Final = "segmentation"
+# A field that only configurations of this network have.
+_OWN_FIELD: Final = "segmentation"
 # Finest stride of levels with objects. On finer levels the object blocks would cost as much as the
 # rest of the network and add nothing: nearly all neighbouring cells share an object.
 _FINEST_OBJECT_STRIDE: Final = 4
-# Least probability of a learned object, and pixels per cell of their label maps.
+# Least probability of a learned object.
 _LEARNED_SCORE: Final = 0.35
+# Pixels per cell of the label maps of learned objects.
 _LEARNED_STRIDE: Final = 2
 
 Level = unet.Level
@@ -52,8 +53,8 @@ class ObjectBlocks(nn.Module):
     """The object blocks of one level that are switched on. Each adds to the features.
 
     Attributes:
-        residuals: in training, the norm of what each block last added divided by that of its input,
-            by the name of the block.
+        residuals: by the name of the block, the norm of what it last added in training divided by
+            the norm of its input.
     """
 
     def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
@@ -67,17 +68,22 @@ class ObjectBlocks(nn.Module):
         self.residuals: dict[str, Tensor] = {}
 
     def forward(self, maps: Tensor, objects: Occupancy) -> Tensor:
-        """Return O of equation (3) plus the outputs of the graphs, (B, C, h, w), for such maps."""
+        """Return O of equation (3) plus the outputs of the graphs.
+
+        Args:
+            maps: the decoder's maps (B, C, h, w); the result has the same shape.
+            objects: the objects of the B images.
+        """
         if not len(self.blocks):
             return maps
         _, _, height, width = maps.shape
-        rows = maps.permute(0, 2, 3, 1).flatten(1, 2)
+        cells = maps.permute(0, 2, 3, 1).flatten(1, 2)
         for block in self.blocks:
-            before, rows = rows, block(rows, objects)
+            before, cells = cells, block(cells, objects)
             if self.training:
-                added = (rows - before).detach().norm() / before.detach().norm()
-                self.residuals[type(block).__name__] = added
-        return rows.view(len(maps), height, width, -1).permute(0, 3, 1, 2)
+                residual = (cells - before).detach().norm() / before.detach().norm()
+                self.residuals[type(block).__name__] = residual
+        return cells.view(len(maps), height, width, -1).permute(0, 3, 1, 2)
 
 
 class ObjConnectNet(nn.Module):
@@ -90,7 +96,7 @@ class ObjConnectNet(nn.Module):
     def __init__(self, config: ObjConnectNetConfig) -> None:
         super().__init__()
         self.config = config
-        # The names are PixLoc's, so that its weights can be loaded.
+        # Encoder and decoder have the names of PixLoc's, so that its weights can be loaded.
         self.encoder = vgg16_encoder(config.width)
         self.decoder = (
             FeaturePyramid(config.width, config.pyramid, config.strides)
@@ -98,13 +104,13 @@ class ObjConnectNet(nn.Module):
             else unet.Decoder(config.width, config.steps, config.strides)
         )
         sizes = self.decoder.sizes
-        levels = [stride for stride in config.strides if stride >= _FINEST_OBJECT_STRIDE]
-        self._with_objects = 0 if config.segmentation == "none" else len(levels)
-        with_objects = sizes[: self._with_objects]
-        self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in with_objects)
+        object_strides = [stride for stride in config.strides if stride >= _FINEST_OBJECT_STRIDE]
+        self._object_levels = 0 if config.segmentation == "none" else len(object_strides)
+        object_sizes = sizes[: self._object_levels]
+        self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in object_sizes)
         self.features = nn.ModuleList(map(_head, sizes, config.dims))
         self.confidence = nn.ModuleList(_head(size, 1) for size in sizes)
-        self.trust = nn.Linear(with_objects[-1], 1) if with_objects else None
+        self.trust = nn.Linear(object_sizes[-1], 1) if object_sizes else None
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
         self.detector = None
@@ -119,7 +125,7 @@ class ObjConnectNet(nn.Module):
         image: Tensor,
         labels: Tensor | None = None,
         levels: int | None = None,
-        shown: NDArray[np.bool_] | None = None,
+        needed: NDArray[np.bool_] | None = None,
     ) -> list[Level]:
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
@@ -127,25 +133,25 @@ class ObjConnectNet(nn.Module):
             image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
             labels: int64 label maps (B, _, _) of any size that cover the image, see
                 ``objconnect.network.segmentation``; None segments the image as configured.
-            levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are needed, as for ``unet.Decoder.levels``; a
-                network with objects or another decoder computes all cells.
+            levels: number of levels from the coarsest; None for all.
+            needed: cells of the finest level that are needed, as for ``unet.Decoder.levels``. A
+                network with objects or with a feature pyramid computes all cells.
 
         Returns:
-            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
-            pixels wide and start at the top left corner. The part of an image beyond a multiple of
-            16 pixels is cut off.
+            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are as many
+            pixels wide as the level's stride and start at the top left corner. The part of an image
+            beyond a multiple of 16 pixels is cut off.
 
         Raises:
-            InputError: the configuration expects label maps, and there are none.
+            InputError: the configuration expects label maps, and ``labels`` is None.
         """
-        return self.describe(image, labels, levels, shown)[0]
+        return self.describe(image, labels, levels, needed)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
         """Return the objects of images, on the finest level that has objects; see ``forward``.
 
         Raises:
-            InputError: the network has no objects, or label maps are missing.
+            InputError: the network has no objects, or it expects label maps and ``labels`` is None.
         """
         objects = self.describe(image, labels)[1]
         if objects is None:
@@ -157,14 +163,14 @@ class ObjConnectNet(nn.Module):
         image: Tensor,
         labels: Tensor | None = None,
         levels: int | None = None,
-        shown: NDArray[np.bool_] | None = None,
+        needed: NDArray[np.bool_] | None = None,
     ) -> tuple[list[Level], Objects | None]:
         """Return the results of both ``forward`` and ``objects`` in one pass.
 
         The objects are None if the network has none. Arguments are those of ``forward``.
         """
-        if not self._with_objects:
-            return list(islice(self._levels(image, shown), levels)), None
+        if not self._object_levels:
+            return list(islice(self._levels(image, needed), levels)), None
         image = in_unit(image)
         decoded = self._decode(image)
         if labels is None and self.config.segmentation == "learned":
@@ -172,30 +178,29 @@ class ObjConnectNet(nn.Module):
             labels = self._to_labels(decoded)
         elif labels is None:
             labels = segment(image, self.config)
-        levels_made: list[Level] = []
+        output: list[Level] = []
         objects = None
         for number, maps in enumerate(islice(decoded, levels)):
-            if number < self._with_objects:
+            if number < self._object_levels:
                 stride = self.config.strides[number]
-                here = at_level(labels, image, maps, stride)
-                objects_here = occupancy(here, self.config.segments)
-                maps = self.objects_of[number](maps, objects_here)
-                if number == self._with_objects - 1:
-                    objects = self._as_points(maps, objects_here, stride)
-            levels_made.append(self._level(number, maps))
-        return levels_made, objects
+                occupied = occupancy(at_level(labels, image, maps, stride), self.config.segments)
+                maps = self.objects_of[number](maps, occupied)
+                if number == self._object_levels - 1:
+                    objects = self._as_points(maps, occupied, stride)
+            output.append(self._level(number, maps))
+        return output, objects
 
     def residuals(self) -> dict[str, float]:
         """Return ``ObjectBlocks.residuals`` of all levels, for the training log."""
-        shares = {}
+        residuals = {}
         for stride, blocks in zip(self.config.strides, self.objects_of, strict=False):
             assert isinstance(blocks, ObjectBlocks)
-            for name, share in blocks.residuals.items():
-                shares[f"residual {name} {stride}"] = float(share)
-        return shares
+            for name, residual in blocks.residuals.items():
+                residuals[f"residual {name} {stride}"] = float(residual)
+        return residuals
 
     def segments(self, image: Tensor) -> Tensor:
-        """Segment images as configured; arguments, labels and errors are those of ``segment``."""
+        """Segment images (B, 3, H, W) as configured; result and errors are those of ``segment``."""
         if self.config.segmentation == "learned":
             return self.predict_segments(image)
         return segment(image, self.config)
@@ -222,13 +227,13 @@ class ObjConnectNet(nn.Module):
         maps: Iterable[Tensor] = self.decoder(self._blocks(image))
         return maps
 
-    def _levels(self, image: Tensor, shown: NDArray[np.bool_] | None) -> Iterable[Level]:
+    def _levels(self, image: Tensor, needed: NDArray[np.bool_] | None) -> Iterable[Level]:
         """Yield the levels of images without objects, coarse to fine."""
         if not isinstance(self.decoder, unet.Decoder):
             return (self._level(*each) for each in enumerate(self._decode(image)))
         heads = [partial(self._level, number) for number in range(len(self.features))]
-        made = self.decoder.levels(self._blocks(image), heads, shown)
-        return ((features, confidence) for features, confidence in made)
+        levels = self.decoder.levels(self._blocks(image), heads, needed)
+        return ((features, confidence) for features, confidence in levels)
 
     def _blocks(self, image: Tensor) -> list[Tensor]:
         return encode(self.encoder, image, self.config.strides[-1])
@@ -241,20 +246,22 @@ class ObjConnectNet(nn.Module):
 
     def _detect(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
         if self.detector is None:
-            raise InputError("this network has no detector of objects")
-        # Its input is the features without objects, as in training.
+            raise InputError("this network has no detector of objects: choose weights with one")
+        # As in training, the detector sees the features without the object blocks.
         with torch.no_grad():
             maps = self.detector([self._level(*each) for each in enumerate(decoded)])
-        count, least = self.config.segments, _LEARNED_SCORE
-        stride = self.detector.config.stride
-        single = [
+        count, stride = self.config.segments, self.detector.config.stride
+        by_image = [
             DetectorMaps(each[number : number + 1] for each in maps)
             for number in range(len(maps.centre))
         ]
-        return [(one, extract_detections(one, stride, count, least)) for one in single]
+        return [
+            (each, extract_detections(each, stride, count, _LEARNED_SCORE)) for each in by_image
+        ]
 
     def _level(self, number: int, maps: Tensor) -> Level:
-        # PixLoc's head predicts the uncertainty, hence the sign.
+        # The sign is negative because PixLoc's head, whose weights can be loaded, predicts the
+        # uncertainty.
         return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
 
     def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
@@ -278,44 +285,46 @@ def read_network(path: Path) -> tuple[ObjConnectNet, str]:
         InputError: the file does not exist, is damaged, or belongs to another network.
     """
     weights = read_weights(path)
-    if _OURS not in weights.config:
-        raise InputError(f"{path} holds no weights of objconnect")
+    if _OWN_FIELD not in weights.config:
+        raise InputError(
+            f"{path} holds no weights of objconnect: give a file from 'train objconnect'"
+        )
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, weights.config))
     load_into(network, weights.tensors, path)
     # torch's annotations lack this argument.
-    fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return fast, weights.sha256
+    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network, weights.sha256
 
 
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     """Return a network for training, initialised from weights of this network or of PixLoc.
 
-    All weights that fit the settings are loaded; with another decoder, only the encoder's. A
-    detector or a graph over objects in the settings is initialised at random.
+    All weights that fit the settings are loaded; if the settings have another decoder, only those
+    of the encoder. A detector or a graph over objects in the settings is initialised at random.
 
     Args:
         path: file of weights.
-        settings: fields of ``ObjConnectNetConfig``, which replace those of the file.
+        settings: fields of ``ObjConnectNetConfig`` that replace those of the file.
 
     Raises:
         InputError: the file does not exist, or none of its weights fit.
     """
     weights = read_weights(path)
     tensors, config = weights.tensors, weights.config
-    if _OURS not in config:
+    if _OWN_FIELD not in config:
         peer, _ = pixloc.read_network(path)
         if peer.config.extra_convolutions:
             raise InputError(f"{path} has a VGG19 encoder: give weights with a VGG16 encoder")
-        tensors, made = peer.state_dict(), peer.config
-        config = {"width": made.width, "decoder": "unet", "steps": made.decoder}
-        config |= {"strides": made.strides, "dims": made.dims}
-    anew = tuple(f"{part}." for part in ("detector", "constellation") if part in settings)
-    tensors = {name: each for name, each in tensors.items() if not name.startswith(anew)}
+        tensors, theirs = peer.state_dict(), peer.config
+        config = {"width": theirs.width, "decoder": "unet", "steps": theirs.decoder}
+        config |= {"strides": theirs.strides, "dims": theirs.dims}
+    replaced = tuple(f"{part}." for part in ("detector", "constellation") if part in settings)
+    tensors = {name: each for name, each in tensors.items() if not name.startswith(replaced)}
     if settings.get("decoder", config.get("decoder")) != config.get("decoder"):
         tensors = {name: each for name, each in tensors.items() if name.startswith(_ENCODER)}
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))
-    own = network.state_dict()
-    taken = {name: tensor for name, tensor in tensors.items() if name in own}
-    fresh = {name: tensor for name, tensor in own.items() if not name.startswith(_ENCODER)}
-    load_into(network, fresh | taken, path)
+    initial = network.state_dict()
+    loaded = {name: tensor for name, tensor in tensors.items() if name in initial}
+    random = {name: each for name, each in initial.items() if not name.startswith(_ENCODER)}
+    load_into(network, random | loaded, path)
     return network

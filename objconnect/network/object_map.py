@@ -12,13 +12,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.cache.map_cache import Earlier, MapCache, open_cache
+from objconnect.localization.cache.map_cache import EarlierRows, MapCache, open_cache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 from objconnect.network.detector import Detections, DetectorMaps, ObjectDetector, extract_detections
-from objconnect.network.landmarks import COUNT, LEAST_SCORE, Landmarks, View, merge, place_on_ground
+from objconnect.network.landmarks import (
+    LEAST_SCORE,
+    MAX_OBJECTS,
+    Landmarks,
+    View,
+    merge,
+    place_on_ground,
+)
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
@@ -32,10 +39,10 @@ _OBJECTS: Final = "objects"
 # Name of cache files with the objects of each photograph, and the arrays in them.
 _DETECTIONS: Final = "detections"
 _ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
-# Side of the cells of the ground's heights, metres.
+# Side of the cells of the grid of the ground's heights, metres.
 _GROUND_M: Final = 4.0
-# Largest width of things on the ground that are removed from its heights, metres.
-_WIDEST_M: Final = 28.0
+# Things on the ground up to this width, metres, do not count as ground.
+_MAX_REMOVED_M: Final = 28.0
 
 
 class ObjectFinder:
@@ -45,17 +52,22 @@ class ObjectFinder:
         self._extract, self._detector = extract, detector
 
     def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
-        """Return the objects of a photograph (H, W, 3), in its pixels."""
-        return self.of(*self._extract(rgb, camera))
+        """Return the objects of a photograph (H, W, 3), in pixels of the photograph."""
+        return self.find_in_view(*self._extract(rgb, camera))
 
     @torch.inference_mode()
-    def of(self, view: WarpedImage, levels: Sequence[FeatureMap]) -> Detections:
-        """Return the objects of a view with feature maps, in pixels of its photograph."""
+    def find_in_view(self, view: WarpedImage, levels: Sequence[FeatureMap]) -> Detections:
+        """Return the objects of a view, in pixels of its photograph.
+
+        Args:
+            view: the warped photograph.
+            levels: feature maps of the view, coarse to fine.
+        """
         found = self.detect(self._detector([(each.features, each.confidence) for each in levels]))
-        at = found.xy.double().numpy()
-        kept = torch.from_numpy(view.shows(at))
+        xy = found.xy.double().numpy()
+        kept = torch.from_numpy(view.shows(xy))
         return Detections(
-            torch.from_numpy(view.in_photograph(at))[kept],
+            torch.from_numpy(view.in_photograph(xy))[kept],
             found.score[kept],
             found.side[kept] / view.scale,
             found.rise[kept] / view.scale,
@@ -63,9 +75,9 @@ class ObjectFinder:
         )
 
     def detect(self, maps: DetectorMaps) -> Detections:
-        """Return the objects of a picture from the maps of the detector, on the CPU."""
+        """Return the objects in the maps of the detector, on the CPU."""
         stride = self._detector.config.stride
-        return extract_detections(maps, stride, COUNT, LEAST_SCORE).cpu()
+        return extract_detections(maps, stride, MAX_OBJECTS, LEAST_SCORE).cpu()
 
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
         """Return the landmarks in the photographs of a map that look down.
@@ -73,57 +85,57 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        with open_cache(sparse_map, images, None) as kept:
-            return merge(self.views(kept))[0]
+        with open_cache(sparse_map, images, None) as map_cache:
+            return merge(self.views(map_cache))[0]
 
-    def views(self, kept: MapCache) -> list[View]:
+    def views(self, map_cache: MapCache) -> list[View]:
         """Return the photographs of a map that look down, each with its objects.
 
         Raises:
             InputError: a photograph is broken.
         """
-        return list(MapObjects(self, ReferenceSource(kept, self._extract, "", "", 0)).views())
+        return list(MapObjects(self, ReferenceSource(map_cache, self._extract, "", "", 0)).views())
 
     def observer(self, source: ReferenceSource) -> MapObjects | None:
         """Return an observer that finds objects in the feature maps of a map's photographs.
 
         It is None if the cache holds the landmarks.
         """
-        is_known = source.kept.holds(_OBJECTS, *self._map_made_of(source))
+        is_known = source.map_cache.holds(_OBJECTS, *self._landmarks_key(source))
         return None if is_known else MapObjects(self, source)
 
-    def load_landmarks(self, source: ReferenceSource, watched: MapObjects | None) -> Landmarks:
+    def load_landmarks(self, source: ReferenceSource, observed: MapObjects | None) -> Landmarks:
         """Return the landmarks of a map, computed unless the cache holds them.
 
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
 
-        def rows(_: Earlier) -> Rows:
-            found = watched or MapObjects(self, source)
+        def rows(_: EarlierRows) -> Rows:
+            found = observed or MapObjects(self, source)
             landmarks = merge(list(found.views()))[0]
             found.write()
             yield "", landmarks.arrays()
 
-        store = source.kept.store(_OBJECTS, *self._map_made_of(source), rows=rows)
+        store = source.map_cache.store(_OBJECTS, *self._landmarks_key(source), rows=rows)
         return store.make(0, Landmarks.ARRAYS, Landmarks.of)
 
-    def _map_made_of(self, source: ReferenceSource) -> tuple[object, ...]:
-        """Return the inputs of the cache key beside the photographs."""
+    def _landmarks_key(self, source: ReferenceSource) -> tuple[object, ...]:
+        """Return the parts of the cache key in addition to the map and its photographs."""
         return _FORMAT, source.extractor_key
 
 
 class MapObjects:
-    """The objects of a map's photographs that look down.
+    """Finds the objects of the photographs of a map that look down.
 
-    It implements ``FeatureObserver``, so that feature maps of a photograph are computed once for
-    reference features and objects.
+    It implements ``FeatureObserver``, so that the feature maps of a photograph are computed once
+    for both its reference features and its objects.
     """
 
     def __init__(self, find: ObjectFinder, source: ReferenceSource) -> None:
         self._find, self._source = find, source
-        self._earlier = source.kept.earlier(_DETECTIONS)
-        self._see = MapViews(source)
+        self._earlier = source.map_cache.earlier(_DETECTIONS)
+        self._map_views = MapViews(source)
         self._found: dict[str, Detections] = {}
 
     def lacks(self, image: MapImage, key: str) -> bool:
@@ -141,20 +153,22 @@ class MapObjects:
     ) -> None:
         """Find the objects of a photograph from its view and feature maps."""
         if self.lacks(image, key):
-            self._found[image.name] = self._find.of(view, maps)
+            self._found[image.name] = self._find.find_in_view(view, maps)
 
     def views(self) -> Iterator[View]:
-        """Yield the photographs that look down with their objects, computed where they are unknown.
+        """Yield the photographs that look down, each with its objects.
+
+        Objects that neither ``__call__`` nor the cache gave are computed.
 
         Raises:
             InputError: a photograph is missing or broken.
         """
-        ground, down = map_ground(self._source.kept.sparse_map), self._down()
+        ground, down = map_ground(self._source.map_cache.sparse_map), self._images_from_above()
         with progress_bar("objects of the map", len(down)) as advance:
             for done, image in enumerate(down, 1):
-                key = self._see.key(image)
+                key = self._map_views.key(image)
                 if self.lacks(image, key):
-                    self(image, key, *self._see(image))
+                    self(image, key, *self._map_views(image))
                     trim_heap()
                 found = self._found[image.name]
                 placed = place_on_ground(found, image.camera, image.pose, ground)
@@ -162,26 +176,26 @@ class MapObjects:
                 advance(done)
 
     def write(self) -> None:
-        """Write the objects of each photograph to the cache, for later additions to the map.
+        """Write the objects of each photograph to the cache, so that a grown map can use them.
 
         Raises:
             InputError: a photograph changed meanwhile.
             WriteError: the folder cannot be written, or the disk is full.
         """
 
-        def rows(_: Earlier) -> Rows:
-            for image in self._down():
+        def rows(_: EarlierRows) -> Rows:
+            for image in self._images_from_above():
                 found = self._found[image.name]
                 arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
-                yield digest_of(self._see.key(image), _FORMAT), arrays
+                yield digest_of(self._map_views.key(image), _FORMAT), arrays
 
-        kept, seen_by = self._source.kept, self._source.extractor_key
-        kept.store(_DETECTIONS, _FORMAT, seen_by, rows=rows)
+        map_cache, extractor_key = self._source.map_cache, self._source.extractor_key
+        map_cache.store(_DETECTIONS, _FORMAT, extractor_key, rows=rows)
 
-    def _down(self) -> list[MapImage]:
+    def _images_from_above(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""
-        kept = self._source.kept
-        posed = [kept.sparse_map.images[name] for name in kept.names]
+        map_cache = self._source.map_cache
+        posed = [map_cache.sparse_map.images[name] for name in map_cache.names]
         return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
 
 
@@ -191,6 +205,6 @@ def map_ground(sparse_map: SparseMap) -> GroundGrid:
     A morphological opening removes things narrower than its window.
     """
     grid = ground_grid(sparse_map.xyz, _GROUND_M)
-    cells = max(1, round(_WIDEST_M / _GROUND_M))
-    bare = cv2.morphologyEx(grid.heights, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
-    return replace(grid, heights=np.asarray(bare))
+    cells = max(1, round(_MAX_REMOVED_M / _GROUND_M))
+    ground = cv2.morphologyEx(grid.heights, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
+    return replace(grid, heights=np.asarray(ground))

@@ -15,15 +15,15 @@ from objconnect.network.config import DetectorConfig
 from objconnect.network.detector import DetectorMaps
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import start_from
-from objconnect.network.object_loss import IDENTITY_SHARE, identity_loss, place_loss
+from objconnect.network.object_loss import IDENTITY_SHARE, geometry_loss, identity_loss
 from objconnect.scene.errors import InputError
 
 
 class ObjectTraining:
     """Implements ``objconnect.learning.training.loop.Trainable`` for the object detector.
 
-    ``TrainConfig.weights`` are those of the network that computes its features, by default the
-    shipped ones. They do not change, so that the alignment does not change.
+    ``TrainConfig.weights`` is a file of the network whose features the detector sees, by default
+    the shipped one. These weights do not change, so that the alignment does not change.
     """
 
     def __init__(self, config: TrainConfig) -> None:
@@ -31,6 +31,7 @@ class ObjectTraining:
         settings = {"detector": DetectorConfig().model_dump(), "constellation": None}
         settings |= config.network
         self.network = start_from(config.weights or shipped_path(SHIPPED), settings)
+        _require_objects(config)
         self.network_config = self.network.config
         if self.network.detector is None:
             raise InputError("the network has no detector: leave network.detector at its default")
@@ -40,9 +41,7 @@ class ObjectTraining:
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """See ``Trainable``."""
-        if not batch.objects:
-            raise InputError("pairs have no objects: set pairs.objects, and use no photographs")
-        # Running means of the network's normalisation would change in training mode.
+        # In training mode, the running means of the network's batch normalisation would change.
         self.network.eval()
         with half_precision(batch):
             with torch.no_grad():
@@ -50,11 +49,30 @@ class ObjectTraining:
             maps = self._detector(levels)
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride
-        loss, figures = place_loss(maps, batch.objects, stride)
-        identity, first = identity_loss(maps, batch.objects, stride)
-        figures |= {"identity": float(identity.detach()), "found first": first}
+        loss, figures = geometry_loss(maps, batch.objects, stride)
+        identity, first_share = identity_loss(maps, batch.objects, stride)
+        figures |= {"identity": float(identity.detach()), "found first": first_share}
         return loss + IDENTITY_SHARE * identity, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
         return [{"params": list(self._detector.parameters()), "lr": rate}]
+
+
+def _require_objects(config: TrainConfig) -> None:
+    """Refuse a configuration that makes pairs without objects.
+
+    Raises:
+        InputError: pairs of scenes are configured without objects, or pairs are made of
+            photographs.
+    """
+    if not config.pairs.objects:
+        raise InputError(
+            "the detector learns from pairs with objects: give --set pairs.objects=true, or "
+            "--config train/objects-detector"
+        )
+    if config.photographs and config.photograph_share > 0:
+        raise InputError(
+            "pairs made of photographs have no objects: leave photographs out, or give --set "
+            "photograph_share=0"
+        )

@@ -1,8 +1,8 @@
 """Objects in a feature map: occupancies, affinities, attention and centres.
 
-Maps are rows of cells here, (B, h w, C), so that a 1x1 convolution is a linear layer. An occupancy
-stores the index of each cell's object instead of N x h w numbers; sums over objects are sums by
-index.
+A feature map is a list of its cells here, (B, h w, C), so that a 1x1 convolution is a linear layer.
+An occupancy stores the index of each cell's object instead of N x h w numbers; sums over objects
+are sums by index.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from objconnect.network.segmentation import NOTHING
 
-# Scale of the initial weights of a layer that adds to features. Training changes the weights.
+# Factor on the initial weights of a layer that adds to features.
 _SMALL = 0.1
 
 
@@ -38,9 +38,9 @@ class Occupancy:
         """Return whether objects (B, N) have a cell."""
         return self.area > 0
 
-    def mean(self, rows: Tensor) -> Tensor:
-        """Average rows (B, h w, C) over each object, (B, N, C) float32; 0 for absent objects."""
-        total = _sum_by_object(rows, self.index, self.area.shape[1])
+    def mean(self, cells: Tensor) -> Tensor:
+        """Average cells (B, h w, C) over each object, (B, N, C) float32; 0 for absent objects."""
+        total = _sum_by_object(cells, self.index, self.area.shape[1])
         return total / self.area.clamp(min=1)[..., None]
 
     def paint(self, vectors: Tensor) -> Tensor:
@@ -64,12 +64,16 @@ def occupancy(labels: Tensor, count: int) -> Occupancy:
     return Occupancy(index, _sum_by_object(ones, index, count)[..., 0], labels.shape[2])
 
 
-def affinity(objects: Occupancy, rows: Tensor) -> Tensor:
+def affinity(objects: Occupancy, cells: Tensor) -> Tensor:
     """Return F_A = F_D x H(I_l) of equation (2): the mean of each channel over each object.
 
     F_A (B, N, C) is divided by the object's area, so that it does not grow with size.
+
+    Args:
+        objects: F_D.
+        cells: H(I_l), (B, h w, C).
     """
-    return objects.mean(rows)
+    return objects.mean(cells)
 
 
 class Attention(nn.Module):
@@ -84,12 +88,12 @@ class Attention(nn.Module):
         self.join = nn.Linear(2 * size, size)
         self.out = init_small(nn.Linear(size, size))
 
-    def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
-        """Return rows (B, h w, C) with the output added."""
-        back = objects.paint(affinity(objects, rows)).to(rows.dtype)
-        joined = self.join(torch.cat([back, rows], -1)).relu()
-        added: Tensor = rows + self.out(joined)
-        return added
+    def forward(self, cells: Tensor, objects: Occupancy) -> Tensor:
+        """Return the features of cells (B, h w, C) with the output added."""
+        affinities = objects.paint(affinity(objects, cells)).to(cells.dtype)
+        joined = self.join(torch.cat([affinities, cells], -1)).relu()
+        result: Tensor = cells + self.out(joined)
+        return result
 
 
 def centres(objects: Occupancy) -> Tensor:
@@ -127,15 +131,16 @@ def init_small(layer: nn.Linear) -> nn.Linear:
 
 
 def _flat(index: Tensor, count: int) -> Tensor:
-    """Number the objects of a batch consecutively, with an extra one for cells of none."""
+    """Return indices (B h w,) that count the objects of the whole batch, and one per image for
+    cells without an object."""
     first = torch.arange(len(index), device=index.device) * (count + 1)
     return (index + first[:, None]).flatten()
 
 
-def _sum_by_object(rows: Tensor, index: Tensor, count: int) -> Tensor:
-    """Sum rows (B, h w, C) over each of ``count`` objects, (B, N, C) float32."""
-    batch, _, size = rows.shape
+def _sum_by_object(cells: Tensor, index: Tensor, count: int) -> Tensor:
+    """Sum cells (B, h w, C) over each of ``count`` objects, (B, N, C) float32."""
+    batch, _, size = cells.shape
     # Half precision is too inexact for sums over the cells of a large object.
-    total = torch.zeros(batch * (count + 1), size, device=rows.device)
-    total = total.index_add(0, _flat(index, count), rows.flatten(0, 1).float())
+    total = torch.zeros(batch * (count + 1), size, device=cells.device)
+    total = total.index_add(0, _flat(index, count), cells.flatten(0, 1).float())
     return total.view(batch, count + 1, size)[:, :count]

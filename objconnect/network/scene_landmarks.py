@@ -39,7 +39,8 @@ _HEAD: Final = "landmark,e,n,u,side_m,above_ground_m,probability,photographs,fir
 
 @dataclass(frozen=True)
 class LandmarksReport:
-    """The landmarks of a scene's map, the number of their observations and the written files."""
+    """The landmarks of a scene's map, the number of their observations in photographs, and the
+    files that were written."""
 
     landmarks: Landmarks
     observations: int
@@ -56,9 +57,9 @@ class LandmarksReport:
     def text(self) -> str:
         """Return the report as text."""
         sides = self.landmarks.sides
-        middle = f", {np.median(sides):.1f} m wide in the median" if len(sides) else ""
-        found = f"{len(sides)} objects{middle}, with {self.observations} observations"
-        return "\n".join([found, *map(str, self.files)])
+        width = f", {np.median(sides):.1f} m wide in the median" if len(sides) else ""
+        summary = f"{len(sides)} objects{width}, with {self.observations} observations"
+        return "\n".join([summary, *map(str, self.files)])
 
 
 def find_landmarks(
@@ -66,12 +67,12 @@ def find_landmarks(
 ) -> LandmarksReport:
     """Detect the objects of a scene's map and store them in the scene.
 
-    Those of an earlier call are replaced. The map does not change.
+    Landmarks of an earlier call are replaced. The map does not change.
 
     Args:
         path: finished scene with a map.
-        weights: weights of an object-connect network with a detector; None takes the shipped ones.
-        out: CSV table of the landmarks to write, too.
+        weights: file of an object-connect network with a detector; None for the shipped one.
+        out: CSV table of the landmarks to write in addition; None for no table.
         device: device of the network, as in ``objconnect.scene.runtime.device.Device``.
 
     Raises:
@@ -79,19 +80,19 @@ def find_landmarks(
             photograph is missing or broken, ``out`` cannot be written, or the device does not
             exist.
     """
-    on, scene = torch_device(device), Scene.open(path)
+    network_device, scene = torch_device(device), Scene.open(path)
     outputs: list[OutputFile | Path] = [path / LANDMARKS]
     outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
-    network = read_network(weights or shipped_path(SHIPPED))[0].to(on)
+    network = read_network(weights or shipped_path(SHIPPED))[0].to(network_device)
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()
     config = ObjConnectConfig()
     extract = MapExtractor(network, config.longest, config.precision)
     finder = ObjectFinder(extract, network.detector)
-    with open_cache(sparse_map, scene.images_root, None) as kept:
-        landmarks, tracks = merge(finder.views(kept))
+    with open_cache(sparse_map, scene.images_root, None) as map_cache:
+        landmarks, tracks = merge(finder.views(map_cache))
     with write_lock(path):
         remove_partial(path)
         _write(path / LANDMARKS, landmarks, tracks, sparse_map)
@@ -103,10 +104,12 @@ def find_landmarks(
 
 
 def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Tracks] | None:
-    """Return the landmarks stored in a scene; None if there are none of its map.
+    """Return the landmarks stored in a scene, and their observations.
+
+    They are None if none are stored, or if they belong to another version of the map.
 
     Raises:
-        InputError: the file is damaged.
+        InputError: the file of landmarks is damaged.
     """
     path = scene.path / LANDMARKS
     if not os.path.lexists(path):

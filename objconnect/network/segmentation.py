@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-import skimage  # which imports its parts when they are used
+import skimage  # imports its submodules when they are used
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -19,20 +19,22 @@ from objconnect.scene.runtime.tuning import worker_threads
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
-# Longer side (px) of the segmented image: finer than the levels with objects of an image of 512
-# pixels. At 256, SLIC takes twice the time.
+# Largest longer side (px) of the picture that is segmented. For an image of 512 pixels its pixels
+# are finer than the cells of the levels with objects. At 256, SLIC takes twice the time.
 _LONG_SIDE: Final = 192
-# SLIC converges within 5 iterations; 10 take twice the time. Compactness, the weight of distances
-# relative to colours, is that of its authors.
+# SLIC converges within 5 iterations; 10 take twice the time.
 _SLIC_ITERATIONS: Final = 5
+# Weight of distances relative to colours in SLIC, as by its authors.
 _SLIC_COMPACTNESS: Final = 10.0
-# Scale k of Felzenszwalb and Huttenlocher for colours in 0..1, and the standard deviation of the
-# blur, cells.
+# Scale k of Felzenszwalb and Huttenlocher for colours in 0..1.
 _FELZENSZWALB_SCALE: Final = 100.0
+# Standard deviation of the blur before Felzenszwalb's segmentation, px of the reduced picture.
 _FELZENSZWALB_BLUR: Final = 0.8
 
 Labels = NDArray[np.int64]
+"""Index (h, w) of the object of each pixel; negative for none."""
 Picture = NDArray[np.float32]
+"""(h, w, 3) RGB in 0..1."""
 
 
 def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
@@ -47,7 +49,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
         maps have at most 192 cells a side and cover the images.
 
     Raises:
-        InputError: the configuration expects given label maps or learned ones, or has no objects.
+        InputError: the configuration expects given or learned label maps, or has no objects.
     """
     if config.segmentation in ("learned", "given", "none"):
         raise InputError(
@@ -59,21 +61,21 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
     if config.segmentation == "grid":
         return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
-    find = _slic if config.segmentation == "slic" else _felzenszwalb
+    method = _slic if config.segmentation == "slic" else _felzenszwalb
     small = functional.interpolate(images.detach().float(), size, mode="area")
     pictures = small.permute(0, 2, 3, 1).cpu().numpy()
 
-    def one(picture: Picture) -> Labels:
-        return keep_largest(find(picture, count), count)
+    def segment_one(picture: Picture) -> Labels:
+        return keep_largest(method(picture, count), count)
 
     # A segmentation runs in one thread and releases the interpreter's lock most of the time.
     with worker_threads() as pool:
-        labels = list(pool.map(one, pictures))
+        labels = list(pool.map(segment_one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
 def reduce_size(height: int, width: int) -> tuple[int, int]:
-    """Return the height and width of segmentation: half the image's, with a bounded long side."""
+    """Return the height and width of the picture that is segmented, at most half the image's."""
     factor = min(0.5, _LONG_SIDE / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
@@ -142,13 +144,13 @@ def _slic(picture: Picture, count: int) -> Labels:
 
 def _felzenszwalb(picture: Picture, count: int) -> Labels:
     """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
-    least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
+    min_size = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
     algorithm: Callable[..., Labels] = skimage.segmentation.felzenszwalb
     return algorithm(
         picture,
         scale=_FELZENSZWALB_SCALE,
         sigma=_FELZENSZWALB_BLUR,
-        min_size=least,
+        min_size=min_size,
         channel_axis=-1,
     )
 

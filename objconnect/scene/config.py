@@ -9,45 +9,50 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError, field_validator
+from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import read_text
 from objconnect.scene.storage.records import Record
 
 _PACKAGES: Final = Path(__file__).resolve().parents[2]
-SHIPPED: Final = {
+SHIPPED_CONFIGS: Final = {
     "": _PACKAGES / "simulate" / "configs",
     "train/": _PACKAGES / "objconnect" / "learning" / "configs",
 }
 """Folders of the configurations that come with the project, by the prefix of their names."""
 
-LARGEST: Final = 2**31 - 1
+MAX_NUMBER: Final = 2**31 - 1
 """Largest absolute value of a number in a configuration."""
 
 
 class Config(Record):
     """Base class of every configuration; instances are immutable.
 
-    Unknown keys, infinite numbers and numbers beyond ``LARGEST`` are errors: libraries would
-    truncate such numbers, or fail on them after a long run.
+    Unknown keys, infinite numbers and numbers beyond ``MAX_NUMBER`` are errors: libraries would
+    truncate such numbers, or fail on them after a long run. A field may state a larger bound.
     """
 
     @field_validator("*")
     @classmethod
-    def _not_huge(cls, value: Any) -> Any:
-        if isinstance(value, int | float) and abs(value) > LARGEST:
-            raise ValueError(f"the number must be at most {LARGEST}")
-        if isinstance(value, tuple | list):
-            for item in value:
-                cls._not_huge(item)
+    def _not_huge(cls, value: Any, info: ValidationInfo) -> Any:
+        bounds = cls.model_fields[info.field_name or ""].metadata
+        _refuse_huge(value, max([MAX_NUMBER, *(getattr(bound, "le", 0) for bound in bounds)]))
         return value
+
+
+def _refuse_huge(value: Any, most: float) -> None:
+    if isinstance(value, int | float) and abs(value) > most:
+        raise ValueError(f"the absolute value of the number must be at most {most}")
+    if isinstance(value, tuple | list):
+        for item in value:
+            _refuse_huge(item, most)
 
 
 def with_default(model: type[BaseModel], name: str, default: object) -> Any:
     """Return a configuration's field with another default, for a derived class.
 
-    Example:
+    Examples:
         >>> from pydantic import Field
         >>> class Training(Config):
         ...     steps: int = Field(1000, description="Steps of the optimizer.")
@@ -59,6 +64,23 @@ def with_default(model: type[BaseModel], name: str, default: object) -> Any:
     field = copy(model.model_fields[name])
     field.default = default
     return field
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader of YAML, which also refuses a key that is given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            # A merge may stand twice in a mapping. No key of a configuration is a list or mapping.
+            if key.tag == "tag:yaml.org,2002:merge" or not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value!r} is given twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 M = TypeVar("M", bound=BaseModel)
@@ -76,7 +98,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
     Raises:
         InputError: the file is unreadable or not YAML, a key is unknown or a value is invalid.
 
-    Example:
+    Examples:
         >>> class Options(Config):
         ...     steps: int = 1000
         ...     batch: int = 8
@@ -93,7 +115,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         where = f"in {path}"
         text = _read(path)
         try:
-            loaded = yaml.safe_load(text)
+            loaded = yaml.load(text, _Loader)
         # ValueError: a date that does not exist; RecursionError: lists nested very deeply.
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"{path} is not valid YAML: {_one_line(error)}") from None
@@ -111,10 +133,10 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
 def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a recorded configuration that the present class still has.
 
-    Fields that the class lacks are dropped. A field of a dissolved group is looked up as
-    ``group_field``, then as ``field``.
+    Fields that the class lacks are dropped. Fields of a group that the class no longer has are
+    taken as ``group_field`` or ``field``, whichever the class has.
 
-    Example:
+    Examples:
         >>> class Options(Config):
         ...     steps: int = 1000
         ...     loss_share: float = 0.5
@@ -130,8 +152,8 @@ def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str
         elif field is not None:
             taken[key] = value
         elif isinstance(value, Mapping):
-            named = {f"{key}_{name}": of_group for name, of_group in value.items()}
-            taken |= take_recorded(model, {**value, **named})
+            prefixed = {f"{key}_{name}": item for name, item in value.items()}
+            taken |= take_recorded(model, {**value, **prefixed})
     return taken
 
 
@@ -149,8 +171,8 @@ def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
 def list_configs() -> dict[str, Path]:
     """Return the paths of the shipped configurations by name; those of training are ``train/``."""
     return {
-        begin + path.stem: path
-        for begin, folder in SHIPPED.items()
+        prefix + path.stem: path
+        for prefix, folder in SHIPPED_CONFIGS.items()
         for path in sorted(folder.glob("*.yaml"))
     }
 

@@ -144,7 +144,7 @@ class Estimate:
         inliers: number of points or matches that agree with the pose.
         iterations: number of iterations of the robust estimator or the optimizer.
         seconds: time per stage.
-        reason: why there is no pose, in words.
+        reason: why the status is not ``ok``, in words.
         by: step that produced the pose; None if there is no pose or the method does not say.
         probability: probability that the method's best pose is within 5 m and 10 degrees of the
             truth; for a fallback, that of the pose that was rejected. None if the method gives
@@ -294,7 +294,7 @@ class PreparesParts(Protocol):
     """A localizer whose per-map state several processes can compute in parts."""
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
-        """Compute the cache entries of some photographs, unless the cache is complete.
+        """Compute the cache entries of the photographs of ``part``, unless the cache is complete.
 
         When all parts exist, ``prepare`` with the same map and cache merges them.
 

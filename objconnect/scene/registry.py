@@ -11,9 +11,11 @@ A built-in entry wins over an entry point of the same name.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar, cast
@@ -41,6 +43,21 @@ class Lazy:
         return getattr(import_module(module), attribute)
 
 
+@lru_cache(maxsize=64)
+def _list_entry_points(group: str, folders: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    """Return the entry points of a group by name; of two with one name, the first that is found.
+
+    The result is cached, because reading the metadata of all installed packages takes 20 ms, and
+    opening a data set needs it. A running process does not see packages that are installed
+    meanwhile.
+
+    Args:
+        group: group of the entry points.
+        folders: ``sys.path``; other folders are searched anew.
+    """
+    return {each.name: each for each in reversed(tuple(entry_points(group=group)))}
+
+
 @dataclass(eq=False)
 class Registry(Mapping[str, T], Generic[T]):
     """Entries of one kind by name.
@@ -62,7 +79,7 @@ class Registry(Mapping[str, T], Generic[T]):
     unknown: str = "unknown {kind} {name!r}: choose one of {names}"
 
     def __iter__(self) -> Iterator[str]:
-        added = {each.name for each in entry_points(group=self.group)} - self.built_in.keys()
+        added = _list_entry_points(self.group, tuple(sys.path)).keys() - self.built_in.keys()
         return iter((*self.built_in, *sorted(added)))
 
     def __len__(self) -> int:
@@ -82,7 +99,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Return the entry point that adds a name, or None for built-in and unknown names."""
         if name in self.built_in:
             return None
-        return next(iter(entry_points(group=self.group, name=name)), None)
+        return _list_entry_points(self.group, tuple(sys.path)).get(name)
 
     def load(self, name: str, failure: str = "cannot be loaded") -> T:
         """Import and return an entry.

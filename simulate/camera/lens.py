@@ -18,11 +18,11 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from simulate.camera.pinhole import PinholeCamera
 
-# A pinhole picture grows with the tangent of the angle. Beyond this angle (deg), nearly all of its
-# pixels would be unused.
+# The side of a pinhole picture grows with the tangent of half the field of view. Beyond this field
+# of view, nearly all of its pixels would be unused.
 _MAX_FOV_DEG = 140.0
 _MARGIN_PX = 4.0  # margin around the view for the resampling kernels
-_COARSE = 16  # distance in pixels between positions at which the picture's scale is sampled
+_SAMPLE_STEP_PX = 16  # distance between positions at which the distortion is sampled
 
 PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "mini-2": (4000, 3000, 83.0, ()),
@@ -121,7 +121,7 @@ def split_lens(camera: Camera) -> tuple[PinholeCamera, str | None]:
 
     grid = camera.pixel_grid()
     edge = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
-    inside = grid[::_COARSE, ::_COARSE].reshape(-1, 2)
+    inside = grid[::_SAMPLE_STEP_PX, ::_SAMPLE_STEP_PX].reshape(-1, 2)
     rays, valid = camera.unproject(torch.cat([edge, inside]))
     if not bool(valid.all()):
         raise InputError(

@@ -23,7 +23,9 @@ Id 0 is the ground. It returns the planar depths (M,) of the first hits, infinit
 # Interpolated inverse depth is exact on a plane. Where it deviates by more than this (metres of
 # depth over one pixel), the surface is not a plane and the ray is cast.
 _FLAT_M = 2e-4
-_AS_FINE = 0.2  # up to this relative increase of scale, one sample per pixel is enough
+_SINGLE_SAMPLE_GROWTH = (
+    0.2  # up to this relative increase of pixel size, one sample per pixel is enough
+)
 
 
 def resample(
@@ -49,14 +51,14 @@ def resample(
         The same layers, (H, W, ...).
     """
     depth, instance = _surface(layers["depth"], layers["instance"], xy, rays, cast)
-    for number, box in boxes.items():
-        inside = ((rays >= box[:2]) & (rays <= box[2:])).all(-1) & (instance != number)
+    for object_id, box in boxes.items():
+        inside = ((rays >= box[:2]) & (rays <= box[2:])).all(-1) & (instance != object_id)
         if not inside.any():
             continue
-        hit = cast(number, rays[inside])
+        hit = cast(object_id, rays[inside])
         closer = hit < depth[inside]
         depth[inside] = np.where(closer, hit, depth[inside])
-        instance[inside] = np.where(closer, number, instance[inside])
+        instance[inside] = np.where(closer, object_id, instance[inside])
     normal = _normals(layers, xy, depth, instance)
     return {
         "rgb": resample_colour(layers["rgb"], xy),
@@ -85,11 +87,11 @@ def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
 def _list_offsets(step: Array) -> list[Array]:
     """Return the offsets (H, W, 2) of the samples that are averaged along a pixel's side.
 
-    A source pixel already has the width of its rendering filter. The averaged samples together
-    cover the side.
+    A pixel of the source already averages over one pixel, by its rendering filter. The samples are
+    spread so that they and the filter together cover the whole side.
     """
     length = np.linalg.norm(step, axis=-1, keepdims=True)
-    count = math.ceil(length.max() - _AS_FINE)
+    count = math.ceil(length.max() - _SINGLE_SAMPLE_GROWTH)
     if count < 2:
         return [np.zeros_like(step)]
     missing = step * np.sqrt(np.maximum(1 - 1 / np.maximum(length, 1) ** 2, 0))
@@ -147,7 +149,7 @@ def _surface(
     row, column = (index[rough] for index in corners[0])
     last = np.array(depth.shape) - 1
     # Leaves and wires are often visible only in pixels next to the four around the ray.
-    near = [
+    neighbours = [
         (np.clip(row + j, 0, last[0]), np.clip(column + i, 0, last[1]))
         for j in (0, 1, -1, 2)
         for i in (0, 1, -1, 2)
@@ -155,25 +157,25 @@ def _surface(
     # The ground can occlude objects also where no neighbouring pixel shows it.
     cast_rays = rays[rough]
     best = cast(0, cast_rays)
-    who = np.zeros(len(best), np.uint16)
-    for k, corner in enumerate(near):
+    best_id = np.zeros(len(best), np.uint16)
+    for k, corner in enumerate(neighbours):
         candidate = instance[corner]
         new = candidate > 0
-        for earlier in near[:k]:
+        for earlier in neighbours[:k]:
             new &= instance[earlier] != candidate
         at = np.nonzero(new)[0]
         at = at[np.argsort(candidate[at], kind="stable")]
-        numbers, starts = np.unique(candidate[at], return_index=True)
-        for number, mine in zip(numbers.tolist(), np.split(at, starts[1:]), strict=False):
-            hit = cast(number, cast_rays[mine])
-            closer = hit < best[mine]
-            best[mine[closer]] = hit[closer]
-            who[mine[closer]] = number
+        ids, starts = np.unique(candidate[at], return_index=True)
+        for object_id, rows in zip(ids.tolist(), np.split(at, starts[1:]), strict=False):
+            hit = cast(object_id, cast_rays[rows])
+            closer = hit < best[rows]
+            best[rows[closer]] = hit[closer]
+            best_id[rows[closer]] = object_id
     # A ray between leaves may miss all candidates; it takes the nearest pixel.
     nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
     missed = ~np.isfinite(best)
     z[rough] = np.where(missed, depth[nearest], best)
-    shown[rough] = np.where(missed, instance[nearest], who)
+    shown[rough] = np.where(missed, instance[nearest], best_id)
     return z, shown
 
 

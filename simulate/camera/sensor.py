@@ -7,14 +7,18 @@ in all layers.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from objconnect.scene.config import Config
 
 _BLUR_SAMPLES_PER_PX = 4
+# Largest factors of exposure time and gain: from 1/1600 s to 1/32 s, and from ISO 100 to 3200.
+_MAX_LONGER, _MAX_GAIN = 50.0, 32.0
 
 
 class SensorConfig(Config):
@@ -36,7 +40,8 @@ class SensorConfig(Config):
         0.0,
         ge=0,
         le=50,
-        description="Typical length of motion blur, px; its direction is random.",
+        description="Scale of the motion blur, px. Its length is the absolute value of a normal "
+        "variable with this standard deviation, and its direction is random.",
     )
     full_well_e: float | None = Field(
         None,
@@ -57,11 +62,39 @@ class SensorConfig(Config):
         "shutter.",
     )
 
+    follows_light: bool = Field(
+        False,
+        description="Whether exposure time and gain follow the light of the condition. "
+        "``motion_blur_px`` and ``full_well_e`` are then those of summer noon. Dimmer light first "
+        "lengthens the exposure, up to 50 times, and then raises the gain, up to 32 times.",
+    )
+
     @model_validator(mode="after")
     def _check_noise(self) -> SensorConfig:
         if self.read_noise_e and self.full_well_e is None:
             raise ValueError("read_noise_e needs full_well_e: give both")
         return self
+
+    @model_serializer(mode="wrap")
+    def _omit_default(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out ``follows_light`` where it is off, as in the records of older scenes."""
+        values: dict[str, Any] = dump(self)
+        if not self.follows_light:
+            del values["follows_light"]
+        return values
+
+    def adapt(self, dimness: float) -> SensorConfig:
+        """Return the effects in light that is ``dimness`` stops dimmer than at summer noon.
+
+        A longer exposure lengthens the motion blur. A higher gain saturates at fewer electrons.
+        """
+        if not self.follows_light:
+            return self
+        longer = min(2.0**dimness, _MAX_LONGER)
+        gain = min(2.0**dimness / longer, _MAX_GAIN)
+        well = None if self.full_well_e is None else self.full_well_e / gain
+        changed = {"motion_blur_px": self.motion_blur_px * longer, "full_well_e": well}
+        return self.model_copy(update=changed)
 
 
 def expose(
@@ -69,20 +102,21 @@ def expose(
 ) -> NDArray[np.uint8]:
     """Apply the effects of a sensor to a rendered picture (H, W, 3) uint8 sRGB.
 
-    Equal generators give equal photographs. All effects are drawn even when they are off, so that
-    enabling one does not change the others.
+    Equal generators give equal photographs. The random values of all effects are drawn even
+    when the effects are off, so that enabling one does not change the others.
     """
     # The order of the draws is fixed, and the noise comes last.
     stops, red, blue = rng.standard_normal(3)
     direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
-    if sensor.model_copy(update={"readout_s": 0.0}) == SensorConfig():
+    unseen = {"readout_s": 0.0, "follows_light": False}
+    if sensor.model_copy(update=unseen) == SensorConfig():
         return rgb
     light = _linear(rgb)
     height, width = light.shape[:2]
     light = _streak(light, direction, length * sensor.motion_blur_px)
     v, u = np.mgrid[:height, :width] + 0.5
-    square = (u / width - 0.5) ** 2 * width**2 + (v / height - 0.5) ** 2 * height**2
-    light *= (1 - sensor.vignetting * square / (0.25 * (width**2 + height**2)))[..., None]
+    radius2 = (u / width - 0.5) ** 2 * width**2 + (v / height - 0.5) ** 2 * height**2
+    light *= (1 - sensor.vignetting * radius2 / (0.25 * (width**2 + height**2)))[..., None]
     gains = np.exp(sensor.white_balance * np.array([red, 0.0, blue]))
     light *= gains * 2.0 ** (sensor.exposure_ev * stops)
     if sensor.full_well_e is not None:
@@ -104,8 +138,8 @@ def _streak(light: NDArray[np.float64], direction: float, length_px: float) -> N
     for x, y in np.stack([along * np.cos(direction), along * np.sin(direction)], -1):
         i, j = int(np.floor(x)), int(np.floor(y))
         fx, fy = x - i, y - j
-        at = size // 2
-        kernel[at + j : at + j + 2, at + i : at + i + 2] += np.outer([1 - fy, fy], [1 - fx, fx])
+        mid = size // 2
+        kernel[mid + j : mid + j + 2, mid + i : mid + i + 2] += np.outer([1 - fy, fy], [1 - fx, fx])
     blurred = cv2.filter2D(light, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT_101)
     return np.asarray(blurred)
 

@@ -32,12 +32,12 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
             the place.
     """
     centres = camera_centres(cam_from_world)
-    depth = _under_ground(centres, world)
-    if (depth > 0).any():
-        k = int(depth.argmax())
+    missing_m = _missing_clearance(centres, world)
+    if (missing_m > 0).any():
+        k = int(missing_m.argmax())
         raise InputError(
-            f"session {name}: photograph {k} is {depth[k]:.1f} m below the minimum clearance above "
-            "the ground: fly higher"
+            f"session {name}: photograph {k} is {missing_m[k]:.1f} m below the minimum clearance "
+            "above the ground: fly higher"
         )
     blocking = find_blocking(centres, world)
     if blocking.any():
@@ -62,7 +62,7 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
 def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
     """Return whether each of the positions (N, 3) is inside the place and clear of obstacles."""
     inside = (np.abs(centres[:, :2]) <= 0.5 * world.area_m).all(1)
-    free: NDArray[np.bool_] = inside & (_under_ground(centres, world) <= 0)
+    free: NDArray[np.bool_] = inside & (_missing_clearance(centres, world) <= 0)
     free[free] = find_blocking(centres[free], world) == 0
     return free
 
@@ -81,7 +81,8 @@ def find_blocking(centres: Array, world: World) -> NDArray[np.int64]:
     return blocking
 
 
-def _under_ground(centres: Array, world: World) -> Array:
+def _missing_clearance(centres: Array, world: World) -> Array:
+    """Return by how much each position is below the minimum clearance (m); negative above it."""
     ground = world.terrain.height(centres[:, 0], centres[:, 1])
     return np.asarray(ground + _CLEARANCE_M - centres[:, 2])
 

@@ -1,4 +1,4 @@
-"""Names of MAVLink's commands by number, for messages."""
+"""Names of MAVLink's commands (MAV_CMD without its prefix) by number, for error messages."""
 
 from __future__ import annotations
 

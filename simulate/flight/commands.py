@@ -14,8 +14,11 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.quantities.mission_heights import Above, above_of_frame, check_mode
 from simulate.flight.command_names import NAMES
 
-# Redundant heights of a plan agree if they differ by at most this, metres.
+# A plan may state one height twice; the two agree if they differ by at most this, metres.
 _SAME_HEIGHT_M = 0.05
+
+CALCULATED_ABOVE_TERRAIN: Final = 3
+"""QGroundControl's AltitudeMode in which Altitude is above the ground, params[6] above the sea."""
 
 
 class Mav(IntEnum):
@@ -29,7 +32,7 @@ class Mav(IntEnum):
     LAND = 21
     TAKEOFF = 22
     LOITER_TO_ALT = 31
-    ROI_OF_OLD = 80
+    NAV_ROI = 80
     SPLINE_WAYPOINT = 82
     VTOL_TAKEOFF = 84
     VTOL_LAND = 85
@@ -60,7 +63,7 @@ class Mav(IntEnum):
     CONDITION_GATE = 4501
 
 
-PLACES: Final = (
+FLY_TO: Final = (
     Mav.WAYPOINT,
     Mav.SPLINE_WAYPOINT,
     Mav.LOITER_UNLIMITED,
@@ -71,7 +74,7 @@ PLACES: Final = (
 """Commands that fly to a position and continue from there."""
 
 LANDINGS: Final = (Mav.RETURN_TO_LAUNCH, Mav.LAND, Mav.VTOL_LAND)
-NAVIGATION: Final = (*PLACES, *LANDINGS, Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.DELAY)
+NAVIGATION: Final = (*FLY_TO, *LANDINGS, Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.DELAY)
 """Commands that complete before the next one; all others are executed on the way."""
 
 CONDITIONS: Final = (Mav.CONDITION_DELAY, Mav.CONDITION_DISTANCE, Mav.CONDITION_GATE)
@@ -149,14 +152,14 @@ class Command(BaseModel):
         """Return a parameter, counted from 0.
 
         Raises:
-            InputError: It is null.
+            InputError: The parameter is null.
         """
         value = self.params[index]
         if value is None:
             raise self.error(f"has no {meaning} (params[{index}] is null)", "set it in the plan")
         return value
 
-    def above(self) -> Above:
+    def height_reference(self) -> Above:
         """Return the reference of the command's height, its last parameter.
 
         Raises:
@@ -170,7 +173,7 @@ class Command(BaseModel):
                 f"contradicts itself: {contradiction}", "save the plan in QGroundControl again"
             )
         height, altitude = self.params[6], self.height
-        if self.mode in (None, 3) or altitude is None or height is None:
+        if self.mode in (None, CALCULATED_ABOVE_TERRAIN) or altitude is None or height is None:
             return above
         if abs(altitude - height) > _SAME_HEIGHT_M:
             raise self.error(

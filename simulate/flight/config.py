@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from objconnect.scene.config import Config
@@ -61,6 +62,21 @@ QUERY_PLAN = FlightPlan(
 )
 
 
+def draw_plan(plan: FlightPlan, rng: np.random.Generator) -> FlightPlan:
+    """Draw the defaults of one flight: any heading, and lengths within 15 % of those of the role.
+
+    Args:
+        plan: The defaults of the role.
+        rng: The generator of the session.
+    """
+    heading_deg, start_deg = rng.uniform(0, 360, 2)
+    factors = rng.uniform(0.85, 1.15, 3)
+    lengths = "nadir_altitude_m", "orbit_altitude_m", "orbit_radius_share"
+    drawn = {name: getattr(plan, name) * float(f) for name, f in zip(lengths, factors, strict=True)}
+    angles = {"nadir_heading_deg": float(heading_deg), "orbit_start_deg": float(start_deg)}
+    return plan.model_copy(update=drawn | angles)
+
+
 class _Flight(Config):
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -84,8 +100,8 @@ class _Survey(_Flight):
     forward_overlap: Overlap | None = Field(
         None,
         description="Overlap of neighbours on a line, 0 to 0.95 of the footprint on flat ground. "
-        "With either overlap, it determines the number of photographs. Without, the session's "
-        "number of photographs is spread evenly.",
+        "If either overlap is given, the overlaps determine the number of photographs. Otherwise "
+        "the session's number of photographs is spread evenly.",
     )
     side_overlap: Overlap | None = Field(
         None, description="Overlap of neighbouring lines, 0 to 0.95 of the footprint."
@@ -116,11 +132,11 @@ class _Survey(_Flight):
             _SIDE_OVERLAP if side is None else side,
         )
 
-    def altitude(self, focal: float, usual_m: float) -> float:
-        """Return the altitude in metres for a focal length in pixels, else ``usual_m``."""
+    def altitude(self, focal: float, default_m: float) -> float:
+        """Return the altitude in metres for a focal length in pixels, else ``default_m``."""
         if self.gsd_cm is not None:
             return 0.01 * self.gsd_cm * focal
-        return usual_m if self.altitude_m is None else self.altitude_m
+        return default_m if self.altitude_m is None else self.altitude_m
 
 
 class NadirFlight(_Survey):

@@ -1,10 +1,10 @@
 """Plan surveys of an area: a lawn-mower pattern, a double grid and an orbit.
 
-Every planner takes the flight's configuration, the site, the number of photographs and a generator
-of random numbers, and returns ``cam_from_world`` (N, 4, 4) float64 in flying order: OpenCV axes
-(x right, y down, z forward), world east-north-up in metres with Z up. Headings are the direction of
-the image's top (nadir) or of the optical axis (oblique), degrees clockwise from north. Pitches are
-degrees above the horizon; -90 is straight down.
+Every planner takes the flight's configuration, its context (place, camera, wind), the number of
+photographs and a generator of random numbers. It returns ``cam_from_world`` (N, 4, 4) float64 in
+flying order: OpenCV axes (x right, y down, z forward), world east-north-up in metres with Z up.
+Headings are the direction of the image's top (nadir) or of the optical axis (oblique), degrees
+clockwise from north. Pitches are degrees above the horizon; -90 is straight down.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from simulate.flight.config import GridFlight, NadirFlight, ObliqueFlight
+from simulate.flight.context import MAX_PHOTOGRAPHS, FlightContext
 from simulate.flight.gimbal import Aims, gimbal_poses, perturb_poses
-from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
 
 Array = NDArray[np.float64]
 
@@ -31,18 +31,18 @@ _LEAST_REACH_SHARE = 0.1
 
 def plan_nadir(
     flight: NadirFlight | GridFlight,
-    site: FlightSite,
+    context: FlightContext,
     frames: int | None,
     rng: np.random.Generator,
     *,
     alternate: bool = True,
 ) -> Array:
-    """Plan a lawn-mower pattern over the square area of the site.
+    """Plan a lawn-mower pattern over the square area of the place.
 
     Args:
         flight: The survey. Its altitude is above the ground below each exposure, or above the
             ground at the origin without ``terrain_following``.
-        site: The place and the camera.
+        context: The place, the camera and the wind.
         frames: The exact number of exposures, evenly spaced along all lines. None takes the number
             that the overlaps need.
         rng: The generator of the wind.
@@ -56,12 +56,12 @@ def plan_nadir(
     """
     if frames is not None:
         _require_positive(frames)
-    altitude_m = flight.altitude(site.camera.focal[0], site.usual.nadir_altitude_m)
+    altitude_m = flight.altitude(context.camera.focal[0], context.defaults.nadir_altitude_m)
     heading_deg = flight.heading_deg
-    heading = np.radians(site.usual.nadir_heading_deg if heading_deg is None else heading_deg)
+    heading = np.radians(context.defaults.nadir_heading_deg if heading_deg is None else heading_deg)
     forward = np.array([np.sin(heading), np.cos(heading)])
     right = np.array([np.cos(heading), -np.sin(heading)])
-    lines = _lay_lines(flight, site, frames, forward, right)
+    lines = _lay_lines(flight, context, frames, forward, right)
     line, share = _exposures(lines, frames)
     back = line % 2 == 1
     share = np.where(back, 1 - share, share)
@@ -69,26 +69,26 @@ def plan_nadir(
     xy = lines.offset[line, None] * right + along[:, None] * forward
 
     count = len(xy)
-    jitter_m = site.wind.position_jitter_m
+    jitter_m = context.wind.position_jitter_m
     # The altitude is above the ground below the position with wind.
     xy = xy + jitter_m * rng.standard_normal((count, 2))
     below = xy if flight.terrain_following else np.zeros((count, 2))
-    z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
+    z = context.ground_height(below[:, 0], below[:, 1]) + altitude_m
     z = z + jitter_m * rng.standard_normal(count)
     headings = np.where(back & alternate, heading + np.pi, heading)
     pitch = np.radians(flight.pitch_deg)
     centres = np.column_stack([xy, z])
-    return gimbal_poses(centres, headings, pitch, site.wind.attitude_jitter_deg, rng)
+    return gimbal_poses(centres, headings, pitch, context.wind.attitude_jitter_deg, rng)
 
 
 def plan_grid(
-    flight: GridFlight, site: FlightSite, frames: int | None, rng: np.random.Generator
+    flight: GridFlight, context: FlightContext, frames: int | None, rng: np.random.Generator
 ) -> Array:
     """Plan a double grid: two lawn-mower patterns, the second at right angles to the first.
 
     Args:
         flight: The survey; its heading is that of the first pattern.
-        site: The place and the camera.
+        context: The place, the camera and the wind.
         frames: The number of exposures of both patterns together. None takes the number that the
             overlaps need.
         rng: The generator of the wind.
@@ -97,28 +97,28 @@ def plan_grid(
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: As ``plan_nadir``, or there is less than two frames.
+        InputError: As ``plan_nadir``, or there are fewer than two frames.
     """
     if frames is not None and frames < 2:
         raise InputError(f"a grid needs at least 2 frames, got {frames}")
     halves = (None, None) if frames is None else ((frames + 1) // 2, frames // 2)
     heading_deg = flight.heading_deg
-    first_deg = site.usual.nadir_heading_deg if heading_deg is None else heading_deg
+    first_deg = context.defaults.nadir_heading_deg if heading_deg is None else heading_deg
     patterns = [
-        plan_nadir(flight.model_copy(update={"heading_deg": first_deg + turn}), site, half, rng)
+        plan_nadir(flight.model_copy(update={"heading_deg": first_deg + turn}), context, half, rng)
         for turn, half in zip((0.0, 90.0), halves, strict=True)
     ]
     return np.concatenate(patterns)
 
 
 def plan_oblique(
-    flight: ObliqueFlight, site: FlightSite, frames: int, rng: np.random.Generator
+    flight: ObliqueFlight, context: FlightContext, frames: int, rng: np.random.Generator
 ) -> Array:
     """Plan a level orbit whose cameras look inwards.
 
     Args:
         flight: The orbit; its altitude is above the ground at its centre.
-        site: The place and the camera.
+        context: The place, the camera and the wind.
         frames: The number of exposures, evenly spaced.
         rng: The generator of the wind.
 
@@ -129,18 +129,18 @@ def plan_oblique(
         InputError: The number of frames is not positive.
     """
     _require_positive(frames)
-    usual = site.usual
-    radius_m = flight.radius_m or usual.orbit_radius_share * site.area_m
-    altitude_m = flight.altitude_m or usual.orbit_altitude_m
-    start_deg = usual.orbit_start_deg if flight.start_deg is None else flight.start_deg
+    defaults = context.defaults
+    radius_m = flight.radius_m or defaults.orbit_radius_share * context.area_m
+    altitude_m = flight.altitude_m or defaults.orbit_altitude_m
+    start_deg = defaults.orbit_start_deg if flight.start_deg is None else flight.start_deg
     bearing = np.radians(start_deg) + 2 * np.pi * np.arange(frames) / frames
     outwards = np.column_stack([np.sin(bearing), np.cos(bearing)])
     xy = np.asarray(flight.centre) + radius_m * outwards
     middle_x, middle_y = (np.array([value]) for value in flight.centre)
-    ground = float(site.ground_height(middle_x, middle_y)[0])
+    ground = float(context.ground_height(middle_x, middle_y)[0])
     centres = np.column_stack([xy, np.full(frames, ground + altitude_m)])
     pitch = np.full(frames, np.radians(flight.pitch_deg))
-    return perturb_poses(Aims(centres, bearing + np.pi, pitch), site.wind, rng)
+    return perturb_poses(Aims(centres, bearing + np.pi, pitch), context.wind, rng)
 
 
 class _Lines(NamedTuple):
@@ -148,7 +148,7 @@ class _Lines(NamedTuple):
 
     Attributes:
         offset: Distance (K,) of each line to the right of the origin, metres.
-        start: Where each line begins (K,), metres along it from the foot of the origin.
+        start: Where each line begins (K,), metres along it from its point nearest to the origin.
         length: Length (K,) of each line, metres.
         spacing_m: The longest step (m) between exposures on a line that the overlap allows.
     """
@@ -161,24 +161,24 @@ class _Lines(NamedTuple):
 
 def _lay_lines(
     flight: NadirFlight | GridFlight,
-    site: FlightSite,
+    context: FlightContext,
     frames: int | None,
     forward: Array,
     right: Array,
 ) -> _Lines:
     """Lay the lines of a lawn-mower pattern in the unit direction ``forward`` (2,)."""
     forward_overlap, side_overlap = flight.overlaps
-    camera, focal = site.camera, site.camera.focal[0]
-    altitude_m = flight.altitude(focal, site.usual.nadir_altitude_m)
+    camera, focal = context.camera, context.camera.focal[0]
+    altitude_m = flight.altitude(focal, context.defaults.nadir_altitude_m)
     along_m = (1 - forward_overlap) * camera.height * altitude_m / focal
     across_m = (1 - side_overlap) * camera.width * altitude_m / focal
     inset = INSET_SHARE * min(camera.width, camera.height) * altitude_m / focal
-    half = max(0.5 * site.area_m - inset, _LEAST_REACH_SHARE * site.area_m)
+    half = max(0.5 * context.area_m - inset, _LEAST_REACH_SHARE * context.area_m)
     reach = half * np.abs(right).sum()  # extent of the rotated square to either side
     if frames is None:
-        lines = _count_stops(2 * reach / across_m)
+        lines = _count_to_cover(2 * reach / across_m)
     else:
-        # Lines and exposures are as far apart as the footprint's sides are long.
+        # The distances of lines and of exposures have the ratio across_m : along_m.
         cell = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
         lines = max(1, min(frames, round(2 * reach / cell)))
     offset = reach * (2 * (np.arange(lines) + 0.5) / lines - 1)
@@ -200,8 +200,8 @@ def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Ar
         line = np.searchsorted(total, at, side="right") - 1
         line = np.clip(line, 0, len(lines.length) - 1)
         return line, (at - total[line]) / (total[line + 1] - total[line])
-    _count_stops((lines.length / lines.spacing_m).sum())
-    counts = [_count_stops(length / lines.spacing_m) for length in lines.length]
+    _count_to_cover((lines.length / lines.spacing_m).sum())  # refuses too many photographs
+    counts = [_count_to_cover(length / lines.spacing_m) for length in lines.length]
     shares = [np.linspace(0, 1, count) if count > 1 else np.array([0.5]) for count in counts]
     return np.repeat(np.arange(len(counts)), counts), np.concatenate(shares)
 
@@ -223,8 +223,12 @@ def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tu
     return np.minimum(low, middle), np.maximum(high, middle)
 
 
-def _count_stops(steps: float) -> int:
-    """Return the number of exposures, or lines, over a length of ``steps`` maximum steps."""
+def _count_to_cover(steps: float) -> int:
+    """Return how many exposures, or lines, cover a length of ``steps`` largest allowed steps.
+
+    Raises:
+        InputError: The number exceeds ``MAX_PHOTOGRAPHS``.
+    """
     if steps > MAX_PHOTOGRAPHS:
         raise InputError(
             f"the flight needs more than {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.flight.site import Wind
+from simulate.flight.context import Wind
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from simulate.flight.commands import Command, Mav
 
-_LONGEST = 100_000
+_MAX_COMMANDS = 100_000  # largest number of executed commands
 
 
 def unroll(commands: Sequence[Command]) -> list[Command]:
@@ -20,14 +20,14 @@ def unroll(commands: Sequence[Command]) -> list[Command]:
     """
     if not any(c.command in (Mav.JUMP, Mav.JUMP_TO_TAG) for c in commands):
         return [c for c in commands if c.command != Mav.JUMP_TAG]
-    done: list[Command] = []
+    executed: list[Command] = []
     jumped: Counter[int] = Counter()
     row = 0
     while row < len(commands):
         command = commands[row]
         if command.command not in (Mav.JUMP, Mav.JUMP_TO_TAG):
             if command.command != Mav.JUMP_TAG:
-                done.append(command)
+                executed.append(command)
             row += 1
             continue
         repeats, target = _repeats(command), _target(commands, command)
@@ -35,12 +35,12 @@ def unroll(commands: Sequence[Command]) -> list[Command]:
             row += 1
             continue
         jumped[row] += 1
-        if len(done) + sum(jumped.values()) > _LONGEST:
+        if len(executed) + sum(jumped.values()) > _MAX_COMMANDS:
             raise command.error(
-                f"makes the mission longer than {_LONGEST} commands", "repeat less often"
+                f"makes the mission longer than {_MAX_COMMANDS} commands", "repeat less often"
             )
         row = target
-    return done
+    return executed
 
 
 def _repeats(command: Command) -> int:
@@ -54,15 +54,15 @@ def _repeats(command: Command) -> int:
 
 def _target(commands: Sequence[Command], jump: Command) -> int:
     """Return the row of a jump's target."""
-    wanted = jump.number(0, "target")
+    target_number = jump.number(0, "target")
     if jump.command == Mav.JUMP_TO_TAG:
         tags = (c.params[0] if c.command == Mav.JUMP_TAG else None for c in commands)
-        rows = [row for row, tag in enumerate(tags) if tag == wanted]
+        rows = [row for row, tag in enumerate(tags) if tag == target_number]
     else:
-        rows = [row for row, c in enumerate(commands) if c.jump_id == wanted]
+        rows = [row for row, c in enumerate(commands) if c.jump_id == target_number]
     if len(rows) != 1:
         raise jump.error(
-            f"jumps to {wanted:g}, which is the number of {len(rows) or 'no'} commands",
+            f"jumps to {target_number:g}, which is the number of {len(rows) or 'no'} commands",
             "save the plan in QGroundControl again",
         )
     return rows[0]

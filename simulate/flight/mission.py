@@ -21,13 +21,14 @@ from simulate.flight.commands import (
     CAPTURES,
     CONDITIONS,
     DOUBTFUL,
+    FLY_TO,
     HARMLESS,
     LANDINGS,
     NAVIGATION,
-    PLACES,
     Command,
     Mav,
 )
+from simulate.flight.context import MAX_PHOTOGRAPHS
 from simulate.flight.gimbal import Aims
 from simulate.flight.jumps import unroll
 from simulate.flight.pointing import (
@@ -40,15 +41,13 @@ from simulate.flight.pointing import (
     towards_next,
 )
 from simulate.flight.positions import Positions
-from simulate.flight.site import MAX_PHOTOGRAPHS
-from simulate.flight.trigger import Triggers, too_many
+from simulate.flight.trigger import Triggers, too_many_photographs
 from simulate.flight.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_SAME_M = 1e-6
-_SAME_S = 1e-6
-_AT_HOME_M = 1.0
+_SAME_M = _SAME_S = 1e-6  # distances and times that differ by less count as equal
+_AT_HOME_M = 1.0  # a takeoff within this horizontal distance of home has no position of its own
 
 
 class Aircraft:
@@ -60,21 +59,21 @@ class Aircraft:
     def __init__(self, vehicle: Vehicle, pitch_deg: float, positions: Positions) -> None:
         """Start at home, with the camera along the nose at ``pitch_deg``."""
         self._vehicle, self._positions = vehicle, positions
-        self._at = positions.home.copy()
-        self._nose = 0.0
-        self._held_nose: float | None = None  # set by a command, for one leg
+        self._position = positions.home.copy()
+        self._nose = 0.0  # heading of the nose, radians
+        self._held_nose: float | None = None  # heading set by a command, for one leg
         self._gimbal, self._triggers = Gimbal(pitch_deg), Triggers()
         self._turning_s = 0.0  # remaining time of the camera's turn
-        # Why the position is unknown; None where it is known.
-        self._unknown: str | None = "the aircraft is not at its first waypoint"
+        # Reason why the position is unknown; None where it is known.
+        self._unknown_because: str | None = "the aircraft is not at its first waypoint"
         self._next: Array | None = None  # position of the next navigation command
-        self._leg: Array | None = None  # last leg (3,)
+        self._leg: Array | None = None  # vector (3,) of the last leg, metres
         self._exposures: list[tuple[float, ...]] = []
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Return warnings for the user, one phrase each."""
-        return self._triggers.doubts
+        return self._triggers.warnings
 
     def fly(self, commands: Sequence[Command]) -> Aims:
         """Fly a mission and return its exposures.
@@ -91,7 +90,7 @@ class Aircraft:
             goal, rest = next(iter(rest[len(todo) :]), None), rest[len(todo) + 1 :]
             conditions = [k for k, command in enumerate(todo) if command.command in CONDITIONS]
             first = conditions[0] if conditions else len(todo)
-            self._next = self._positions.goal(goal, self._at)
+            self._next = self._positions.target(goal, self._position)
             for command in todo[:first]:
                 self._execute(command)
             if goal is None:
@@ -103,75 +102,75 @@ class Aircraft:
                     break
             self._navigate(goal, todo[first:])
             if not triggered and goal.command in (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT):
-                self._photograph(self._at)
+                self._photograph(self._position)
         self._warn_of_remaining()
         exposures = np.array(self._exposures).reshape(-1, 5)
         return Aims(exposures[:, :3], exposures[:, 3], exposures[:, 4])
 
     def waypoints(self, commands: Sequence[Command]) -> Array:
         """Return the positions of the mission's waypoints, (K, 3) metres."""
-        positions = [self._positions.goal(c, self._at) for c in commands if c.command in PLACES]
-        return np.array([p for p in positions if p is not None]).reshape(-1, 3)
+        goals = [self._positions.target(c, self._position) for c in commands if c.command in FLY_TO]
+        return np.array([p for p in goals if p is not None]).reshape(-1, 3)
 
     def _execute(self, command: Command) -> None:
         """Execute a command that does not move the aircraft."""
         number = command.command
         if number in CAPTURES or number == Mav.STOP_CAPTURE:
-            self._release(command)
+            self._trigger_camera(command)
         elif number == Mav.CHANGE_SPEED:
             self._vehicle.change_speed(command)
         elif number == Mav.VTOL_TRANSITION:
             self._vehicle.transition(command)
         elif number == Mav.CONDITION_YAW:
             self._turn_nose(command)
-        elif number in (Mav.ROI, Mav.ROI_OF_OLD, Mav.ROI_LOCATION, Mav.ROI_NEXT, Mav.ROI_NONE):
-            self._look(command)
+        elif number in (Mav.ROI, Mav.NAV_ROI, Mav.ROI_LOCATION, Mav.ROI_NEXT, Mav.ROI_NONE):
+            self._set_region(command)
         elif number == Mav.MOUNT_CONTROL and mount_target(command) is not None:
-            self._gimbal.look_at(Region(self._positions.of_mount(command)))
+            self._gimbal.look_at(Region(self._positions.position_of_mount(command)))
         elif number in (Mav.MOUNT_CONFIGURE, Mav.MOUNT_CONTROL, Mav.GIMBAL_PITCHYAW):
             self._gimbal.turn(command)
             self._turning_s = self._gimbal.turning_s
         elif number == Mav.GUIDED_ENABLE and not command.params[0]:
             pass
         elif number in DOUBTFUL:
-            self.doubts.append(f"{command.title} is ignored")
+            self.warnings.append(f"{command.title} is ignored")
         elif number not in HARMLESS:
             raise command.error("is not supported", "remove it from the plan")
 
-    def _release(self, command: Command) -> None:
+    def _trigger_camera(self, command: Command) -> None:
         """Execute a command that triggers the camera now or later."""
         at_once = self._triggers.execute(command)
-        if self._unknown and (at_once or self._triggers.command):
+        if self._unknown_because and (at_once or self._triggers.command):
             raise command.error(
-                f"triggers the camera while {self._unknown}", "trigger it after a waypoint"
+                f"triggers the camera while {self._unknown_because}", "trigger it after a waypoint"
             )
         if at_once:
-            self._photograph(self._at)
+            self._photograph(self._position)
 
-    def _look(self, command: Command) -> None:
+    def _set_region(self, command: Command) -> None:
         """Execute a command that sets or cancels a region of interest."""
         mode = {Mav.ROI_LOCATION: ROI_LOCATION, Mav.ROI_NEXT: ROI_NEXT, Mav.ROI_NONE: ROI_NONE}.get(
             Mav(command.command)
         )
-        anywhere = any(command.params[k] for k in (4, 5, 6))
+        has_location = any(command.params[k] for k in (4, 5, 6))
         if mode is None:
             mode = int(command.number(0, "mode"))
-            if mode == ROI_NONE and anywhere:
+            if mode == ROI_NONE and has_location:
                 if not (self._vehicle.is_ardupilot or self._vehicle.is_px4):
                     raise command.error(
                         "has mode 0, none (params[0]), and a location", "set mode 3 for a location"
                     )
                 mode = ROI_LOCATION if self._vehicle.is_ardupilot else ROI_NONE
-        if mode == ROI_LOCATION and not anywhere and self._vehicle.is_ardupilot:
+        if mode == ROI_LOCATION and not has_location and self._vehicle.is_ardupilot:
             mode = ROI_NONE  # cancels in ArduPilot
         self._turning_s = 0.0
         if mode == ROI_LOCATION:
-            self._gimbal.look_at(Region(self._positions.of(command)))
+            self._gimbal.look_at(Region(self._positions.position_of(command)))
         elif mode == ROI_NEXT:
             self._gimbal.look_at(towards_next(command))
         elif mode == ROI_NONE:
             if self._gimbal.cancel():
-                self.doubts.append(
+                self.warnings.append(
                     f"{command.title} returns the camera to its initial pitch, not to the one "
                     "before the region"
                 )
@@ -190,16 +189,16 @@ class Aircraft:
 
     def _navigate(self, goal: Command, waiting: list[Command]) -> None:
         """Execute a navigation command, and the commands ``waiting`` on the way."""
-        hovers = goal.command == Mav.LOITER_TIME and not self._vehicle.glides
+        hovers = goal.command == Mav.LOITER_TIME and not self._vehicle.flies_forward
         if goal.command == Mav.WAYPOINT or hovers:
             if goal.command == Mav.WAYPOINT:
                 self._check_waypoint(goal)
             self._fly_to(goal, waiting)
-            if not self._vehicle.glides:
+            if not self._vehicle.flies_forward:
                 self._hold(goal)
             return
         _require_executed(waiting, f"{goal.title} begins")
-        if goal.command == Mav.DELAY and not self._vehicle.glides:
+        if goal.command == Mav.DELAY and not self._vehicle.flies_forward:
             self._hold(goal)
             return
         if (trigger := self._triggers.command) is not None:
@@ -218,7 +217,7 @@ class Aircraft:
                 self._arrive(goal, f"the aircraft is on the ground after {goal.title}")
                 self._vehicle.enter(forward=False)
             case _:
-                circles = goal.command == Mav.LOITER_TURNS or self._vehicle.glides
+                circles = goal.command == Mav.LOITER_TURNS or self._vehicle.flies_forward
                 self._arrive(goal, f"the aircraft circles after {goal.title}" if circles else None)
 
     def _check_waypoint(self, goal: Command) -> None:
@@ -227,22 +226,22 @@ class Aircraft:
                 f"is passed at a radius of {goal.params[2]:g} m (params[2])", "set it to 0"
             )
         if self._vehicle.is_ardupilot and goal.params[3]:
-            self.doubts.append(f"{goal.title} has a yaw, which ArduPilot ignores")
+            self.warnings.append(f"{goal.title} has a yaw, which ArduPilot ignores")
 
     def _take_off(self, goal: Command) -> None:
         """Climb to the height of a takeoff, and fly to its position if it has one."""
-        target = self._positions.goal(goal, self._at)
+        target = self._positions.target(goal, self._position)
         assert target is not None
-        away = float(np.hypot(*(target - self._at)[:2])) > _AT_HOME_M
+        away = float(np.hypot(*(target - self._position)[:2])) > _AT_HOME_M
         self._nose = self._nose if goal.params[3] is None else math.radians(goal.params[3])
-        self._unknown = None
+        self._unknown_because = None
         if goal.command == Mav.VTOL_TAKEOFF:
             self._vehicle.enter(forward=True)
-        if self._vehicle.glides or (away and not self._vehicle.is_px4):
-            self._unknown = f"the aircraft climbs after {goal.title}"
-        if self._vehicle.is_ardupilot and not self._vehicle.glides:
-            target[:2], self._unknown = self._at[:2], None
-        self._at, self._leg, self._held_nose = target, None, None
+        if self._vehicle.flies_forward or (away and not self._vehicle.is_px4):
+            self._unknown_because = f"the aircraft climbs after {goal.title}"
+        if self._vehicle.is_ardupilot and not self._vehicle.flies_forward:
+            target[:2], self._unknown_because = self._position[:2], None
+        self._position, self._leg, self._held_nose = target, None, None
 
     def _land(self, goal: Command, rest: Sequence[Command]) -> bool:
         """Land, and return whether the flight is over."""
@@ -251,47 +250,48 @@ class Aircraft:
         )
         if not flies_on:
             if self._triggers.command is not None:
-                self.doubts.append(
+                self.warnings.append(
                     f"{goal.title} ends the photographs: the path that follows is unknown, though "
                     f"{self._triggers.command.title} continues on it"
                 )
-            if any(c.command in (*CAPTURES, *PLACES) for c in rest):
-                self.doubts.append(f"commands after {goal.title} are ignored")
+            if any(c.command in (*CAPTURES, *FLY_TO) for c in rest):
+                self.warnings.append(f"commands after {goal.title} are ignored")
         return not flies_on
 
     def _arrive(self, goal: Command, unknown: str | None) -> None:
         """Move to the position of a command; ``unknown`` says why it is not exactly known."""
-        target = self._positions.goal(goal, self._at)
-        self._at = self._at if target is None else target
-        self._leg, self._held_nose, self._unknown = None, None, unknown
+        target = self._positions.target(goal, self._position)
+        self._position = self._position if target is None else target
+        self._leg, self._held_nose, self._unknown_because = None, None, unknown
 
     def _fly_to(self, goal: Command, waiting: list[Command]) -> None:
         """Fly straight to a position; in a frame above the ground, follow the terrain."""
-        target = self._positions.goal(goal, self._at)
+        target = self._positions.target(goal, self._position)
         assert target is not None
-        start, leg = self._at, target - self._at
+        start, leg = self._position, target - self._position
         length = float(np.linalg.norm(leg))
         yaw = goal.params[3] if goal.command == Mav.WAYPOINT else None
-        if yaw is not None and not (self._vehicle.is_ardupilot or self._vehicle.glides):
+        if yaw is not None and not (self._vehicle.is_ardupilot or self._vehicle.flies_forward):
             self._nose = math.radians(yaw)
         elif self._held_nose is not None:
             self._nose = self._held_nose
         elif np.linalg.norm(leg[:2]) > 0.01:
             self._nose = math.atan2(leg[0], leg[1])
         self._leg = leg if length > 0.01 else self._leg
-        above = start[2] - self._positions.ground(start), target[2] - self._positions.ground(target)
-        follow = goal.above() is Above.GROUND
+        ground = self._positions.ground
+        heights = start[2] - ground(start), target[2] - ground(target)
+        follow = goal.height_reference() is Above.GROUND
 
         def position_at(flown: float) -> Array:
             share = flown / length if length else 0.0
             here = start + share * leg
             if follow:
-                here[2] = self._positions.ground(here) + (1 - share) * above[0] + share * above[1]
+                here[2] = ground(here) + (1 - share) * heights[0] + share * heights[1]
             return np.asarray(here)
 
-        if self._unknown and self._triggers.command:
+        if self._unknown_because and self._triggers.command:
             raise self._triggers.command.error(
-                f"triggers the camera while {self._unknown}", "trigger it after a waypoint"
+                f"triggers the camera while {self._unknown_because}", "trigger it after a waypoint"
             )
         flown = 0.0
         while waiting:
@@ -300,18 +300,18 @@ class Aircraft:
             waiting = waiting[len(todo) :]
             if not todo:
                 continue
-            met = self._distance_until(condition, start, target, flown)
-            if not flown - _SAME_M <= met <= length + _SAME_M:
+            condition_m = self._distance_until(condition, start, target, flown)
+            if not flown - _SAME_M <= condition_m <= length + _SAME_M:
                 raise condition.error(
                     f"is not met on the way to {goal.where}, so {todo[0].title} is not executed",
                     "correct its value",
                 )
-            self._advance(position_at, flown, met)
-            flown, self._at = met, position_at(met)
+            self._advance(position_at, flown, condition_m)
+            flown, self._position = condition_m, position_at(condition_m)
             for command in todo:
                 self._execute(command)
         self._advance(position_at, flown, length)
-        self._at, self._held_nose, self._unknown = target, None, None
+        self._position, self._held_nose, self._unknown_because = target, None, None
 
     def _distance_until(
         self, condition: Command, start: Array, target: Array, flown: float
@@ -326,15 +326,15 @@ class Aircraft:
         if condition.command == Mav.CONDITION_DISTANCE:
             left = condition.number(0, "distance")
             return max(length * (1 - left / level), flown)
-        gate = self._positions.of(condition)
+        gate = self._positions.position_of(condition)
         return float((gate - start)[:2] @ leg[:2]) / level**2 * length
 
     def _advance(self, position_at: Callable[[float], Array], flown: float, until: float) -> None:
         """Fly along a leg from ``flown`` to ``until`` metres, and take photographs."""
-        timed = self._triggers.timer
-        speed = self._vehicle.speed_or_none() if timed is None else self._vehicle.speed(timed)
+        timer = self._triggers.timer
+        speed = self._vehicle.speed_or_none() if timer is None else self._vehicle.speed(timer)
         left = max(until - flown, 0.0)
-        self._triggers.require_few(left, left / speed if speed else 0.0)
+        self._triggers.require_few_photographs(left, left / speed if speed else 0.0)
         while True:
             step = min(self._triggers.next_distance_m(speed), left)
             time_s = step / speed if speed else 0.0
@@ -348,8 +348,8 @@ class Aircraft:
 
     def _hold(self, command: Command) -> None:
         """Hover for the time in a command's first parameter, and take photographs."""
-        timed = self._triggers.timer
-        if timed is None and self._turning_s <= 0:
+        timer = self._triggers.timer
+        if timer is None and self._turning_s <= 0:
             return
         left = command.number(0, "time")
         if left < 0:
@@ -358,13 +358,13 @@ class Aircraft:
             raise command.error(
                 "waits, but vehicleType is missing", "save the plan in QGroundControl"
             )
-        self._triggers.require_few(0.0, left)
+        self._triggers.require_few_photographs(0.0, left)
         while True:
             step = min(self._triggers.next_time_s(), left)
             due = self._triggers.advance(0.0, step)
             self._turning_s, left = self._turning_s - step, left - step
             for _ in range(due):
-                self._photograph(self._at)
+                self._photograph(self._position)
             if left <= 0 and not due:
                 break
 
@@ -375,7 +375,7 @@ class Aircraft:
                 "is still: turn it earlier, or remove the rate"
             )
         if len(self._exposures) >= MAX_PHOTOGRAPHS:
-            raise too_many()
+            raise too_many_photographs()
         ahead = None if self._next is None else self._next - position
         if ahead is None or np.linalg.norm(ahead) < 0.01:
             ahead = self._leg
@@ -385,7 +385,7 @@ class Aircraft:
     def _warn_of_remaining(self) -> None:
         for repeater in self._triggers.running.values():
             if repeater.count:
-                self.doubts.append(
+                self.warnings.append(
                     f"{repeater.command.title} has {repeater.count} photographs left when the "
                     "flight ends"
                 )

@@ -29,7 +29,8 @@ _FROM_NOSE, _BY_RATE, _FROM_NORTH = 0, 1, 2
 
 _HALF_TURN: Final = 180.0
 _FULL_TURN: Final = 360.0
-_LOOKS_STRAIGHT_M = 0.01  # a direction closer to the vertical than this has no heading
+# Vectors with a smaller horizontal length are vertical: they have no heading.
+_MIN_LEVEL_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -162,33 +163,34 @@ class Gimbal:
 
     def _manage(self, command: Command) -> Aim:
         """Return the aim of MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW."""
-        pitch, yaw, pitch_rate, yaw_rate, flags_now = command.params[:5]
+        pitch, yaw, pitch_rate, yaw_rate, stated_flags = command.params[:5]
         _require_degrees(command, {0: _HALF_TURN, 1: _FULL_TURN})
-        flags = int(flags_now or 0)
+        flags = int(stated_flags or 0)
         if flags & (_RETRACT | _NEUTRAL):
             return Unknown(f"{command.title} has retracted the camera or left it neutral")
         locked = bool(flags & _YAW_LOCK)
         if yaw is not None:
-            self._check_frame(command, flags_now, locked)
+            self._check_frame(command, stated_flags, locked)
         before = self.aim
         if not isinstance(before, Angles) and None in (pitch, yaw):
             return Unknown(f"{command.title} has set only one angle, or none")
-        was = before if isinstance(before, Angles) else None
+        previous = before if isinstance(before, Angles) else None
         for angle, rate in ((pitch, pitch_rate), (yaw, yaw_rate)):
             if angle is None and rate:
                 return Unknown(f"{command.title} turns the camera continuously")
         aim = Angles(
-            was.pitch if pitch is None and was else math.radians(pitch or 0.0),
-            was.yaw if yaw is None and was else math.radians(yaw or 0.0),
-            was.locked if yaw is None and was else locked,
+            previous.pitch if pitch is None and previous else math.radians(pitch or 0.0),
+            previous.yaw if yaw is None and previous else math.radians(yaw or 0.0),
+            previous.locked if yaw is None and previous else locked,
         )
-        self.turning_s = _turning_s(was, aim, (pitch_rate, yaw_rate))
+        self.turning_s = _turning_s(previous, aim, (pitch_rate, yaw_rate))
         return aim
 
-    def _check_frame(self, command: Command, flags_now: float | None, locked: bool) -> None:
+    def _check_frame(self, command: Command, stated_flags: float | None, locked: bool) -> None:
         """Require an unambiguous reference of the yaw."""
-        flags = int(command.number(4, "flags")) if flags_now is None else int(flags_now)
-        if flags & (_IN_EARTH if not locked else _IN_VEHICLE) or flags & 96 == 96:
+        both = _IN_VEHICLE | _IN_EARTH
+        flags = int(command.number(4, "flags")) if stated_flags is None else int(stated_flags)
+        if flags & (_IN_EARTH if not locked else _IN_VEHICLE) or flags & both == both:
             raise command.error(
                 f"has flags {flags} (params[4]), by which its yaw is relative to both north and "
                 "the nose",
@@ -197,7 +199,11 @@ class Gimbal:
 
 
 def mount_target(command: Command) -> int | None:
-    """Return the MAV_ROI mode of MAV_CMD_DO_MOUNT_CONTROL; None without a region of interest."""
+    """Return the MAV_ROI mode of MAV_CMD_DO_MOUNT_CONTROL; None without a region of interest.
+
+    Raises:
+        InputError: The command looks at the next waypoint, or its mode is missing.
+    """
     mode = command.number(6, "mode")
     if command.command == Mav.MOUNT_CONTROL and mode == _NEXT_WAYPOINT:
         raise command.error("looks at the next waypoint with an offset", "use DO_SET_ROI_WPNEXT")
@@ -233,7 +239,7 @@ def _require_degrees(command: Command, most: dict[int, float]) -> None:
 def _direction(vector: Array, nose: float) -> tuple[float, float]:
     """Return heading and pitch of a vector (3,); a vertical one has the heading of the nose."""
     level = float(np.hypot(vector[0], vector[1]))
-    heading = nose if level < _LOOKS_STRAIGHT_M else math.atan2(vector[0], vector[1])
+    heading = nose if level < _MIN_LEVEL_M else math.atan2(vector[0], vector[1])
     return heading, math.atan2(vector[2], level)
 
 

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.quantities.mission_heights import Above
-from simulate.flight.commands import LANDINGS, Command, Mav
-from simulate.flight.site import GroundHeight
+from simulate.flight.commands import CALCULATED_ABOVE_TERRAIN, LANDINGS, Command, Mav
+from simulate.flight.context import GroundHeight
 from simulate.flight.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_HIGHEST_M = 20_000
-_MISSION_FRAME = 2
+_HIGHEST_M = 20_000  # larger heights are mistakes
+_MISSION_FRAME = 2  # MAV_FRAME_MISSION
 
 
 class Positions:
@@ -45,35 +45,39 @@ class Positions:
         """Return the height of the ground at a position, world metres."""
         return float(self._height_at(position[:1], position[1:2])[0])
 
-    def goal(self, goal: Command | None, at: Array) -> Array | None:
-        """Return the target (3,) of a command that starts at ``at``; None if it is unknown.
+    def target(self, goal: Command | None, at: Array) -> Array | None:
+        """Return the target (3,) of a command that begins at ``at`` (3,); None if it is unknown.
 
         Raises:
             InputError: The position is invalid, or its height has no reference.
         """
         if goal is None or goal.command in (Mav.DELAY, Mav.RETURN_TO_LAUNCH):
             return None
-        here = not goal.params[4] and not goal.params[5]
+        has_no_location = not goal.params[4] and not goal.params[5]
         if goal.command in LANDINGS:
-            target = at.copy() if here else self._convert(goal, 0.0, Above.HOME)
+            target = at.copy() if has_no_location else self._convert(goal, 0.0, Above.HOME)
             target[2] = self.ground(target)
             return target
-        if here and goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.LOITER_TO_ALT):
-            return self._above(at, goal.number(6, "altitude"), goal.above())
-        return self.of(goal)
+        if has_no_location and goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.LOITER_TO_ALT):
+            return self._at_height(at, goal.number(6, "altitude"), goal.height_reference())
+        return self.position_of(goal)
 
-    def of(self, command: Command) -> Array:
+    def position_of(self, command: Command) -> Array:
         """Return the position (3,) in a command's last three parameters.
 
         Raises:
             InputError: The position is invalid, or its height has no reference.
         """
         # QGroundControl may store only the height above the ground.
-        if command.mode == 3 and command.params[6] is None and command.height is not None:
+        if (
+            command.mode == CALCULATED_ABOVE_TERRAIN
+            and command.params[6] is None
+            and command.height is not None
+        ):
             return self._convert(command, command.height, Above.GROUND)
-        return self._convert(command, command.number(6, "altitude"), command.above())
+        return self._convert(command, command.number(6, "altitude"), command.height_reference())
 
-    def of_mount(self, command: Command) -> Array:
+    def position_of_mount(self, command: Command) -> Array:
         """Return the point (3,) at which MAV_CMD_DO_MOUNT_CONTROL looks.
 
         Raises:
@@ -82,7 +86,7 @@ class Positions:
         height = command.number(3, "altitude")
         # The mission frame has no height reference, and autopilots differ in their interpretation.
         if command.frame not in (None, _MISSION_FRAME):
-            return self._convert(command, height, command.above())
+            return self._convert(command, height, command.height_reference())
         if self._vehicle.is_px4 or self._vehicle.is_ardupilot:
             return self._convert(command, height, Above.SEA if self._vehicle.is_px4 else Above.HOME)
         raise command.error(
@@ -103,9 +107,9 @@ class Positions:
         if above is Above.SEA:
             altitude = height + (self._geoid_m or 0.0)
         position = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
-        return position if above is Above.SEA else self._above(position, height, above)
+        return position if above is Above.SEA else self._at_height(position, height, above)
 
-    def _above(self, at: Array, height: float, above: Above) -> Array:
+    def _at_height(self, at: Array, height: float, above: Above) -> Array:
         """Return a position at a height above a reference; the earth's curvature is neglected."""
         if above is Above.SEA:
             up = height + (self._geoid_m or 0.0) - self._origin.altitude

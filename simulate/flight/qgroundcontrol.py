@@ -1,8 +1,8 @@
 """Read mission plans of QGroundControl (``.plan``).
 
 The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html.
-Supported are simple items, and surveys and corridor scans by their items, or by their transects
-where they have no items. ``structure_scan`` reads structure scans.
+Simple items are supported. Surveys and corridor scans are read from their items, or from their
+transects if they have no items. ``structure_scan`` reads structure scans.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from objconnect.scene.geo.crs import geoid_undulation
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.quantities.mission_heights import Above, above_of_survey
 from simulate.flight.commands import HARMLESS, Command, Mav
+from simulate.flight.context import GroundHeight
 from simulate.flight.gimbal import Aims
 from simulate.flight.mission import Aircraft
 from simulate.flight.positions import Positions
-from simulate.flight.site import GroundHeight
 from simulate.flight.structure_scan import StructureScan
 from simulate.flight.vehicle import Vehicle
 
@@ -34,10 +34,12 @@ _Latitude = Annotated[float, Field(ge=-90, le=90)]
 _Longitude = Annotated[float, Field(ge=-180, le=180)]
 _Length = Annotated[float, Field(gt=0)]
 
+# MAV_FRAME by the reference of its heights.
 _FRAMES = {Above.SEA: 0, Above.HOME: 3, Above.GROUND: 10}
+_SEA_LEVEL_FRAMES = (0, 5)  # MAV_FRAME: global, with decimal and with integer coordinates
 
 
-class _Part(BaseModel):
+class _PlanPart(BaseModel):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
 
 
@@ -45,14 +47,14 @@ class _SimpleItem(Command):
     type: Literal["SimpleItem", "missionItem"]
 
 
-class _CameraCalc(_Part):
+class _CameraCalc(_PlanPart):
     distance_m: float | None = Field(None, alias="DistanceToSurface")
     trigger_m: _Length | None = Field(None, alias="AdjustedFootprintFrontal")
     mode: float | None = Field(None, alias="DistanceMode")
     relative: bool | None = Field(None, alias="DistanceToSurfaceRelative")
 
 
-class _Transects(_Part):
+class _Transects(_PlanPart):
     items: tuple[_SimpleItem, ...] = Field((), alias="Items")
     points: tuple[tuple[_Latitude, _Longitude], ...] = Field((), alias="VisualTransectPoints")
     camera: _CameraCalc = Field(_CameraCalc(), alias="CameraCalc")
@@ -63,7 +65,7 @@ class _Transects(_Part):
     turn_m: float = Field(0.0, alias="TurnAroundDistance")
 
 
-class _ComplexItem(_Part):
+class _ComplexItem(_PlanPart):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
 
     type: Literal["ComplexItem"]
@@ -73,7 +75,7 @@ class _ComplexItem(_Part):
     stops_photographs: bool = Field(False, alias="stopTakingPhotos")
 
 
-class _Mission(_Part):
+class _Mission(_PlanPart):
     items: tuple[Annotated[_SimpleItem | _ComplexItem, Field(discriminator="type")], ...]
     home: tuple[_Latitude, _Longitude, float | None] = Field(alias="plannedHomePosition")
     autopilot: int | None = Field(None, alias="firmwareType")
@@ -82,7 +84,7 @@ class _Mission(_Part):
     cruise_m_s: _Length | None = Field(None, alias="cruiseSpeed")
 
 
-class _Plan(_Part):
+class _Plan(_PlanPart):
     file_type: Literal["Plan"] = Field(alias="fileType")
     mission: _Mission
 
@@ -112,7 +114,7 @@ def read_plan(
         InputError: The file cannot be read or interpreted, the plan takes no photographs or too
             many, or it lies outside the place.
     """
-    mission = read_json(path, _Plan, "mission plan").mission
+    mission = _read_mission(path)
     vehicle = Vehicle(
         mission.home[:2],
         mission.autopilot,
@@ -130,15 +132,30 @@ def read_plan(
         raise InputError(f"mission plan {path}: {error}") from None
     if not len(aims.centres):
         raise InputError(f"mission plan {path} takes no photographs: give it camera triggers")
-    doubts = list(aircraft.doubts)
-    if geoid_m is None and any(c.frame in (0, 5) and c.command not in HARMLESS for c in commands):
-        doubts.append(
+    warnings = list(aircraft.warnings)
+    if geoid_m is None and any(
+        c.frame in _SEA_LEVEL_FRAMES and c.command not in HARMLESS for c in commands
+    ):
+        warnings.append(
             "its heights above sea level are treated as ellipsoidal: give the height of the geoid "
             "as undulation_m of the flight"
         )
-    for doubt in doubts:
-        log.warning("mission plan %s: %s", path, doubt)
+    for warning in warnings:
+        log.warning("mission plan %s: %s", path, warning)
     return aims
+
+
+def check_plan(path: Path) -> None:
+    """Check that a mission plan can be read, without what depends on the place.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    _read_mission(path)
+
+
+def _read_mission(path: Path) -> _Mission:
+    return read_json(path, _Plan, "mission plan").mission
 
 
 def _commands(mission: _Mission) -> Iterator[Command]:
@@ -149,19 +166,19 @@ def _commands(mission: _Mission) -> Iterator[Command]:
             yield item.model_copy(update={"where": where})
         elif item.transects is not None:
             inner = item.transects.items
-            for row, command in enumerate(inner or _along(item, item.transects, where)):
+            for row, command in enumerate(inner or _survey_commands(item, item.transects, where)):
                 yield command.model_copy(update={"where": f"{where}.Items[{row}]"})
         elif "landing" in item.kind.lower():
             yield from _landing(item, f"{where}, {item.kind}")
         elif item.kind.lower() == "structurescan":
-            yield from _scan(item, where).commands(where)
+            yield from _parse_structure_scan(item, where).commands(where)
         else:
             raise InputError(
                 f"{where} is a {item.kind}, which is not supported: replace it by waypoints"
             )
 
 
-def _scan(item: _ComplexItem, where: str) -> StructureScan:
+def _parse_structure_scan(item: _ComplexItem, where: str) -> StructureScan:
     """Parse a structure scan.
 
     Raises:
@@ -196,15 +213,15 @@ def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
     yield Command(command=Mav.LAND, params=nothing, where=where)
 
 
-def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Command]:
+def _survey_commands(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Command]:
     """Yield the commands of a survey that was saved without items, from its transects."""
     camera, remedy = transects.camera, "save it again in QGroundControl"
     height, trigger = camera.distance_m, camera.trigger_m
-    if not transects.points or height is None or trigger is None:
-        raise InputError(
-            f"{where} has neither Items nor transects with a distance to the surface and "
-            f"between photographs: {remedy}"
-        )
+    if not transects.points:
+        raise InputError(f"{where} has neither Items nor transects: {remedy}")
+    if height is None or trigger is None:
+        what = "the surface" if height is None else "the next photograph"
+        raise InputError(f"{where} has no Items, and states no distance to {what}: {remedy}")
     above = above_of_survey(camera.mode, camera.relative, transects.follows_terrain).require(
         where, remedy
     )
@@ -215,8 +232,8 @@ def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Co
             f"triggered: {remedy}"
         )
     for row, (latitude, longitude) in enumerate(transects.points):
-        place = (0.0, 0.0, 0.0, None, latitude, longitude, height)
-        yield Command(command=Mav.WAYPOINT, frame=_FRAMES[above], params=place)
+        params = (0.0, 0.0, 0.0, None, latitude, longitude, height)
+        yield Command(command=Mav.WAYPOINT, frame=_FRAMES[above], params=params)
         if transects.hovers:
             once = (0.0, 0.0, 1.0, 0.0, None, None, None)
             yield Command(command=Mav.START_CAPTURE, params=once)
@@ -234,15 +251,16 @@ def _intervals(
     the end of the last one if photographs are taken in turns. The result is None where the points
     cannot be assigned to transects.
     """
-    turn = 1 if transects.turn_m else 0
+    turn_points = 1 if transects.turn_m else 0
     if transects.hovers:
-        return None if turn else {}
+        return None if turn_points else {}
     inner = len(item.polyline) if item.kind.lower() == "corridorscan" else 2
-    each, count = inner + 2 * turn, len(transects.points)
-    if item.kind.lower() not in ("survey", "corridorscan") or inner < 2 or count % each:
+    # Points of each transect, and of all.
+    per_transect, count = inner + 2 * turn_points, len(transects.points)
+    if item.kind.lower() not in ("survey", "corridorscan") or inner < 2 or count % per_transect:
         return None
-    starts = [row for row in range(count) if row % each == turn]
-    ends = [row for row in range(count) if row % each == turn + inner - 1]
+    starts = [row for row in range(count) if row % per_transect == turn_points]
+    ends = [row for row in range(count) if row % per_transect == turn_points + inner - 1]
     if transects.in_turns:
         starts, ends = [0, *starts], [count - 1]
     return dict.fromkeys(starts, trigger_m) | dict.fromkeys(ends, 0.0)
@@ -254,9 +272,9 @@ def _require_near(
     waypoints = aircraft.waypoints(commands)
     if not len(waypoints):
         raise InputError("it has no waypoints: plan a flight")
-    off = np.abs(waypoints[:, :2])
-    if not (off <= half_m).all(1).any():
-        nearest = np.linalg.norm(off, axis=1).min()
+    from_centre = np.abs(waypoints[:, :2])
+    if not (from_centre <= half_m).all(1).any():
+        nearest = np.linalg.norm(from_centre, axis=1).min()
         raise InputError(
             f"its nearest waypoint lies {nearest:,.0f} m from the centre of the place: plan around "
             f"{origin.latitude:.6f}, {origin.longitude:.6f} or set the origin"

@@ -9,12 +9,12 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import is_same_place
 from simulate.flight.config import FlownFlight, scene_digest
-from simulate.flight.site import FlightSite
+from simulate.flight.context import FlightContext
 
 Array = NDArray[np.float64]
 
 
-def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
+def read_flown_poses(flight: FlownFlight, context: FlightContext) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
 
     Raises:
@@ -26,9 +26,9 @@ def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
         raise InputError(
             f"scene {flight.scene} has changed since the flight was configured: restore it"
         )
-    if not is_same_place(site.origin, scene.manifest.origin):
+    if not is_same_place(context.origin, scene.manifest.origin):
         raise InputError(
-            f"scene {flight.scene} has another origin than this place: set the same origin"
+            f"scene {flight.scene} has another origin than this scene: set the same origin in both"
         )
     queries = {name for names in scene.splits.queries.values() for name in names}
     chosen = {"map": set(scene.splits.map), "queries": queries}.get(flight.photographs)
@@ -40,6 +40,7 @@ def read_flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     ]
     if not poses:
         raise InputError(
-            f"scene {flight.scene} has no photographs of its {flight.photographs}: choose others"
+            f"scene {flight.scene} has no photographs of the choice {flight.photographs!r}: set "
+            "photographs of the flight to map, queries or all"
         )
     return np.stack(poses)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from simulate.flight.config import CorridorFlight, FreeFlight, StreetFlight
+from simulate.flight.context import MAX_PHOTOGRAPHS, FlightContext
 from simulate.flight.flights import INSET_SHARE
 from simulate.flight.gimbal import Aims
-from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
 from simulate.place.world import Road, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
@@ -58,8 +58,8 @@ def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array
     if turn.max(initial=0) > _SHARPEST_TURN_DEG:
         x, y = line[1 + int(turn.argmax())]
         raise InputError(
-            f"a route turns by more than {_SHARPEST_TURN_DEG} degrees at ({x:g}, {y:g}) m: choose "
-            "a wider turn"
+            f"a route turns by more than {_SHARPEST_TURN_DEG} degrees at ({x:g}, {y:g}) m: make "
+            "the corner flatter"
         )
     tangent = np.vstack([unit[:1], unit[1:] + unit[:-1], unit[-1:]])
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -74,13 +74,13 @@ def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array
     return point + offset[:, None] * right, np.arctan2(ahead[:, 0], ahead[:, 1])
 
 
-def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) -> Aims:
+def corridor_aims(flight: CorridorFlight, context: FlightContext, frames: int | None) -> Aims:
     """Plan parallel lines along a polyline; every second one is flown back.
 
     Args:
         flight: The corridor. Its altitude is above the ground below each exposure, or above the
             ground at the line's start without ``terrain_following``.
-        site: The place and the camera.
+        context: The place and the camera.
         frames: The exact number of exposures, evenly spaced. None takes the number that the overlap
             needs along the polyline.
 
@@ -91,24 +91,24 @@ def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) 
         InputError: The line has no length or turns back on itself, the place has no road to
             follow, or there are too many photographs.
     """
-    line = _longest_road(site) if flight.line is None else np.array(flight.line)
-    if site.usual.backwards:
+    line = _longest_road(context) if flight.line is None else np.array(flight.line)
+    if context.defaults.backwards:
         line = line[::-1]
-    altitude_m = flight.altitude(site.camera.focal[0], site.usual.nadir_altitude_m)
+    altitude_m = flight.altitude(context.camera.focal[0], context.defaults.nadir_altitude_m)
     length = polyline_length(line)
-    stops = _corridor_stops(flight, site.footprint_m(altitude_m), length, frames)
-    share = np.where(stops.back, 1 - stops.share, stops.share)
-    xy, heading = offset_line(line, share * length, stops.right_m)
+    exposures = _corridor_exposures(flight, context.footprint_m(altitude_m), length, frames)
+    share = np.where(exposures.back, 1 - exposures.share, exposures.share)
+    xy, heading = offset_line(line, share * length, exposures.right_m)
     below = xy if flight.terrain_following else np.broadcast_to(line[0], xy.shape)
-    z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
+    z = context.ground_height(below[:, 0], below[:, 1]) + altitude_m
     return Aims(
         np.column_stack([xy, z]),
-        np.where(stops.back, heading + np.pi, heading),
+        np.where(exposures.back, heading + np.pi, heading),
         np.full(len(xy), np.radians(flight.pitch_deg)),
     )
 
 
-class _Stops(NamedTuple):
+class _Exposures(NamedTuple):
     """The exposures of a corridor, relative to its polyline.
 
     Attributes:
@@ -122,9 +122,9 @@ class _Stops(NamedTuple):
     back: NDArray[np.bool_]
 
 
-def _corridor_stops(
+def _corridor_exposures(
     flight: CorridorFlight, footprint_m: tuple[float, float], length: float, frames: int | None
-) -> _Stops:
+) -> _Exposures:
     """Return the exposures of a corridor of ``length`` metres."""
     forward_overlap, side_overlap = flight.overlaps
     across_m = (1 - side_overlap) * footprint_m[0]
@@ -146,10 +146,10 @@ def _corridor_stops(
         number = np.floor(at).astype(int)
         share = at - number
     right_m = np.linspace(-reach, reach, lines) if lines > 1 else np.zeros(1)
-    return _Stops(right_m[number], share, number % 2 == 1)
+    return _Exposures(right_m[number], share, number % 2 == 1)
 
 
-def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
+def street_aims(flight: StreetFlight, context: FlightContext, frames: int) -> Aims:
     """Plan the drive of a vehicle on the right-hand lane of the roads of a place.
 
     All of the vehicle's cameras expose together at each stop, as in a survey of streets (the
@@ -157,7 +157,7 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
 
     Args:
         flight: The drive.
-        site: The place with its roads.
+        context: The place with its roads.
         frames: The number of photographs of all cameras together. Stops are spread evenly over all
             roads.
 
@@ -170,16 +170,16 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
     cameras = len(flight.yaws_deg)
     stops = -(-frames // cameras)
     candidates = [np.empty((0, 4))]
-    for line, width_m in _driven_roads(flight, site):
+    for line, width_m in _driven_roads(flight, context):
         right_m = 0.25 * width_m + flight.offset_m
         at_m = np.arange(0.0, polyline_length(line), _STREET_STEP_M)
         xy, heading = offset_line(line, at_m, right_m)
-        z = site.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
+        z = context.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
         candidates.append(np.column_stack([xy, z, heading]))
     positions = np.concatenate(candidates)
-    reach = max(0.5 * site.area_m - flight.edge_m, 0.0)
+    reach = max(0.5 * context.area_m - flight.edge_m, 0.0)
     away_from_edge = (np.abs(positions[:, :2]) <= reach).all(1)
-    positions = positions[away_from_edge & site.is_free(positions[:, :3])]
+    positions = positions[away_from_edge & context.is_free(positions[:, :3])]
     if len(positions) < stops:
         raise InputError(
             f"the roads have {len(positions)} free positions, {stops} are needed: choose fewer "
@@ -191,22 +191,24 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
     return Aims(centres, yaw.ravel()[:frames], np.full(frames, np.radians(flight.pitch_deg)))
 
 
-def free_aims(flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.Generator) -> Aims:
-    """Plan a smooth random course over the square area of a site.
+def free_aims(
+    flight: FreeFlight, context: FlightContext, frames: int, rng: np.random.Generator
+) -> Aims:
+    """Plan a smooth random course over the square area of a place.
 
     The cameras look towards a point that moves around the middle of the place. The altitude above
     the ground and the pitch vary within the ranges of the flight.
 
     Args:
         flight: The ranges of altitude and pitch.
-        site: The place.
+        context: The place.
         frames: The number of exposures.
         rng: The generator of the course.
 
     Returns:
         The exposures (``frames``) in flying order.
     """
-    usual_m = site.usual.nadir_altitude_m
+    default_m = context.defaults.nadir_altitude_m
     lowest, highest = _FREE_ALTITUDES
 
     def course(low: float, high: float) -> Array:
@@ -218,29 +220,29 @@ def free_aims(flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.
         return np.asarray(low + 0.5 * (high - low) * (1 + wave))
 
     time = (np.arange(frames) + 0.5) / frames
-    reach, middle = 0.45 * site.area_m, 0.15 * site.area_m
+    reach, aim_reach = 0.45 * context.area_m, 0.15 * context.area_m
     x, y = course(-reach, reach), course(-reach, reach)
-    east, north = course(-middle, middle) - x, course(-middle, middle) - y
-    altitude_m = flight.altitude_m or (lowest * usual_m, highest * usual_m)
-    z = site.ground_height(x, y) + course(*altitude_m)
+    east, north = course(-aim_reach, aim_reach) - x, course(-aim_reach, aim_reach) - y
+    altitude_m = flight.altitude_m or (lowest * default_m, highest * default_m)
+    z = context.ground_height(x, y) + course(*altitude_m)
     pitch = np.radians(course(*flight.pitch_deg))
     return Aims(np.column_stack([x, y, z]), np.arctan2(east, north), pitch)
 
 
-def _driven_roads(flight: StreetFlight, site: FlightSite) -> list[tuple[Array, float]]:
+def _driven_roads(flight: StreetFlight, context: FlightContext) -> list[tuple[Array, float]]:
     """Return the centre lines (K, 2) in driving direction, and the widths of the roads."""
-    roads: Sequence[Road] = site.roads
+    roads: Sequence[Road] = context.roads
     if flight.roads is not None:
-        by_length = sorted(roads, key=lambda road: -len(_part_inside(road, site.area_m)))
+        by_length = sorted(roads, key=lambda road: -len(_part_inside(road, context.area_m)))
         roads = by_length[: flight.roads]
-    direction = flight.way or ("back" if site.usual.backwards else "there")
+    direction = flight.way or ("back" if context.defaults.backwards else "there")
     steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[direction]
     return [(road.line[::step], road.width_m) for road in roads for step in steps]
 
 
-def _longest_road(site: FlightSite) -> Array:
+def _longest_road(context: FlightContext) -> Array:
     """Return the line (K, 2) of the road that is longest inside the place, clipped to it."""
-    parts = (_part_inside(road, site.area_m) for road in site.roads)
+    parts = (_part_inside(road, context.area_m) for road in context.roads)
     longest = max(parts, key=len, default=np.empty((0, 2)))
     if len(longest) < 2:
         raise InputError("this place has no road for a corridor to follow: give the flight a line")

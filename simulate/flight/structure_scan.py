@@ -27,7 +27,7 @@ _ABOVE_HOME: Final = 3  # MAV_FRAME
 # From a corner to the next, the structure is on the right.
 _TO_THE_RIGHT_DEG: Final = 90.0
 _MOST_LAYERS: Final = 1000
-_ROUNDING: Final = 1e-6  # of a number of rounds
+_ROUNDING: Final = 1e-6  # tolerance of a computed number of layers
 
 _Length = Annotated[float, Field(gt=0, le=10_000)]
 
@@ -96,13 +96,15 @@ class StructureScan(BaseModel):
                 "save it again in QGroundControl"
             )
         if not 1 <= self.layers <= _MOST_LAYERS or self.layers != int(self.layers):
-            raise InputError(f"{where} has {self.layers:g} Layers: set a whole number from 1")
-        rounds = max(self.top_m - self.bottom_m, 0.0) / self.layer_m
-        if self.layers not in [max(math.ceil(rounds + off), 1) for off in (-_ROUNDING, 0.0)]:
+            raise InputError(
+                f"{where} has {self.layers:g} Layers: set a whole number from 1 to {_MOST_LAYERS}"
+            )
+        exact_layers = max(self.top_m - self.bottom_m, 0.0) / self.layer_m
+        if self.layers not in [max(math.ceil(exact_layers + off), 1) for off in (-_ROUNDING, 0.0)]:
             raise InputError(
                 f"{where} has {self.layers:g} Layers, but StructureHeight, ScanBottomAlt and "
-                f"AdjustedFootprintFrontal make {max(math.ceil(rounds), 1)}: save it again in "
-                "QGroundControl"
+                f"AdjustedFootprintFrontal make {max(math.ceil(exact_layers), 1)}: save it again "
+                "in QGroundControl"
             )
         if len(self.polygon) < 3:
             raise InputError(
@@ -114,13 +116,15 @@ class StructureScan(BaseModel):
     def _flight_corners(self, where: str) -> Array:
         """Return latitude and longitude of the corners of the flight, (N, 2) degrees."""
         origin = Geodetic(*self.polygon[0], 0.0)
-        places = [Geodetic(lat, lon, 0.0) for lat, lon in self.polygon]
-        corners = np.array([enu_from_geodetic(place, origin)[:2] for place in places])
-        ahead = np.roll(corners, -1, axis=0) - corners
-        length = np.linalg.norm(ahead, axis=1, keepdims=True)
+        geodetic = [Geodetic(lat, lon, 0.0) for lat, lon in self.polygon]
+        corners = np.array([enu_from_geodetic(corner, origin)[:2] for corner in geodetic])
         after = np.roll(corners, -1, axis=0)
+        ahead = after - corners
+        length = np.linalg.norm(ahead, axis=1, keepdims=True)
         area = float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum())
-        if not area < 0 or not length.all():
+        if not length.all():
+            raise InputError(f"{where} has a polygon with a corner twice: draw it again")
+        if not area < 0:
             raise InputError(
                 f"{where} has a polygon that is not clockwise, so that the camera would look away "
                 "from it: draw it again"
@@ -146,8 +150,8 @@ def _intersect(starts: Array, directions: Array, where: str) -> Array:
 
 
 def _waypoint(corner: tuple[float, float], height: float, where: str) -> Command:
-    place = (0.0, 0.0, 0.0, None, *corner, height)
-    return Command(command=Mav.WAYPOINT, frame=_ABOVE_HOME, params=place, where=where)
+    params = (0.0, 0.0, 0.0, None, *corner, height)
+    return Command(command=Mav.WAYPOINT, frame=_ABOVE_HOME, params=params, where=where)
 
 
 def _trigger(every_m: float, where: str) -> Command:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 from objconnect.scene.errors import InputError
 from simulate.flight.commands import Command, Mav
-from simulate.flight.site import MAX_PHOTOGRAPHS
+from simulate.flight.context import MAX_PHOTOGRAPHS
 
 # Tolerance of distances (m) and times (s) at which a photograph is due.
-_DUE = 1e-6
+_TOLERANCE = 1e-6
 _PER_MILLISECOND = 0.001
 # Minimum time (s) between photographs of a drone's camera.
 _QUICKEST_S = 0.05
-# Minimum distance (m) after which a distance trigger takes a photograph at once.
+# A restarted distance trigger takes a photograph at once only if the last one is farther away (m).
 _MIN_DISTANCE_M = 0.1
 
 
@@ -45,7 +45,7 @@ class Repeater:
 
     def take_if_due(self) -> bool:
         """Return whether a photograph is due, and count it if so."""
-        if self.left > _DUE or self.count == 0:
+        if self.left > _TOLERANCE or self.count == 0:
             return False
         self.left += self.every
         self.since_m = 0.0
@@ -61,12 +61,12 @@ class Triggers:
     Attributes:
         running: Running triggers, by the command that starts their kind.
         paused: Triggers that can be resumed.
-        doubts: Warnings for the user, one phrase each.
+        warnings: Warnings for the user, one phrase each.
     """
 
     running: dict[Mav, Repeater] = field(default_factory=dict)
     paused: dict[Mav, Repeater] = field(default_factory=dict)
-    doubts: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def command(self) -> Command | None:
@@ -115,13 +115,13 @@ class Triggers:
         times = [r.left for r in self.running.values() if r.timed and r.count != 0]
         return max(min(times, default=float("inf")), 0.0)
 
-    def require_few(self, distance_m: float, time_s: float) -> None:
+    def require_few_photographs(self, distance_m: float, time_s: float) -> None:
         """Require that a distance and time do not need too many photographs."""
         for repeater in self.running.values():
             passed = time_s if repeater.timed else distance_m
             endless = repeater.count is None or repeater.count > MAX_PHOTOGRAPHS
             if endless and passed / repeater.every > MAX_PHOTOGRAPHS:
-                raise too_many()
+                raise too_many_photographs()
 
     def advance(self, distance_m: float, time_s: float) -> int:
         """Advance by a distance and its time, and return the number of photographs due."""
@@ -139,7 +139,7 @@ class Triggers:
     def _stop(self, command: Command, *kinds: Mav) -> None:
         stopped = [self.running.pop(kind) for kind in kinds if kind in self.running]
         if not stopped and (other := self.command) is not None:
-            self.doubts.append(f"{command.title} does not stop {other.title}, which continues")
+            self.warnings.append(f"{command.title} does not stop {other.title}, which continues")
 
     def _digicam(self, command: Command) -> bool:
         shoot = command.number(4, "shoot command")
@@ -189,7 +189,7 @@ class Triggers:
         if cycle_ms not in (0, -1):
             raise command.error(f"has a cycle of {cycle_ms:g} ms (params[0])", "set it above 0")
         if (other := self.command) is not None:
-            self.doubts.append(
+            self.warnings.append(
                 f"{command.title} with a cycle of {cycle_ms:g} ms has no effect, so "
                 f"{other.title} continues"
             )
@@ -200,10 +200,10 @@ class Triggers:
         start, pause = (command.params[k] for k in (0, 2))
         if start not in (None, -1, 0, 1) or pause not in (None, -1, 0, 1):
             raise command.error("is neither start, stop nor pause", "set params[0] to 0 or 1")
-        own = (Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL)
+        stored = (Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL)  # the aircraft's own triggers
         if start == 0 or pause == 1:
-            self.paused |= {kind: self.running.pop(kind) for kind in own if kind in self.running}
-        elif start == 1 and not any(kind in self.running for kind in own):
+            self.paused |= {kind: self.running.pop(kind) for kind in stored if kind in self.running}
+        elif start == 1 and not any(kind in self.running for kind in stored):
             if not self.paused:
                 raise command.error(
                     "starts the aircraft's own trigger, whose interval is unknown",
@@ -233,6 +233,6 @@ class Triggers:
         return True
 
 
-def too_many() -> InputError:
+def too_many_photographs() -> InputError:
     """Return the error for a plan with too many photographs."""
     return InputError(f"it takes more than {MAX_PHOTOGRAPHS} photographs: trigger less often")

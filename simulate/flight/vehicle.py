@@ -55,7 +55,7 @@ class Vehicle:
         return self.kind in _VTOL
 
     @property
-    def glides(self) -> bool:
+    def flies_forward(self) -> bool:
         """Return whether the aircraft is in forward flight and cannot hover."""
         return self.kind == _PLANE or (self.is_vtol and self.transitioned)
 
@@ -65,7 +65,7 @@ class Vehicle:
             return self.set_m_s
         if self.kind is None:
             return self.hover_m_s if self.hover_m_s == self.cruise_m_s else None
-        return self.cruise_m_s if self.glides else self.hover_m_s
+        return self.cruise_m_s if self.flies_forward else self.hover_m_s
 
     def speed(self, needed_by: Command) -> float:
         """Return the speed, metres per second.
@@ -75,7 +75,7 @@ class Vehicle:
         """
         speed = self.speed_or_none()
         if speed is None:
-            name = "cruiseSpeed" if self.glides else "hoverSpeed"
+            name = "cruiseSpeed" if self.flies_forward else "hoverSpeed"
             raise InputError(
                 f"{'vehicleType' if self.kind is None else name} is missing, so the speed of "
                 f"{needed_by.title} is unknown: save the plan in QGroundControl again"
@@ -90,7 +90,9 @@ class Vehicle:
         """
         kind, speed = command.number(0, "speed type"), command.number(1, "speed")
         if kind not in (_AIR, _GROUND, _CLIMB, _DESCENT):
-            raise command.error(f"has the speed type {kind:g} (params[0])", "set 0 or 1")
+            raise command.error(
+                f"has the speed type {kind:g} (params[0])", "set 0 (air speed) or 1 (ground speed)"
+            )
         if kind in (_CLIMB, _DESCENT) or speed == _UNCHANGED:
             return
         if speed == _DEFAULT:
@@ -108,7 +110,9 @@ class Vehicle:
         """
         state = command.number(0, "state")
         if state not in (_HOVERING, _FORWARD):
-            raise command.error(f"has the state {state:g} (params[0])", "set 3 or 4")
+            raise command.error(
+                f"has the state {state:g} (params[0])", "set 3 (hover) or 4 (forward flight)"
+            )
         self.enter(forward=state == _FORWARD)
 
     def enter(self, *, forward: bool) -> None:

@@ -30,36 +30,37 @@ def building_mesh(building: WorldObject) -> Mesh:
     out = MeshBuilder()
     length, depth, height = building.size
     half_x, half_y = 0.5 * length, 0.5 * depth
-    eaves = height - style.roof_height_m
+    wall_top = height - style.roof_height_m
     house = building.shape == "house"
     ridge = height - (_CHIMNEY_M if house and style.roof != "flat" else 0.0)
 
-    # The main body takes the back of the box. The wing of an L extends forward from its left part.
-    main_share, wing_share = style.wing
-    split = half_y - main_share * depth
+    # The main body takes the whole width at the back of the box. The wing of an L extends forward
+    # from the left part of the main body.
+    main_depth, wing_width = style.main_depth_share * depth, style.wing_width_share * length
+    split = half_y - main_depth
     main = (-half_x, half_x, split, half_y)
     bodies = [(main, ridge)]
-    if wing_share < 1.0:
-        wing = (-half_x, -half_x + wing_share * length, -half_y, split + 0.5 * (half_y - split))
-        # The wing's roof reaches below the main roof up to its ridge, so that no gap is seen.
-        wing_ridge = eaves + (ridge - eaves) * min(1.0, wing_share * length / (half_y - split))
+    if style.wing_width_share < 1.0:
+        wing = (-half_x, -half_x + wing_width, -half_y, split + 0.5 * (half_y - split))
+        # The wing reaches under the main roof as far as the main ridge, so that no gap is seen.
+        wing_ridge = wall_top + (ridge - wall_top) * min(1.0, wing_width / (half_y - split))
         bodies.append((wing, min(wing_ridge, ridge - 0.15)))
     for k, (rect, top) in enumerate(bodies):
         turned = k == 1
-        _walls(out, _inset(rect, style.eaves_m), eaves, style.facade, style.wall_rgb, rng)
+        _walls(out, _inset(rect, style.overhang_m), wall_top, style.facade, style.wall_rgb, rng)
         if style.roof == "flat":
-            parapet = min(height, eaves + 0.45) if k == 0 else eaves + 0.2
+            parapet = min(height, wall_top + 0.45) if k == 0 else wall_top + 0.2
             _flat_roof(out, rect, parapet, style.roof_rgb, style.wall_rgb, rng)
         elif style.roof == "hip" and not turned:
-            _hip_roof(out, rect, (eaves, top), style, rng)
+            _hip_roof(out, rect, (wall_top, top), style, rng)
         else:
-            _gable_roof(out, rect, (eaves, top), style, rng, turned=turned)
+            _gable_roof(out, rect, (wall_top, top), style, rng, turned=turned)
     if style.roof == "flat":
-        _roof_plant(out, main, eaves + 0.4, height, building.shape, rng)
+        _roof_installations(out, main, wall_top, height, building.shape, rng)
     elif house:
-        _chimney(out, main, eaves, ridge, height, rng)
+        _chimney(out, main, wall_top, ridge, height, rng)
     if building.shape in ("house", "slab", "hall") and style.roof != "flat":
-        _skylights(out, main, eaves, ridge, style.roof == "hip", rng)
+        _skylights(out, main, wall_top, ridge, style.roof == "hip", rng)
     return out.build()
 
 
@@ -104,9 +105,9 @@ def _slope(
     tint: Rgb,
     rng: np.random.Generator,
 ) -> None:
-    """Add a roof plane with corners (K, 3).
+    """Add a roof plane with corners (K, 3), of which the first two are the ends of the eaves.
 
-    Its first edge is its eaves, and the texture runs up.
+    The texture runs up the slope.
     """
     along = points[1] - points[0]
     along /= np.linalg.norm(along)
@@ -129,26 +130,27 @@ def _gable_roof(
 ) -> None:
     """Add two slopes and two gables. The ridge runs along x, or along y when ``turned``.
 
-    ``heights`` are those of eaves and ridge.
+    ``heights`` are those of the walls' top and of the ridge. The slopes pass through both lines, so
+    that the eaves of a roof with an overhang are below the walls' top.
     """
-    walls = _inset(rect, style.eaves_m)
-    eaves, ridge = heights
+    walls = _inset(rect, style.overhang_m)
+    wall_top, ridge = heights
 
-    def place(a: float, b: float, z: float) -> tuple[float, float, float]:
+    def corner(a: float, b: float, z: float) -> tuple[float, float, float]:
         return (-b, a, z) if turned else (a, b, z)
 
     x0, x1, y0, y1 = (rect[2], rect[3], -rect[1], -rect[0]) if turned else rect
     w0, w1, d0, d1 = (walls[2], walls[3], -walls[1], -walls[0]) if turned else walls
     m = 0.5 * (y0 + y1)
-    drop = (ridge - eaves) * (d0 - y0) / max(m - d0, 0.1)  # the eaves are below the walls' top
-    low = eaves - drop
+    eaves = wall_top - (ridge - wall_top) * (d0 - y0) / max(m - d0, 0.1)
     for a, b, y in ((x0, x1, y0), (x1, x0, y1)):
-        corners = [place(a, y, low), place(b, y, low), place(b, m, ridge), place(a, m, ridge)]
+        ends = ((a, y, eaves), (b, y, eaves), (b, m, ridge), (a, m, ridge))
+        corners = [corner(*end) for end in ends]
         _slope(out, np.array(corners), style.roofing, style.roof_rgb, rng)
         under = [(p[0], p[1], p[2] - 0.12) for p in reversed(corners)]
         out.polygon(under, "plain", (0.30, 0.27, 0.24))
     for x, order in ((w0, -1), (w1, 1)):
-        gable = [place(x, d0, eaves), place(x, d1, eaves), place(x, m, ridge - 0.05)]
+        gable = [corner(x, d0, wall_top), corner(x, d1, wall_top), corner(x, m, ridge - 0.05)]
         shade: Rgb = tuple(0.8 * c for c in style.wall_rgb)  # type: ignore[assignment]
         out.polygon(gable[::order], "plain", shade)
 
@@ -160,14 +162,14 @@ def _hip_roof(
     style: BuildingStyle,
     rng: np.random.Generator,
 ) -> None:
-    """Add four slopes; ``heights`` are those of eaves and ridge."""
+    """Add four slopes; ``heights`` are those of the eaves, which are level with the walls' top, and
+    of the ridge."""
     x0, x1, y0, y1 = rect
     eaves, ridge = heights
     m = 0.5 * (y0 + y1)
     run = min(0.5 * (y1 - y0), 0.48 * (x1 - x0))
-    low = eaves
     a, b = (x0 + run, m, ridge), (x1 - run, m, ridge)
-    sw, se, ne, nw = (x0, y0, low), (x1, y0, low), (x1, y1, low), (x0, y1, low)
+    sw, se, ne, nw = (x0, y0, eaves), (x1, y0, eaves), (x1, y1, eaves), (x0, y1, eaves)
     for plane in ([sw, se, b, a], [se, ne, b], [ne, nw, a, b], [nw, sw, a]):
         _slope(out, np.array(plane), style.roofing, style.roof_rgb, rng)
     out.polygon([nw, ne, se, sw], "plain", (0.30, 0.27, 0.24))
@@ -188,26 +190,29 @@ def _flat_roof(
     out.box((x1 - t, y0 + t, low), (x1, y1 - t, top), "plain", rim)
 
 
-def _roof_plant(
-    out: MeshBuilder, rect: Rect, deck: float, top: float, shape: str, rng: np.random.Generator
+def _roof_installations(
+    out: MeshBuilder, rect: Rect, wall_top: float, top: float, shape: str, rng: np.random.Generator
 ) -> None:
     """Add stair heads, ventilators, hatches and solar panels on a flat roof, up to ``top``."""
+    # Heights of installations are above this level, 0.15 m above the roof's surface. Boxes begin at
+    # the top of the walls, below the surface.
+    base = wall_top + 0.4
     x0, x1, y0, y1 = _inset(rect, 1.0)
     if shape == "shed":
         return
     area = (x1 - x0) * (y1 - y0)
-    if top - deck > 1.0:  # the highest of them reaches the top of the box
+    if top - base > 1.0:  # the highest of them reaches the top of the box
         size = (2.2, 2.2) if shape == "hall" else (min(4.0, x1 - x0), min(3.0, y1 - y0))
         x = rng.uniform(x0, x1 - size[0])
         y = rng.uniform(y0, max(y0 + 0.1, y1 - size[1]))
-        out.box((x, y, deck - 0.4), (x + size[0], y + size[1], top), "plain", (0.34, 0.33, 0.32))
+        out.box((x, y, base - 0.4), (x + size[0], y + size[1], top), "plain", (0.34, 0.33, 0.32))
     for _ in range(int(area / 28) + int(rng.integers(0, 4))):
         x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
         w, d, h = rng.uniform(0.5, 1.8, 3) * (1, 1, 0.5)
         shade = rng.uniform(0.12, 0.5)
         out.box(
-            (x, y, deck - 0.4),
-            (min(x + w, x1 + 0.7), min(y + d, y1 + 0.7), min(deck + h, top)),
+            (x, y, base - 0.4),
+            (min(x + w, x1 + 0.7), min(y + d, y1 + 0.7), min(base + h, top)),
             "plain",
             (shade, shade, shade * rng.uniform(0.95, 1.1)),
         )
@@ -217,15 +222,20 @@ def _roof_plant(
         x = rng.uniform(x0, 0.4 * x1 + 0.6 * x0)
         for i in range(columns):
             for j in range(int(rng.integers(1, 3))):
-                a, b, high = x + 1.3 * i, y + 2.2 * j, min(deck + 0.45, top)
-                quad = [(a, b, deck), (a + 1.15, b, deck), (a + 1.15, b + 1.5, high),
+                a, b, high = x + 1.3 * i, y + 2.2 * j, min(base + 0.45, top)
+                quad = [(a, b, base), (a + 1.15, b, base), (a + 1.15, b + 1.5, high),
                         (a, b + 1.5, high)]  # fmt: skip
                 if a + 1.2 < x1 and b + 1.6 < y1:
                     out.polygon(quad, "glass", (0.02, 0.03, 0.07))
 
 
 def _chimney(
-    out: MeshBuilder, rect: Rect, eaves: float, ridge: float, top: float, rng: np.random.Generator
+    out: MeshBuilder,
+    rect: Rect,
+    wall_top: float,
+    ridge: float,
+    top: float,
+    rng: np.random.Generator,
 ) -> None:
     """Add a chimney on the ridge up to the top of the box, and sometimes a second, lower one."""
     x0, x1, y0, y1 = rect
@@ -233,26 +243,32 @@ def _chimney(
     brick = (0.24, 0.11, 0.08) if rng.random() < 0.7 else (0.42, 0.40, 0.37)
     half = 0.5 * (x1 - x0)
     x = 0.5 * (x0 + x1) + rng.uniform(-0.45, 0.45) * half
-    out.box((x - 0.35, m - 0.35, eaves), (x + 0.35, m + 0.35, top), "plain", brick)
+    out.box((x - 0.35, m - 0.35, wall_top), (x + 0.35, m + 0.35, top), "plain", brick)
     out.box((x - 0.18, m - 0.18, top - 0.1), (x + 0.18, m + 0.18, top), "plain", (0.03, 0.03, 0.03))
     if rng.random() < 0.4:
         x, y = x0 + rng.uniform(0.3, 0.7) * (x1 - x0), m + rng.uniform(0.15, 0.3) * (y1 - y0)
-        out.box((x - 0.15, y - 0.15, eaves), (x + 0.15, y + 0.15, ridge - 0.2), "plain", (0.3,) * 3)
+        out.box(
+            (x - 0.15, y - 0.15, wall_top), (x + 0.15, y + 0.15, ridge - 0.2), "plain", (0.3,) * 3
+        )
 
 
 def _skylights(
-    out: MeshBuilder, rect: Rect, eaves: float, ridge: float, hip: bool, rng: np.random.Generator
+    out: MeshBuilder, rect: Rect, wall_top: float, ridge: float, hip: bool, rng: np.random.Generator
 ) -> None:
-    """Add skylights or solar panels 6 cm above the slopes."""
+    """Add skylights or solar panels at least 6 cm above the slopes.
+
+    They lie 6 cm above the plane from the ridge to the edge of the roof at the height of the walls'
+    top. That plane is the slope of a hip roof. The slope of a gable roof with an overhang is lower.
+    """
     x0, x1, y0, y1 = rect
     m, half = 0.5 * (y0 + y1), 0.5 * (y1 - y0)
-    rise = (ridge - eaves) / half
+    rise = (ridge - wall_top) / half
     lift = np.array([0.0, -rise, 1.0]) / np.hypot(rise, 1.0) * 0.06
 
     def panel(xa: float, xb: float, s0: float, s1: float, side: int, tint: Rgb) -> None:
         """Add a panel from ``xa`` to ``xb`` between the shares ``s0`` < ``s1`` of the slope."""
         quad = [
-            (x, m + side * half * (1 - s), eaves + s * (ridge - eaves)) for x, s in
+            (x, m + side * half * (1 - s), wall_top + s * (ridge - wall_top)) for x, s in
             ((xa, s0), (xb, s0), (xb, s1), (xa, s1))
         ]  # fmt: skip
         points = np.array(quad) + lift * (1, -side, 1)

@@ -6,98 +6,23 @@ geometry of a place; ``simulate.place.change`` does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from functools import cache
 from math import exp, inf, log2, pi, radians, sin
 from typing import TypeVar
 
+import numpy as np
+
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.registry import Registry
-from simulate.look.sun import sun_position
+from simulate.look.seasons import SEASONS, Season
+from simulate.look.sun import SunPosition, sun_position
 from simulate.place.world import Rgb
 
-PLACE = Geodetic(47.0, 8.0, 450.0)
-"""The default geodetic origin of places."""
-
-# Linear albedo of each kind of ground: (fresh, worn).
-_SUMMER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
-    "grass": ((0.066, 0.092, 0.034), (0.150, 0.140, 0.075)),
-    "field": ((0.105, 0.125, 0.040), (0.260, 0.205, 0.100)),
-    "road": ((0.085, 0.085, 0.088), (0.125, 0.122, 0.118)),
-    "pavement": ((0.240, 0.230, 0.215), (0.300, 0.285, 0.265)),
-    "parking": ((0.100, 0.100, 0.103), (0.150, 0.147, 0.142)),
-    "driveway": ((0.210, 0.190, 0.170), (0.260, 0.215, 0.185)),
-    "path": ((0.270, 0.225, 0.165), (0.320, 0.280, 0.220)),
-}
-_WINTER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
-    "grass": ((0.080, 0.085, 0.042), (0.135, 0.115, 0.070)),
-    "field": ((0.105, 0.085, 0.060), (0.155, 0.125, 0.085)),
-    "road": ((0.070, 0.071, 0.075), (0.115, 0.113, 0.112)),
-    "pavement": ((0.170, 0.168, 0.165), (0.220, 0.215, 0.208)),
-    "parking": ((0.078, 0.079, 0.082), (0.125, 0.123, 0.121)),
-    "driveway": ((0.150, 0.140, 0.130), (0.185, 0.160, 0.142)),
-    "path": ((0.180, 0.155, 0.120), (0.220, 0.195, 0.160)),
-}
-_SPRING_GROUND = _SUMMER_GROUND | {
-    "grass": ((0.052, 0.098, 0.026), (0.090, 0.120, 0.042)),
-    "field": ((0.050, 0.095, 0.026), (0.150, 0.110, 0.070)),
-}
-_AUTUMN_GROUND = _SUMMER_GROUND | {
-    "grass": ((0.078, 0.086, 0.034), (0.165, 0.120, 0.056)),
-    "field": ((0.098, 0.072, 0.048), (0.170, 0.130, 0.082)),
-}
-
-
-@dataclass(frozen=True)
-class Season:
-    """A season: the day of the year, the colours of ground and leaves, and the snow.
-
-    Attributes:
-        day: Month and day in the northern hemisphere. In the southern hemisphere the season is half
-            a year later.
-        ground: Linear albedo (fresh, worn) by class of ground.
-        leaf: Linear colour of the inner leaves of broadleaved trees.
-        leaf_tip: Linear colour of their outer leaves.
-        snow: Fraction of open ground under snow, 0 to 1.
-        bare: Whether broadleaved trees have no leaves, a change of the geometry that sessions
-            declare.
-    """
-
-    day: date
-    ground: Mapping[str, tuple[Rgb, Rgb]]
-    leaf: Rgb
-    leaf_tip: Rgb
-    snow: float = 0.0
-    bare: bool = False
-
-
-_BROWN_LEAF: Rgb = (0.042, 0.036, 0.024)
-_BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
-SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
-"""Linear colours of the inner and outer leaves in summer, and of conifers all year."""
-
-_SEASONS: dict[str, Season] = {
-    "spring": Season(
-        date(2026, 4, 28),
-        _SPRING_GROUND,
-        leaf=(0.040, 0.066, 0.014),
-        leaf_tip=(0.170, 0.215, 0.050),
-    ),
-    "summer": Season(date(2025, 7, 2), _SUMMER_GROUND, *SUMMER_LEAF),
-    "autumn": Season(
-        date(2025, 10, 20),
-        _AUTUMN_GROUND,
-        leaf=(0.085, 0.042, 0.012),
-        leaf_tip=(0.330, 0.170, 0.030),
-    ),
-    "leafoff": Season(date(2025, 12, 3), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, bare=True),
-    "winter": Season(date(2026, 1, 20), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.62),
-    "snow": Season(date(2026, 2, 6), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.95),
-}
-SEASONS = Registry("season", "objconnect.seasons", _SEASONS, lambda e: isinstance(e, Season))
+DEFAULT_ORIGIN = Geodetic(47.0, 8.0, 450.0)
+"""The geodetic origin of places that state no other."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +30,8 @@ class Light:
     """A time of day.
 
     Attributes:
-        elevation: Elevation of the sun, degrees. None is half an hour before solar noon.
+        elevation: Elevation of the sun, degrees. None is half an hour before solar noon. Below 0
+            it is night, with moon, street lamps, lit windows and headlights.
         rising: Whether that elevation is in the morning, else in the afternoon.
     """
 
@@ -118,27 +44,46 @@ _LIGHTS: dict[str, Light] = {
     "noon": Light(None),
     "afternoon": Light(35.0),
     "dusk": Light(10.0),
+    "night": Light(-12.0),
 }
 LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e, Light))
-# Where the sun does not reach a light's elevation, this share of its highest elevation is used.
-_SHARE_OF_HIGHEST = 0.6
-_LOWEST_NOON = 3.0
+# A light's elevation is limited to this share of the sun's elevation at noon.
+_SHARE_OF_NOON = 0.6
+_MIN_NOON_DEG = 3.0  # minimum elevation of the sun at noon
+
+# The lights of a night are on a brighter scale than those of a day, by this many stops. An
+# irradiance of 1 W/m2 is 100,000 lux / 6 by day, and about 15 lux by night, as under a street lamp.
+_NIGHT_STOPS = 10.0
+_MOON_W, _MOON_DEG, _MOON_RGB = 0.02, 40.0, (0.75, 0.86, 1.0)
+_GLOW = 0.012  # strength of the sky at night
+_STREET_W = 0.25  # mean irradiance of streets by lamps, which the camera meters
+_NIGHT_UNDEREXPOSURE = 1.0  # stops
+# Share of windows that are lit, by the hour of mean solar time.
+_LIT_WINDOWS = ((0.0, 0.12), (2.0, 0.03), (5.0, 0.06), (7.0, 0.4), (16.0, 0.4), (19.0, 0.55),
+                (21.5, 0.45), (24.0, 0.12))  # fmt: skip
+_MELTWATER = 0.7  # wetness of the ground under thawing snow
 
 
 @dataclass(frozen=True)
 class Weather:
-    """The weather: clouds, fog and rain.
+    """The weather: clouds, fog, rain, snowfall and floods.
 
     Attributes:
         cloud: Cloud cover, 0 to 1. It turns the sky grey, and dims and softens the sun.
         visibility_m: Distance in metres at which fog leaves 2 % of the contrast (Koschmieder).
         wet: Wetness, 0 to 1. It darkens surfaces, and puts a film of water and puddles on sealed
             ground.
+        rain: Rain that falls, 0 to 1 for a downpour.
+        snowfall: Snow that falls, 0 to 1 for a dense snowfall.
+        flood: Share of meadows, fields and paths under standing water, the lowest first.
     """
 
     cloud: float = 0.0
     visibility_m: float = inf
     wet: float = 0.0
+    rain: float = 0.0
+    snowfall: float = 0.0
+    flood: float = 0.0
 
 
 _WEATHER: dict[str, Weather] = {
@@ -146,13 +91,17 @@ _WEATHER: dict[str, Weather] = {
     "overcast": Weather(cloud=1.0),
     "fog": Weather(cloud=1.0, visibility_m=800.0),
     "wet": Weather(wet=1.0),
+    "haze": Weather(cloud=0.2, visibility_m=5000.0),
+    "rain": Weather(cloud=1.0, visibility_m=4000.0, wet=1.0, rain=1.0),
+    "snowfall": Weather(cloud=1.0, visibility_m=1500.0, snowfall=1.0),
+    "flood": Weather(cloud=0.5, wet=0.4, flood=0.35),
 }
 WEATHER = Registry("weather", "objconnect.weather", _WEATHER, lambda e: isinstance(e, Weather))
 
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun at a time.
+    """The sun or the moon at a time.
 
     Attributes:
         azimuth: Degrees clockwise from north.
@@ -185,15 +134,30 @@ class Sky:
 
 
 @dataclass(frozen=True)
+class Night:
+    """The lights of a night.
+
+    Attributes:
+        moon: A nearly full moon. Its position is not that of the real moon.
+        windows: Share of windows that are lit at the hour.
+    """
+
+    moon: Sun
+    windows: float
+
+
+@dataclass(frozen=True)
 class Condition:
     """A season, a light and a weather over a place.
 
     Attributes:
         name: SEASON-LIGHT[-WEATHER].
         time: Start of flights under the condition.
-        sun: The sun at that time, through the clouds.
+        sun: The sun at that time, through the clouds. Below the horizon it has no power.
         sky: The sky at that time.
         exposure: Exposure of the photographs, stops.
+        noon: Position of the sun at noon of mean solar time.
+        night: The lights of the night; None by day.
     """
 
     name: str
@@ -203,15 +167,33 @@ class Condition:
     sun: Sun
     sky: Sky
     exposure: float
+    noon: SunPosition
+    night: Night | None = None
+
+    @property
+    def wet(self) -> float:
+        """Return the wetness of the ground by rain or by melting snow, 0 to 1."""
+        return max(self.weather.wet, _MELTWATER * self.season.thaw)
+
+    @property
+    def luminary(self) -> Sun:
+        """Return the sun by day, and the moon by night."""
+        return self.sun if self.night is None else self.night.moon
+
+    @property
+    def dimness(self) -> float:
+        """Return the stops by which a camera exposes more than at summer noon, at least 0."""
+        scale = 0.0 if self.night is None else _NIGHT_STOPS
+        return max(0.0, self.exposure + scale - condition("summer-noon").exposure)
 
 
 @cache
-def condition(name: str, place: Geodetic = PLACE) -> Condition:
-    """Return the condition SEASON-LIGHT[-WEATHER] at a place; the default weather is clear.
+def condition(name: str, origin: Geodetic = DEFAULT_ORIGIN) -> Condition:
+    """Return the condition SEASON-LIGHT[-WEATHER] at an origin; the default weather is clear.
 
     Raises:
         InputError: a part of the name is unknown, or the sun does not rise that day at that
-            latitude.
+            latitude and the light needs it.
     """
     words = name.split("-")
     if len(words) not in (2, 3):
@@ -224,12 +206,16 @@ def condition(name: str, place: Geodetic = PLACE) -> Condition:
     light = _part(LIGHTS, words[1], "light", name)
     weather = _part(WEATHER, words[2] if len(words) == 3 else "clear", "weather", name)
 
-    time = _time(name, season, light, place)
-    azimuth, elevation = sun_position(time, place)
-    watts, sun_rgb = _sunlight(elevation)
-    watts *= 1 - 0.96 * weather.cloud
-    sun = Sun(azimuth, elevation, 0.53 + 14.0 * weather.cloud, watts, sun_rgb)
-    sky = _sky(elevation, weather.cloud)
+    if light.elevation is not None and light.elevation < 0:
+        time, hour = _night_time(name, season, light, origin)
+        sun, sky, night = _night_light(time, hour, weather, origin)
+    else:
+        time, night = _time(name, season, light, origin), None
+        azimuth, elevation = sun_position(time, origin)
+        watts, sun_rgb = _sunlight(elevation)
+        watts *= 1 - 0.96 * weather.cloud
+        sun = Sun(azimuth, elevation, 0.53 + 14.0 * weather.cloud, watts, sun_rgb)
+        sky = _sky(elevation, weather.cloud)
     return Condition(
         name=name.removesuffix("-clear"),
         time=time,
@@ -237,7 +223,9 @@ def condition(name: str, place: Geodetic = PLACE) -> Condition:
         weather=weather,
         sun=sun,
         sky=sky,
-        exposure=_exposure(sun, sky, season, weather),
+        exposure=_exposure(sun, sky, season, weather, night),
+        noon=sun_position(_midnight(season, origin) + timedelta(hours=12), origin),
+        night=night,
     )
 
 
@@ -252,24 +240,81 @@ def _part(known: Registry[T], word: str, kind: str, name: str) -> T:
     return known[word]
 
 
-def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
+def _time(name: str, season: Season, light: Light, origin: Geodetic) -> datetime:
     """Return the UTC minute of the season's day at which the sun matches the light."""
-    day = season.day if place.latitude >= 0 else season.day + timedelta(days=182)
-    midnight = datetime(day.year, day.month, day.day, tzinfo=UTC)
-    first = midnight - timedelta(minutes=round(place.longitude * 4))  # midnight of mean solar time
+    first = _midnight(season, origin)
     minutes = [first + timedelta(minutes=k) for k in range(1440)]
-    height = [sun_position(minute, place).elevation for minute in minutes]
-    top = max(range(1440), key=height.__getitem__)
-    if height[top] < _LOWEST_NOON:
+    elevations = [sun_position(minute, origin).elevation for minute in minutes]
+    noon = max(range(1440), key=elevations.__getitem__)
+    if elevations[noon] < _MIN_NOON_DEG:
         raise InputError(
-            f"condition {name!r} has no daylight at latitude {place.latitude:g} on {day}: choose "
-            "another season or origin"
+            f"condition {name!r} has no daylight at latitude {origin.latitude:g} on "
+            f"{_day(season, origin)}: choose another season or origin"
         )
     if light.elevation is None:
-        return minutes[top - 30]  # before noon, so that shadows do not lie due north
-    wanted = min(light.elevation, _SHARE_OF_HIGHEST * height[top])
-    side = range(top) if light.rising else range(top, 1440)
-    return minutes[min(side, key=lambda k: abs(height[k] - wanted))]
+        return minutes[noon - 30]  # before noon, so that shadows do not lie due north
+    wanted = min(light.elevation, _SHARE_OF_NOON * elevations[noon])
+    half_day = range(noon) if light.rising else range(noon, 1440)
+    return minutes[min(half_day, key=lambda k: abs(elevations[k] - wanted))]
+
+
+def _day(season: Season, origin: Geodetic) -> date:
+    """Return the season's day, which is half a year later in the southern hemisphere."""
+    return season.day if origin.latitude >= 0 else season.day + timedelta(days=182)
+
+
+def _midnight(season: Season, origin: Geodetic) -> datetime:
+    """Return the midnight of mean solar time at which the season's day begins."""
+    day = _day(season, origin)
+    midnight = datetime(day.year, day.month, day.day, tzinfo=UTC)
+    return midnight - timedelta(minutes=round(origin.longitude * 4))
+
+
+def _night_time(
+    name: str, season: Season, light: Light, origin: Geodetic
+) -> tuple[datetime, float]:
+    """Return the UTC minute at which the sun matches an elevation below 0, and the solar hour.
+
+    The day is the season's, or the nearest day on which the sun sinks that far. In the polar night
+    the sun may be lower.
+
+    Raises:
+        InputError: the sun never sinks that far at the latitude.
+    """
+    elevation = light.elevation or 0.0
+    season_day = _midnight(season, origin)
+    days = (season_day + timedelta(days=way * k) for k in range(184) for way in (1, -1))
+    first = next((d for d in days if sun_position(d, origin).elevation <= elevation), None)
+    if first is None:
+        raise InputError(
+            f"condition {name!r}: the sun never sinks to {elevation:g} degrees at latitude "
+            f"{origin.latitude:g}: choose another light or origin"
+        )
+    half_day = range(720) if light.rising else range(720, 1440)
+
+    def error(minute: int) -> float:
+        return abs(sun_position(first + timedelta(minutes=minute), origin).elevation - elevation)
+
+    minute = min(half_day, key=error)
+    return first + timedelta(minutes=minute), minute / 60
+
+
+def _night_light(
+    time: datetime, hour: float, weather: Weather, origin: Geodetic
+) -> tuple[Sun, Sky, Night]:
+    """Return the sun without power, the glow of the sky, and the lights of the night.
+
+    Clouds hide the moon and reflect the lamps of the region.
+    """
+    azimuth, elevation = sun_position(time, origin)
+    sun = Sun(azimuth, elevation, 0.53, 0.0, (1.0, 1.0, 1.0))
+    watts = _MOON_W * (1 - 0.96 * weather.cloud)
+    moon = Sun((azimuth + 180) % 360, _MOON_DEG, 0.53 + 14.0 * weather.cloud, watts, _MOON_RGB)
+    zenith = _mix((0.22, 0.30, 0.52), (0.62, 0.50, 0.40), weather.cloud)
+    horizon = _mix((0.62, 0.60, 0.66), (0.95, 0.72, 0.52), weather.cloud)
+    sky = Sky(zenith, horizon, _GLOW * (1 + weather.cloud))
+    hours, shares = zip(*_LIT_WINDOWS, strict=True)
+    return sun, sky, Night(moon, float(np.interp(hour, hours, shares)))
 
 
 def _sunlight(elevation: float) -> tuple[float, Rgb]:
@@ -294,16 +339,20 @@ def _sky(elevation: float, cloud: float) -> Sky:
     return Sky(zenith, horizon, 0.5 + 0.85 * day)
 
 
-def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather) -> float:
+def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather, night: Night | None) -> float:
     """Return the exposure in stops: 85 % of that of a light meter at 100 m that points down.
 
-    Photographs in the evening therefore stay a little dark.
+    Photographs in the evening therefore stay a little dark. Those at night are darker still,
+    because a camera limits its exposure time and its gain.
     """
     light = sky.strength * (sum(sky.zenith) + sum(sky.horizon)) / 6
     albedo = 0.12 + 0.3 * season.snow
+    if night is not None:
+        street = albedo * (_STREET_W / pi + light)
+        return 0.85 * log2(0.33 / street) - _NIGHT_UNDEREXPOSURE
     ground = albedo * (sun.watts * sin(radians(sun.elevation)) / pi + light)
-    through = exp(-3.912 * 100 / weather.visibility_m)
-    return 0.85 * log2(0.33 / (through * ground + (1 - through) * light))
+    transmittance = exp(-3.912 * 100 / weather.visibility_m)
+    return 0.85 * log2(0.33 / (transmittance * ground + (1 - transmittance) * light))
 
 
 def _mix(a: Rgb, b: Rgb, share: float) -> Rgb:

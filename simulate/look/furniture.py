@@ -1,4 +1,4 @@
-"""Build meshes of small objects of streets, parks, yards, shores and farms, in metres.
+"""Build meshes of small objects of streets, parks, yards and farms, in metres.
 
 The front of an object faces +x. The parts that take the object's own colour have the material
 "paint".
@@ -142,36 +142,6 @@ def _pallet() -> Mesh:
     return out.build()
 
 
-def _boat() -> Mesh:
-    """Build an open rowing boat, with its bow along +x."""
-    out = MeshBuilder()
-    x = np.array([0.0, 0.6, 1.8, 2.8, 3.6, 4.2])
-    half = np.array([0.55, 0.70, 0.75, 0.62, 0.34, 0.04])
-    rim, keel = np.full(6, 0.55), np.array([0.0, 0.0, 0.0, 0.02, 0.10, 0.3])
-    rim[4:] = 0.60, 0.66
-    for k in range(5):
-        for side in (-1, 1):
-            outer = [
-                (x[k], side * half[k], rim[k]),
-                (x[k], side * 0.6 * half[k], keel[k]),
-                (x[k + 1], side * 0.6 * half[k + 1], keel[k + 1]),
-                (x[k + 1], side * half[k + 1], rim[k + 1]),
-            ]
-            out.polygon(outer if side < 0 else outer[::-1], "paint")
-            inner = [(a, 0.92 * b, c) for a, b, c in outer]
-            out.polygon(inner[::-1] if side < 0 else inner, "plain", _WOOD)
-        deck = [
-            (x[k + j], side * 0.8 * half[k + j], 0.14 + keel[k + j])
-            for j, side in ((0, -1), (1, -1), (1, 1), (0, 1))
-        ]
-        out.polygon(deck, "plain", (0.17, 0.10, 0.06))
-    stern = [(0, 0.55, 0.55), (0, 0.33, 0.0), (0, -0.33, 0.0), (0, -0.55, 0.55)]
-    out.polygon(stern, "paint")
-    for at, wide in ((0.7, 0.62), (1.9, 0.68), (3.0, 0.50)):  # seats
-        out.box((at, -wide, 0.36), (at + 0.26, wide, 0.41), "plain", (0.36, 0.24, 0.13))
-    return out.build()
-
-
 def _tractor() -> Mesh:
     out = MeshBuilder()
     turn = np.linspace(0, 2 * np.pi, 14, endpoint=False)
@@ -203,7 +173,6 @@ FURNITURE: dict[str, Callable[[], Mesh]] = {
     "pole": _pole,
     "tank": _tank,
     "pallet": _pallet,
-    "boat": _boat,
     "tractor": _tractor,
 }
 """The functions that build the meshes, by the name of the shape, which is also the class."""

@@ -8,9 +8,15 @@ from numpy.typing import NDArray
 
 from objconnect.scene.bundle.labels import CLASSES
 from simulate.look.conditions import Condition
+from simulate.look.cover import NO_COVER, Cover
+from simulate.look.noise import grain, noise
+from simulate.look.seasons import Season
 from simulate.place.paint import SHIFT, to_raster
 from simulate.place.world import Ground, Rgb
 
+Float = NDArray[np.float32]
+
+_LABELS = max(CLASSES.values()) + 1
 # Contrast of blotches, grain and single spots by class of ground, as fractions of the albedo. Spots
 # are tufts, weeds, stones and bare earth.
 _TEXTURE: dict[str, tuple[float, float, float]] = {
@@ -24,7 +30,9 @@ _TEXTURE: dict[str, tuple[float, float, float]] = {
     "water": (0.10, 0.0, 0.0),
 }
 _SEALED = ("road", "pavement", "parking", "driveway")  # classes on which rain stays
-_WET_DARKENING = 0.5
+MUDDY = np.array([0.060, 0.048, 0.030], np.float32)  # albedo of floods
+_FURROW, _SWATH = 5.0, 0.55  # radians per metre across the rows
+_WET_DARKENING = 0.5  # relative darkening of wet ground
 # Classes that look the same in every season: linear albedo (deep, shallow).
 _SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
 # Share of the snow that stays on each class of ground; traffic and shovels clear the rest.
@@ -40,79 +48,141 @@ _SNOW_KEPT: dict[str, float] = {
 }
 
 
-def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+def bake(
+    ground: Ground, condition: Condition, seed: int, cover: Cover = NO_COVER
+) -> NDArray[np.uint8]:
     """Return the albedo (n, n, 3) uint8 sRGB of the ground under a condition; row 0 is south.
 
-    Equal seeds give equal blotches under every condition; only colours and snow change.
+    Equal seeds give equal blotches under every condition; only colours and the cover change.
     """
     rng = np.random.default_rng([seed, 1])
     n = len(ground.labels)
-    across = n * ground.texel_m
-    broad = noise(rng, n, across / 40.0)
-    blotch = 0.6 * noise(rng, n, across / 9.0) + 0.4 * noise(rng, n, across / 2.2)
-    fine = 0.4 * noise(rng, n, across / 1.1) + 0.4 * noise(rng, n, across / 0.5)
+    side_m = n * ground.texel_m
+    broad = noise(rng, n, side_m / 40.0)
+    blotch = 0.6 * noise(rng, n, side_m / 9.0) + 0.4 * noise(rng, n, side_m / 2.2)
+    fine = 0.4 * noise(rng, n, side_m / 1.1) + 0.4 * noise(rng, n, side_m / 0.5)
     fine += 0.4 * grain(rng, n)
-    spots = _spots(rng, n, across / 0.5) - _spots(rng, n, across / 0.8)
+    spots = _spots(rng, n, side_m / 0.5) - _spots(rng, n, side_m / 0.8)
     drift = 0.45 * broad + 0.4 * blotch + 0.15 * fine
     tone = ground.tone.astype(np.float32) / 255.0 - 0.5
 
-    size = max(CLASSES.values()) + 1
-    colour = np.zeros((size, 3), np.float32)
-    dry = np.zeros((size, 3), np.float32)
-    soft, sharp, single, snow = (np.zeros(size, np.float32) for _ in range(4))
-    for name, (low, high, alone) in _TEXTURE.items():
-        k = CLASSES[name]
-        colour[k], dry[k] = _SEASONLESS.get(name) or condition.season.ground[name]
-        soft[k], sharp[k], single[k], snow[k] = low, high, alone, _SNOW_KEPT[name]
-
-    labels = ground.labels
-    # The second colour of a class appears on worn ground, more in some parcels.
+    labels, season = ground.labels, condition.season
+    blotch_contrast, grain_contrast, spot_contrast = _contrasts()
+    # Share of the worn colour, higher in some parcels. For water it is the shallow colour.
     worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
-    value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * fine + 0.22 * tone
-    value *= np.maximum(1 + single[labels] * spots, 0.3)
+    value = (
+        1
+        + blotch_contrast[labels] * (0.6 * broad + blotch)
+        + grain_contrast[labels] * fine
+        + 0.22 * tone
+    )
+    value *= np.maximum(1 + spot_contrast[labels] * spots, 0.3)
     value *= 1 - _furrows(ground, tone)
-    albedo = colour[labels]
-    albedo += worn[..., None] * (dry - colour)[labels]
+    albedo = _mix_worn(labels, season, worn)
+    if season.ploughed is not None:
+        _plough(albedo, value, ground, season.ploughed, worn)
     albedo *= value[..., None]
     albedo *= _wear(rng, ground)[..., None]
 
     albedo *= _kerbs(ground)[..., None]
     paint_mask = _marking_mask(ground) * np.clip(0.85 + 0.25 * blotch, 0.3, 1)
     albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
-    albedo *= 1 - _WET_DARKENING * condition.weather.wet
-    if condition.season.snow > 0:
-        # The coverage is blurred because wheels throw snow to the edges of roads.
-        kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
-        cover = np.clip(kept * condition.season.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
-        white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
-        albedo += (0.93 * cover)[..., None] * (white - albedo)
+    if cover.litter is not None:
+        _strew_leaves(albedo, cover.litter, labels, season, fine)
+    albedo *= 1 - _WET_DARKENING * condition.wet
+    if cover.flood is not None:
+        albedo += cover.flood[..., None] * (MUDDY * (1 + 0.1 * drift)[..., None] - albedo)
+    if season.snow > 0:
+        _lay_snow(albedo, ground, season, drift, cover.shelter)
     return srgb(albedo)
 
 
-def specular_map(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+def _contrasts() -> NDArray[np.float32]:
+    """Return the contrasts (3, labels) of blotches, grain and spots."""
+    contrasts = np.zeros((3, _LABELS), np.float32)
+    for name, texture in _TEXTURE.items():
+        contrasts[:, CLASSES[name]] = texture
+    return contrasts
+
+
+def _mix_worn(labels: NDArray[np.uint8], season: Season, worn: Float) -> Float:
+    """Return the albedo (n, n, 3) of a season, mixed of fresh and worn ground."""
+    fresh_colour = np.zeros((_LABELS, 3), np.float32)
+    worn_colour = np.zeros((_LABELS, 3), np.float32)
+    for name in _TEXTURE:
+        k = CLASSES[name]
+        fresh_colour[k], worn_colour[k] = _SEASONLESS.get(name) or season.ground[name]
+    albedo = fresh_colour[labels]
+    albedo += worn[..., None] * (worn_colour - fresh_colour)[labels]
+    return np.asarray(albedo)
+
+
+def _plough(
+    albedo: Float, value: Float, ground: Ground, colours: tuple[Rgb, Rgb], worn: Float
+) -> None:
+    """Turn the fields of even tones into ploughed earth with deep furrows.
+
+    The others become stubble, with rows and the swaths of a combine harvester.
+    """
+    fields = ground.labels == CLASSES["field"]
+    ploughed = fields & (ground.tone % 2 == 0)
+    fresh, old = (np.array(rgb, np.float32) for rgb in colours)
+    albedo[ploughed] = fresh + worn[ploughed][:, None] * (old - fresh)
+    across = _across(ground, ground.tone.astype(np.float32) / 255.0 - 0.5)
+    value[ploughed] *= 1 + 0.3 * np.sin(across[ploughed] * _FURROW)
+    stubble = fields & ~ploughed
+    value[stubble] *= 1 + 0.12 * np.sign(np.sin(across[stubble] * _SWATH))
+
+
+def _strew_leaves(
+    albedo: Float, litter: Float, labels: NDArray[np.uint8], season: Season, fine: Float
+) -> None:
+    """Cover the ground with fallen leaves, of which traffic leaves few."""
+    kept = np.ones(_LABELS, np.float32)
+    kept[CLASSES["road"]], kept[CLASSES["water"]] = 0.45, 0.25
+    share = np.clip(1.5 * litter * kept[labels] - 0.35 + 0.45 * fine, 0, 0.95) * (litter > 0.02)
+    brown, bright = (np.array(rgb, np.float32) for rgb in (season.leaf, season.leaf_tip))
+    leaves = brown + np.clip(0.45 + 0.5 * fine, 0, 1)[..., None] * (bright - brown)
+    albedo += share[..., None] * (leaves - albedo)
+
+
+def _lay_snow(
+    albedo: Float, ground: Ground, season: Season, drift: Float, shelter: Float | None
+) -> None:
+    """Cover the ground with snow. Thaw leaves the sheltered part of it."""
+    snow = np.zeros(_LABELS, np.float32)
+    for name, share in _SNOW_KEPT.items():
+        snow[CLASSES[name]] = share
+    # The coverage is blurred because wheels throw snow to the edges of roads.
+    kept = cv2.GaussianBlur(snow[ground.labels], (0, 0), 0.5 / ground.texel_m)
+    depth = kept * season.snow * 4.2 - 1.4 + 1.5 * drift
+    if shelter is not None:
+        depth += season.thaw * kept * (1.9 * shelter - 1.5)
+    cover = np.clip(depth, 0, 1)
+    white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
+    albedo += (0.93 * cover)[..., None] * (white - albedo)
+
+
+def specular_map(
+    ground: Ground, condition: Condition, seed: int, cover: Cover = NO_COVER
+) -> NDArray[np.uint8]:
     """Return the specular share of the ground, (n, n) uint8 from 0 to 255.
 
     Water is a full mirror. Rain leaves a film and puddles on sealed ground.
     """
     n = len(ground.labels)
-    standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
-    if condition.weather.wet == 0:
-        return standing
+    water = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
+    if cover.flood is not None:
+        water = np.maximum(water, np.asarray(255 * cover.flood, np.uint8))
+    if condition.wet == 0:
+        return water
     rng = np.random.default_rng([seed, 2])
-    across = n * ground.texel_m
-    hollows = 0.6 * noise(rng, n, across / 7.0) + 0.4 * noise(rng, n, across / 2.0)
+    side_m = n * ground.texel_m
+    hollows = 0.6 * noise(rng, n, side_m / 7.0) + 0.4 * noise(rng, n, side_m / 2.0)
     puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
-    film = sealed * condition.weather.wet * (0.25 + 0.75 * puddles)
-    return np.maximum(standing, np.asarray(255 * film, np.uint8))
-
-
-def noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
-    """Return smooth noise (n, n): mean 0, standard deviation about 0.5, ``cells`` cells a side."""
-    m = int(np.clip(round(cells), 2, n)) + 3
-    coarse = rng.standard_normal((m, m), np.float32)
-    fine = cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(fine * np.float32(0.7))
+    film = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    return np.maximum(water, np.asarray(255 * film, np.uint8))
 
 
 def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
@@ -120,11 +190,12 @@ def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32
     return np.asarray(np.clip(2.5 * noise(rng, n, cells) - 1.2, 0, 1.5))
 
 
-def grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
-    """Return white noise (n, n), tiled from a patch. The period is not visible at this scale."""
-    tile = rng.standard_normal((509, 509), np.float32) * np.float32(0.5)
-    repeat = -(-n // 509)
-    return np.tile(tile, (repeat, repeat))[:n, :n]
+def _across(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the distance (n, n), metres, across the rows of each region."""
+    n = len(ground.labels)
+    axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m
+    angle = tone * 9.0
+    return np.asarray(np.cos(angle) * axis[None, :] + np.sin(angle) * axis[:, None])
 
 
 def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -133,10 +204,7 @@ def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
     Their direction is derived from the region's tone value (a number per region from -0.5 to 0.5),
     so each field gets its own.
     """
-    n = len(ground.labels)
-    axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m
-    angle = tone * 9.0
-    across = np.cos(angle) * axis[None, :] + np.sin(angle) * axis[:, None]
+    across = _across(ground, tone)
     rows = np.where(ground.labels == CLASSES["field"], np.float32(0.11), np.float32(0))
     rows *= 0.5 + 0.5 * np.sin(across * 4.2)
     # About every third lawn is mown in stripes.

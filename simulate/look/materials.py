@@ -12,74 +12,115 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.look import textures
-from simulate.look.conditions import SUMMER_LEAF, Condition
+from simulate.look.conditions import Condition
+from simulate.look.seasons import SUMMER_LEAF
 from simulate.place.world import Facade, Rgb
 
 _SNOW: Rgb = (0.76, 0.79, 0.84)
-_WET_DARKENING = 0.35  # of walls, roofs and paint
+# Colours of lamps at night.
+_GLOWS: dict[str, Rgb] = {
+    "street_light": (1.0, 0.80, 0.52),
+    "headlight": (1.0, 0.95, 0.85),
+    "tail_light": (1.0, 0.03, 0.02),
+}
+_LAMP_GLOW = 12.0  # radiance of lamps, on the scale of nights
+# Colours of lit rooms, and the radiance of their windows on the scale of nights.
+_ROOM_WARM: Rgb = (1.0, 0.46, 0.14)
+_ROOM_COOL: Rgb = (1.0, 0.86, 0.68)
+_ROOM_GLOW = 0.22
+_WET_DARKENING = 0.35  # relative darkening of wet walls, roofs and paint
 
 
 def build_materials(
-    data: Any, condition: Condition, ground: NDArray[np.uint8], specular: NDArray[np.uint8]
+    data: Any,
+    condition: Condition,
+    ground: NDArray[np.uint8],
+    specular: NDArray[np.uint8],
+    seed: int,
 ) -> dict[str, Any]:
     """Build the Blender materials, by the names that meshes use.
 
     The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
-    colour of objects.
+    colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects. At night,
+    windows and lamps shine. They are seen and mirrored; ``simulate.look.lamps`` lights the scene.
 
     Args:
         data: ``bpy.data``.
         condition: The season, light and weather.
         ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
         specular: Specular share (n, n) of the ground, uint8.
+        seed: Seed of the place, by which windows are lit at night.
     """
-    build = _Builder(data, condition)
+    build = _Builder(data, condition, seed)
     image = build.image("ground", np.dstack([ground, specular]))
-    materials = {"ground": build.ground(image, mirrored=bool(specular.any()))}
+    materials = {"ground": build.ground(image, reflective=bool(specular.any()))}
     for style in Facade:
         name = textures.facade_material(style)
-        materials[name] = build.add_textured(name, textures.facade(style))
+        materials[name] = build.from_image(name, textures.facade(style))
+        if condition.night is not None:
+            build.light_windows(materials[name], textures.panes(style), condition.night.windows)
     for kind in textures.ROOFINGS:
-        materials[f"roof_{kind}"] = build.add_textured(f"roof_{kind}", textures.roof(kind))
-    materials["plain"] = build.plain()
+        materials[f"roof_{kind}"] = build.from_image(f"roof_{kind}", textures.roof(kind))
+    materials["plain"] = build.plain("plain")
+    for name, glow in _GLOWS.items():
+        materials[name] = build.plain(name)
+        if condition.night is not None:
+            build.switch_on(materials[name], glow, only_driven=name != "street_light")
     materials["paint"] = build.paint()
     materials["glass"] = build.glass()
     materials["leaf"] = build.leaf("leaf", condition.season.leaf, condition.season.leaf_tip)
     materials["needle"] = build.leaf("needle", *SUMMER_LEAF)
     if isfinite(condition.weather.visibility_m):
         for material in materials.values():
-            _veil(material, condition)
+            _add_fog(material, condition)
     return materials
 
 
-def _veil(material: Any, condition: Condition) -> None:
+def _add_fog(material: Any, condition: Condition) -> None:
     """Add fog to a finished material: its colour fades into the sky's with distance.
 
     The contrast at d metres is exp(-3.912 d / visibility) (Koschmieder). Only camera rays are
     changed, so fog removes no light, adds no noise and keeps the depth of surfaces.
     """
-    tree = material.node_tree
     graph = _Graph.of(material)
-    (output,) = (node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
-    surface = output.inputs["Surface"].links[0].from_socket
+    output, surface = graph.surface()
     distance = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     depth = graph.math("MULTIPLY", distance, -3.912 / condition.weather.visibility_m)
-    through = graph.math("EXPONENT", depth, 0.0)
-    seen = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
-    veil = graph.math("MULTIPLY", graph.math("SUBTRACT", 1.0, through), seen)
+    transmittance = graph.math("EXPONENT", depth, 0.0)
+    is_camera_ray = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    fog = graph.math("MULTIPLY", graph.math("SUBTRACT", 1.0, transmittance), is_camera_ray)
     glow = graph.node(
         "ShaderNodeEmission",
         Color=(*condition.sky.horizon, 1.0),
         Strength=condition.sky.strength,
     )
-    veiled = graph.blend(veil, surface, glow.outputs[0])
-    tree.links.new(veiled, output.inputs["Surface"])
+    fogged = graph.blend(fog, surface, glow.outputs[0])
+    graph.tree.links.new(fogged, output)
     material.cycles.emission_sampling = "NONE"  # fog does not illuminate the scene
 
 
+def _add_glow(graph: _Graph, colour: Any, strength: Any) -> None:
+    """Add a glow to a finished material that is seen and mirrored, but lights nothing.
+
+    Rays of diffuse light would meet the small bright surfaces too rarely, which is noise.
+    """
+    diffuse = graph.node("ShaderNodeLightPath").outputs["Is Diffuse Ray"]
+    seen = graph.math("MULTIPLY", strength, graph.math("SUBTRACT", 1.0, diffuse))
+    glow = graph.node("ShaderNodeEmission", Color=colour, Strength=seen).outputs[0]
+    output, surface = graph.surface()
+    both = graph.node("ShaderNodeAddShader")
+    for socket, value in zip(both.inputs, (surface, glow), strict=True):
+        graph.tree.links.new(value, socket)
+    graph.tree.links.new(both.outputs[0], output)
+    graph.material.cycles.emission_sampling = "NONE"
+
+
 class _Builder:
-    def __init__(self, data: Any, condition: Condition) -> None:
+    """Builds the materials for one condition."""
+
+    def __init__(self, data: Any, condition: Condition, seed: int) -> None:
         self.data = data
+        self.seed = seed
         self.condition = condition
 
     def image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
@@ -91,7 +132,7 @@ class _Builder:
         image.update()
         return image
 
-    def ground(self, image: Any, mirrored: bool) -> Any:
+    def ground(self, image: Any, reflective: bool) -> Any:
         """Make the material of the ground from its baked image, mirrored beyond the area.
 
         The image contains snow and wetness. Its alpha is the share of a slightly rough mirror, as
@@ -100,13 +141,13 @@ class _Builder:
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
         surface = graph.diffuse(texture.outputs["Color"])
-        if mirrored:
+        if reflective:
             water = graph.glossy(texture.outputs["Color"], roughness=0.08)
             surface = graph.blend(texture.outputs["Alpha"], surface, water)
         graph.finish(surface)
         return graph.material
 
-    def add_textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+    def from_image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
         """Make a material of an image.
 
         Its alpha is the share by which the polygon's tint multiplies it.
@@ -115,26 +156,51 @@ class _Builder:
         texture = graph.image(self.image(name, pixels), extension="REPEAT")
         tinted = graph.multiply(texture.outputs["Color"], graph.attribute("tint"))
         colour = graph.mix(texture.outputs["Alpha"], texture.outputs["Color"], tinted)
-        graph.finish(graph.diffuse(self._add_snow(graph, colour)))
+        graph.finish(graph.diffuse(self._add_weather(graph, colour)))
         return graph.material
 
-    def plain(self) -> Any:
+    def plain(self, name: str) -> Any:
         """Make a material that has the polygon's tint."""
-        graph = _Graph(self.data, "plain")
-        graph.finish(graph.diffuse(self._add_snow(graph, graph.attribute("tint"))))
+        graph = _Graph(self.data, name)
+        graph.finish(graph.diffuse(self._add_weather(graph, graph.attribute("tint"))))
         return graph.material
+
+    def light_windows(self, material: Any, panes: textures.Image, share: float) -> None:
+        """Light a share of the windows of a finished facade.
+
+        Whether a window is lit, and its colour, depend on the place, the building and the window.
+        """
+        graph = _Graph.of(material)
+        image = self.image(f"panes of {material.name}", panes)
+        pane = graph.red(graph.image(image, extension="REPEAT").outputs["Color"])
+        cells = (textures.BAYS, textures.FLOORS, 1.0)
+        window = graph.vector("MULTIPLY", graph.attribute("uv", "Vector"), cells)
+        window = graph.vector("ADD", graph.vector("FLOOR", window), (0.5, 0.5, self.seed % 4096))
+        building = graph.node("ShaderNodeObjectInfo").outputs["Object Index"]
+        draw = graph.white_noise(window, building)
+        lit = graph.math("LESS_THAN", draw.outputs["Value"], share)
+        warmth = graph.red(draw.outputs["Color"])
+        colour = graph.mix(warmth, graph.rgb(_ROOM_WARM), graph.rgb(_ROOM_COOL))
+        strength = graph.math("MULTIPLY", graph.math("MULTIPLY", pane, lit), _ROOM_GLOW)
+        _add_glow(graph, colour, strength)
+
+    def switch_on(self, material: Any, rgb: Rgb, *, only_driven: bool) -> None:
+        """Let the lamps of a finished material shine; ``only_driven`` those of traffic alone."""
+        graph = _Graph.of(material)
+        on = graph.node("ShaderNodeObjectInfo").outputs["Alpha"] if only_driven else 1.0
+        _add_glow(graph, graph.rgb(rgb), graph.math("MULTIPLY", on, _LAMP_GLOW))
 
     def paint(self) -> Any:
         """Make a slightly glossy material: the object's colour times the polygon's tint."""
         graph = _Graph(self.data, "paint")
         colour = graph.multiply(graph.object_colour(), graph.attribute("tint"))
-        graph.finish(graph.glossy(self._add_snow(graph, colour), roughness=0.35))
+        graph.finish(graph.glossy(self._add_weather(graph, colour), roughness=0.35))
         return graph.material
 
     def glass(self) -> Any:
         """Make dark, shiny glass."""
         graph = _Graph(self.data, "glass")
-        colour = self._add_snow(graph, graph.attribute("tint"), share=0.6)
+        colour = self._add_weather(graph, graph.attribute("tint"), share=0.6)
         graph.finish(graph.glossy(colour, roughness=0.12))
         return graph.material
 
@@ -144,13 +210,13 @@ class _Builder:
         depth = graph.red(graph.attribute("tint"))
         between = graph.mix(depth, graph.rgb(inner), graph.rgb(tip))
         colour = graph.multiply(between, graph.object_colour())
-        graph.finish(graph.diffuse(self._add_snow(graph, colour, share=0.75)))
+        graph.finish(graph.diffuse(self._add_weather(graph, colour, share=0.75)))
         return graph.material
 
-    def _add_snow(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
+    def _add_weather(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
         """Return the colour with wetness, and with patches of snow on surfaces that face up."""
-        if self.condition.weather.wet > 0:
-            value = 1 - _WET_DARKENING * self.condition.weather.wet
+        if self.condition.wet > 0:
+            value = 1 - _WET_DARKENING * self.condition.wet
             colour = graph.multiply(colour, graph.rgb((value, value, value)))
         cover = share * self.condition.season.snow
         if cover <= 0:
@@ -161,6 +227,14 @@ class _Builder:
         threshold = 0.75 - 0.5 * cover
         patches = graph.ramp(graph.noise(scale=0.3, detail=2.0), threshold - 0.1, threshold + 0.12)
         mask = graph.math("MULTIPLY", graph.math("MULTIPLY", up, patches), 0.9)
+        thaw = self.condition.season.thaw
+        if thaw > 0:  # what faces the noon sun is bare
+            azimuth, elevation = np.radians(self.condition.noon)
+            level = np.cos(elevation)
+            sun = (level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation))
+            sunny = graph.ramp(graph.facing(sun), 0.1, 0.6)
+            kept = graph.math("SUBTRACT", 1.0, graph.math("MULTIPLY", sunny, thaw))
+            mask = graph.math("MULTIPLY", mask, kept)
         return graph.mix(mask, colour, graph.rgb(_SNOW))
 
 
@@ -179,6 +253,11 @@ class _Graph:
         graph = cls.__new__(cls)
         graph.material, graph.tree = material, material.node_tree
         return graph
+
+    def surface(self) -> tuple[Any, Any]:
+        """Return the input of a finished material's surface, and the socket linked to it."""
+        (node,) = (n for n in self.tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial")
+        return node.inputs["Surface"], node.inputs["Surface"].links[0].from_socket
 
     def node(self, kind: str, **inputs: Any) -> Any:
         """Add a node. Inputs are values or sockets by name, with underscores for spaces."""
@@ -218,9 +297,26 @@ class _Graph:
         normal = self.node("ShaderNodeNewGeometry").outputs["Normal"]
         return self.node("ShaderNodeSeparateXYZ", Vector=normal).outputs["Z"]
 
+    def facing(self, direction: tuple[float, float, float]) -> Any:
+        """Return the cosine of the angle between the surface's normal and a unit vector."""
+        normal = self.node("ShaderNodeNewGeometry").outputs["Normal"]
+        node = self.tree.nodes.new("ShaderNodeVectorMath")
+        node.operation = "DOT_PRODUCT"
+        self._assign(node.inputs[0], normal)
+        self._assign(node.inputs[1], direction)
+        return node.outputs["Value"]
+
     def noise(self, scale: float, detail: float) -> Any:
         at = self.node("ShaderNodeNewGeometry").outputs["Position"]
         return self.node("ShaderNodeTexNoise", Vector=at, Scale=scale, Detail=detail).outputs[0]
+
+    def white_noise(self, at: Any, number: Any) -> Any:
+        """Add random numbers of a point and a number."""
+        node = self.tree.nodes.new("ShaderNodeTexWhiteNoise")
+        node.noise_dimensions = "4D"
+        self._assign(node.inputs["Vector"], at)
+        self._assign(node.inputs["W"], number)
+        return node
 
     def ramp(self, value: Any, low: float, high: float) -> Any:
         """Return the socket of a ramp: 0 below ``low``, 1 above ``high``."""
@@ -234,6 +330,13 @@ class _Graph:
         self._assign(node.inputs[0], a)
         self._assign(node.inputs[1], b)
         return node.outputs[0]
+
+    def vector(self, operation: str, *values: Any) -> Any:
+        node = self.tree.nodes.new("ShaderNodeVectorMath")
+        node.operation = operation
+        for socket, value in zip(node.inputs, values, strict=False):
+            self._assign(socket, value)
+        return node.outputs["Vector"]
 
     def mix(self, factor: Any, a: Any, b: Any, blend: str = "MIX") -> Any:
         node = self.tree.nodes.new("ShaderNodeMixRGB")

@@ -1,4 +1,4 @@
-"""Polygon meshes as arrays, and the solids from which all meshes are assembled."""
+"""Polygon meshes as arrays, and a builder that assembles them from polygons, prisms and boxes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Mesh:
         corner.
 
         Raises:
-            ValueError: a polygon has not four corners.
+            ValueError: a polygon does not have four corners.
         """
         if (self.sizes != 4).any():
             raise ValueError("only quads can be cut into two triangles")
@@ -104,7 +104,10 @@ class MeshBuilder:
         material: str = "plain",
         tint: Rgb = WHITE,
     ) -> None:
-        """Add a solid: a profile (K, 2) of x and z, anticlockwise seen from -y, swept along y."""
+        """Add the solid between two values of y with the profile (K, 2) in x and z.
+
+        The profile is anticlockwise seen from -y.
+        """
         profile = np.asarray(profile, float)
         front, back = (np.insert(profile, 1, v, axis=1) for v in y)
         self.polygon(front, material, tint)

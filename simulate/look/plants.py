@@ -39,7 +39,7 @@ def broadleaf(variant: int) -> Mesh:
     return merge(parts)
 
 
-def bare(variant: int) -> Mesh:
+def bare_tree(variant: int) -> Mesh:
     """Build a broadleaved tree without leaves, about 8 m high, with branches down to twigs."""
     out = MeshBuilder()
     _branch(out, np.random.default_rng([34, variant]), np.zeros(3), np.array([0.0, 0.0, 1.0]), 0)
@@ -92,13 +92,11 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
 
     leaves = int(70 * length)
     at = rng.uniform(-0.5, 0.5, leaves) * (length - 0.2)
-    face = rng.random(leaves)
-    y = np.where(face < 0.4, rng.uniform(-1, 1, leaves), np.sign(rng.uniform(-1, 1, leaves)))
-    z = np.where(face < 0.4, rng.uniform(0.86, 0.95, leaves), rng.uniform(0.05, 0.9, leaves))
+    on_top = rng.random(leaves) < 0.4  # else on a side
+    y = np.where(on_top, rng.uniform(-1, 1, leaves), np.sign(rng.uniform(-1, 1, leaves)))
+    z = np.where(on_top, rng.uniform(0.86, 0.95, leaves), rng.uniform(0.05, 0.9, leaves))
     centres = np.stack([at, y * half, np.interp(at, x, ground) + z * high], -1)
-    outward = np.stack(
-        [np.zeros(leaves), np.where(face < 0.4, 0, y), np.where(face < 0.4, 1, 0.3)], -1
-    )
+    outward = np.stack([np.zeros(leaves), np.where(on_top, 0, y), np.where(on_top, 1, 0.3)], -1)
     foliage = _leaves(rng, centres, outward, 0.17, rng.uniform(0.35, 1.0, leaves))
     # Leaves outside the box are moved onto its sides.
     limit = 0.5 * hedge.size
@@ -129,7 +127,7 @@ def _profile(item: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, 
     """Return the ground under an object that follows it, and the height of the object above it.
 
     Ground heights (K,) are at the points ``x`` (K,) along the object, relative to the centre of its
-    box. The object's height is that of the box's top above the highest of them.
+    box. The object's height is that of the box's top above the highest of these points.
     """
     direction = np.array([np.cos(item.yaw), np.sin(item.yaw)])
     at = item.centre[:2] + x[:, None] * direction
@@ -152,19 +150,19 @@ def _foliage(
     """Return leaf triangles on the surfaces of overlapping balls (centre (3,) and radius)."""
     centres = np.array([c for c, _ in lumps])
     radii = np.array([r for _, r in lumps])
-    which = rng.choice(len(lumps), 2 * leaves, p=radii**2 / (radii**2).sum())
+    lump = rng.choice(len(lumps), 2 * leaves, p=radii**2 / (radii**2).sum())
     outward = rng.standard_normal((2 * leaves, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    points = centres[which] + radii[which, None] * outward * rng.uniform(0.9, 1.06, (2 * leaves, 1))
+    points = centres[lump] + radii[lump, None] * outward * rng.uniform(0.9, 1.06, (2 * leaves, 1))
     # Leaves deep inside another ball are invisible and are left out.
     depth = np.linalg.norm(points[:, None] - centres, axis=-1) / radii
-    seen = np.flatnonzero(depth.min(1) > 0.82)[:leaves]
-    points, outward = points[seen], outward[seen]
+    visible = np.flatnonzero(depth.min(1) > 0.82)[:leaves]
+    points, outward = points[visible], outward[visible]
     low, high = points[:, 2].min(), points[:, 2].max()
     lit = 0.25 + 0.5 * (points[:, 2] - low) / (high - low) + 0.25 * outward[:, 2]
     # Clumps differ more than leaves, because aerial photographs resolve clumps and not leaves.
-    clump = rng.uniform(-0.3, 0.3, len(lumps))[which[seen]]
-    tone = np.clip(lit + clump + rng.normal(0, 0.08, len(seen)), 0, 1)
+    clump = rng.uniform(-0.3, 0.3, len(lumps))[lump[visible]]
+    tone = np.clip(lit + clump + rng.normal(0, 0.08, len(visible)), 0, 1)
     return _leaves(rng, points, outward, leaf_m, tone)
 
 

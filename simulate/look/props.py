@@ -1,7 +1,7 @@
-"""Build meshes of vehicles and street furniture in metres, which are fitted into objects' boxes.
+"""Build the mesh of a named shape; those of vehicles, skips and lamps are built here.
 
-The front of an object faces +x. The parts that take the object's own colour have the material
-"paint".
+Meshes are built in metres and fitted to the unit cube, which is scaled to an object's box. The
+front of an object faces +x. The parts that take the object's own colour have the material "paint".
 """
 
 from __future__ import annotations
@@ -10,9 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simulate.look.freight import FREIGHT
 from simulate.look.furniture import FURNITURE
 from simulate.look.mesh import Mesh, MeshBuilder
-from simulate.look.plants import bare, broadleaf, conifer
+from simulate.look.plants import bare_tree, broadleaf, conifer
+from simulate.look.structures import STRUCTURES
+from simulate.look.vessels import VESSELS
 from simulate.place.world import Rgb
 
 _RUBBER: Rgb = (0.018, 0.018, 0.019)
@@ -43,7 +46,7 @@ def shape_mesh(name: str) -> Mesh:
     if kind == "broadleaf":
         return broadleaf(int(variant)).fit_to_cube()
     if kind == "bare":
-        return bare(int(variant)).fit_to_cube()
+        return bare_tree(int(variant)).fit_to_cube()
     if kind == "conifer":
         return conifer(int(variant)).fit_to_cube()
     if name in _CAR_SHAPES:
@@ -88,10 +91,10 @@ def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist:
         out.box(
             (length - 0.12, low + 0.05, 0.5),
             (length + 0.005, high - 0.05, 0.64),
-            "plain",
+            "headlight",
             _LAMP_WHITE,
         )
-        out.box((-0.005, low + 0.05, 0.62), (0.08, high - 0.05, 0.78), "plain", _LAMP_RED)
+        out.box((-0.005, low + 0.05, 0.62), (0.08, high - 0.05, 0.78), "tail_light", _LAMP_RED)
         low, high = sorted((y, y + side * 0.12))
         out.box((x[3] - 0.3, low, w - 0.05), (x[3] - 0.15, high, w + 0.1), "plain", _TRIM)
     out.box((-0.02, -0.3, 0.40), (0.02, 0.3, 0.52), "plain", (0.6, 0.6, 0.55))
@@ -146,33 +149,6 @@ def _lorry() -> Mesh:
     return out.build()
 
 
-def _container(length: float) -> Mesh:
-    """Build a shipping container with ribbed sides and roof, a frame, and door bars at +x."""
-    out = MeshBuilder()
-    width, height, inset = 2.44, 2.59, 0.04
-    low, high = (
-        (inset, -0.5 * width + inset, 0.1),
-        (length - inset, 0.5 * width - inset, height - 0.04),
-    )
-    out.box(low, high, "paint")
-    for x in np.arange(0.3, length - 0.2, 0.28):
-        for y in (-0.5 * width, 0.5 * width - inset):
-            out.box((x, y, 0.15), (x + 0.12, y + inset, height - 0.1), "paint", (0.8, 0.8, 0.8))
-        out.box(
-            (x, -1.05, height - 0.04), (x + 0.12, 1.05, height - 0.01), "paint", (0.8, 0.8, 0.8)
-        )
-    for x in (0.0, length - 0.12):
-        for y in (-0.5 * width, 0.5 * width - 0.12):
-            out.box((x, y, 0.0), (x + 0.12, y + 0.12, height), "paint", (0.6, 0.6, 0.6))
-    for y in (-0.8, -0.3, 0.3, 0.8):
-        out.box((length - 0.04, y, 0.2), (length + 0.02, y + 0.05, 2.4), "plain", (0.4, 0.4, 0.4))
-    for y in (-0.5 * width - 0.003, 0.5 * width + 0.003):  # the owner's panel
-        quad = [(0.35 * length, y, 1.5), (0.65 * length, y, 1.5), (0.65 * length, y, 2.2),
-                (0.35 * length, y, 2.2)]  # fmt: skip
-        out.polygon(quad if y < 0 else quad[::-1], "plain", (0.55, 0.55, 0.53))
-    return out.build()
-
-
 def _skip() -> Mesh:
     """Build an open waste skip with sloping ends, half full."""
     out = MeshBuilder()
@@ -204,17 +180,18 @@ def _lamp() -> Mesh:
     out = MeshBuilder()
     out.box((0, -0.07, 0), (0.14, 0.07, 7.0), "paint")
     out.box((0.14, -0.04, 6.9), (1.2, 0.04, 6.98), "paint")
-    out.box((1.1, -0.12, 6.84), (1.7, 0.12, 6.97), "plain", (0.5, 0.5, 0.48))
+    out.box((1.1, -0.12, 6.84), (1.7, 0.12, 6.97), "street_light", (0.5, 0.5, 0.48))
     return out.build()
 
 
 _SHAPES: dict[str, Callable[[], Mesh]] = {
     "van": _van,
     "lorry": _lorry,
-    "container": lambda: _container(6.06),
-    "long_container": lambda: _container(12.19),
     "skip": _skip,
     "bench": _bench,
     "lamp": _lamp,
     **FURNITURE,
+    **FREIGHT,
+    **STRUCTURES,
+    **VESSELS,
 }

@@ -1,4 +1,4 @@
-"""Compute the position of the sun by Meeus' low-precision formulas, as NOAA's solar calculator.
+"""Compute the position of the sun by Meeus' low-precision formulas, as in NOAA's solar calculator.
 
 Source: Jean Meeus, Astronomical Algorithms, 2nd edition, chapters 12, 13 and 25. The error is below
 0.01 degrees between 1950 and 2050. Refraction is left out; it is under 0.1 degrees when the sun is
@@ -23,23 +23,25 @@ class SunPosition(NamedTuple):
     elevation: float
 
 
-def sun_position(time: datetime, place: Geodetic) -> SunPosition:
-    """Return the sun's geometric position at a time with a zone, seen from geodetic coordinates."""
+def sun_position(time: datetime, position: Geodetic) -> SunPosition:
+    """Return the sun's geometric position at a time with a time zone, seen from a position."""
     days = (time - _J2000).total_seconds() / 86400
     right_ascension, declination = sun_equatorial(days)
     sidereal = 280.46061837 + 360.98564736629 * days
-    hour = radians(sidereal + place.longitude) - right_ascension
-    latitude = radians(place.latitude)
+    hour_angle = radians(sidereal + position.longitude) - right_ascension
+    latitude = radians(position.latitude)
     elevation = asin(
-        sin(latitude) * sin(declination) + cos(latitude) * cos(declination) * cos(hour)
+        sin(latitude) * sin(declination) + cos(latitude) * cos(declination) * cos(hour_angle)
     )
-    from_south = atan2(sin(hour), cos(hour) * sin(latitude) - tan(declination) * cos(latitude))
+    from_south = atan2(
+        sin(hour_angle), cos(hour_angle) * sin(latitude) - tan(declination) * cos(latitude)
+    )
     return SunPosition((degrees(from_south) + 180) % 360, degrees(elevation))
 
 
 def sun_equatorial(days: float) -> tuple[float, float]:
     """Return the apparent right ascension and declination in radians, ``days`` after J2000.0."""
-    t = days / 36525
+    t = days / 36525  # Julian centuries
     anomaly = radians(357.52911 + 35999.05029 * t - 0.0001537 * t * t)
     centre = (
         (1.914602 - 0.004817 * t - 0.000014 * t * t) * sin(anomaly)

@@ -6,17 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.bundle.labels import CLASSES
-from simulate.look.conditions import SEASONS, Condition, Season
-from simulate.look.ground import grain, noise, srgb
+from simulate.look.conditions import Condition
+from simulate.look.cover import cover
+from simulate.look.ground import MUDDY, srgb
+from simulate.look.noise import grain, noise
+from simulate.look.seasons import SEASONS, Season
 from simulate.place.world import World
 
 Float = NDArray[np.float32]
 
-_SEALED = ("pavement",)
+_SEALED = ("pavement",)  # classes on which rain stays
+# Relative darkening of wet surfaces, by class.
 _WET_DARKENING: dict[str, float] = {"pavement": 0.5, "grass": 0.4, "building": 0.35, "tree": 0.25}
 _SNOW_RGB = np.array([0.74, 0.77, 0.82], np.float32)
-_OPAQUE, _ON_CROWNS = 0.93, 0.7  # share of a surface that deep snow hides
-_STRIP = 1024  # rows that are painted at once
+_SNOW_OPACITY = 0.93  # share of a surface's colour that deep snow hides
+_CROWN_COVER = 0.7  # factor of the snow's cover on crowns
+_STRIP_ROWS = 1024  # rows that are painted at once
+# Linear light of each sRGB byte.
 _LINEAR = np.where(
     np.arange(256) <= 10,
     np.arange(256) / 255 / 12.92,
@@ -35,40 +41,46 @@ def bake_albedo(world: World, condition: Condition) -> NDArray[np.uint8]:
     assert imagery is not None
     labels, n = world.ground.labels, len(world.ground.labels)
     ratio = _ratios(SEASONS.load(imagery.season), condition.season)
-    ratio *= (1 - condition.weather.wet * _table(_WET_DARKENING))[:, None]
+    ratio *= (1 - condition.wet * _table(_WET_DARKENING))[:, None]
     drift = _drift(world, n) if condition.season.snow > 0 else None
+    flood = cover(world, condition).flood
     out = np.empty((n, n, 3), np.uint8)
-    for first in range(0, n, _STRIP):
-        rows = slice(first, first + _STRIP)
+    for first in range(0, n, _STRIP_ROWS):
+        rows = slice(first, first + _STRIP_ROWS)
         albedo = _LINEAR[imagery.albedo[rows]] * ratio[labels[rows]]
+        if flood is not None:
+            albedo += flood[rows, :, None] * (MUDDY - albedo)
         if drift is not None:
-            _lay_snow(albedo, labels[rows], imagery.snow[rows], drift[rows], condition.season.snow)
+            _lay_snow(albedo, labels[rows], imagery.snow[rows], drift[rows], condition.season)
         out[rows] = srgb(albedo)
     return out
 
 
-def bake_gloss(world: World, condition: Condition) -> NDArray[np.uint8]:
+def bake_specular(world: World, condition: Condition) -> NDArray[np.uint8]:
     """Return the specular share of a site, (n, n) uint8 from 0 to 255."""
     labels = world.ground.labels
-    standing = np.where(labels == CLASSES["water"], 255, 0).astype(np.uint8)
-    if condition.weather.wet == 0:
-        return standing
+    water = np.where(labels == CLASSES["water"], 255, 0).astype(np.uint8)
+    flood = cover(world, condition).flood
+    if flood is not None:
+        water = np.maximum(water, np.asarray(255 * flood, np.uint8))
+    if condition.wet == 0:
+        return water
     rng = np.random.default_rng([world.seed, 2])
-    across = len(labels) * world.ground.texel_m
-    hollows = noise(rng, len(labels), across / 4.0)
+    side_m = len(labels) * world.ground.texel_m
+    hollows = noise(rng, len(labels), side_m / 4.0)
     puddles = np.clip((hollows - 0.5) / 0.1, 0, 1)
     sealed = np.isin(labels, [CLASSES[name] for name in _SEALED])
-    film = sealed * condition.weather.wet * (0.15 + 0.6 * puddles)
-    return np.maximum(standing, np.asarray(255 * film, np.uint8))
+    film = sealed * condition.wet * (0.15 + 0.6 * puddles)
+    return np.maximum(water, np.asarray(255 * film, np.uint8))
 
 
 def _drift(world: World, n: int) -> Float:
     """Return the variation of snow, (n, n), with mean 0."""
     rng = np.random.default_rng([world.seed, 1])
-    across = n * world.ground.texel_m
-    broad = noise(rng, n, across / 40.0)
-    blotch = 0.6 * noise(rng, n, across / 9.0) + 0.4 * noise(rng, n, across / 2.2)
-    fine = 0.4 * (noise(rng, n, across / 1.1) + noise(rng, n, across / 0.5) + grain(rng, n))
+    side_m = n * world.ground.texel_m
+    broad = noise(rng, n, side_m / 40.0)
+    blotch = 0.6 * noise(rng, n, side_m / 9.0) + 0.4 * noise(rng, n, side_m / 2.2)
+    fine = 0.4 * (noise(rng, n, side_m / 1.1) + noise(rng, n, side_m / 0.5) + grain(rng, n))
     return np.asarray(0.45 * broad + 0.4 * blotch + 0.15 * fine, np.float32)
 
 
@@ -77,13 +89,22 @@ def _lay_snow(
     labels: NDArray[np.uint8],
     kept: NDArray[np.uint8],
     drift: Float,
-    amount: float,
+    season: Season,
 ) -> None:
-    """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does."""
-    cover = np.clip(kept * np.float32(amount * 4.2 / 255) - 1.4 + 1.5 * drift, 0, 1)
-    cover *= np.where(labels == CLASSES["tree"], np.float32(_ON_CROWNS), np.float32(1))
+    """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does.
+
+    ``kept`` is the share (h, n) of the snow that stays, in 1/255. It includes shelter, so that thaw
+    takes the snow of all surfaces alike.
+    """
+    lying = np.clip(kept * np.float32(season.snow * 4.2 / 255) - _bare(season) + 1.5 * drift, 0, 1)
+    lying *= np.where(labels == CLASSES["tree"], np.float32(_CROWN_COVER), np.float32(1))
     white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
-    albedo += (_OPAQUE * cover)[..., None] * (white - albedo)
+    albedo += (_SNOW_OPACITY * lying)[..., None] * (white - albedo)
+
+
+def _bare(season: Season) -> float:
+    """Return the snow, in units of cover, below which the ground is bare."""
+    return 1.4 + 0.5 * season.thaw
 
 
 def _table(values: dict[str, float]) -> Float:
@@ -95,7 +116,7 @@ def _table(values: dict[str, float]) -> Float:
 
 
 def _ratios(shown: Season, wanted: Season) -> Float:
-    """Return the ratio of the colours of two seasons, (labels, 3)."""
+    """Return the colours of the wanted season divided by those of the shown one, (labels, 3)."""
     table = np.ones((max(CLASSES.values()) + 1, 3), np.float32)
     for name in ("grass", "pavement"):
         before, after = (np.mean(season.ground[name], axis=0) for season in (shown, wanted))

@@ -14,38 +14,41 @@ from simulate.place.world import MIRRORED_M, Kerb, World
 Array = NDArray[np.float64]
 
 _STEP_M = 8.0  # distance between the nodes of the mirrored ground
-_FAR_M, _FAR_NODES = 2400.0, 26  # extent and number of nodes of the land around it
-_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and their distance
-_AIR_RGB = np.array([0.22, 0.26, 0.31])
+# Extent and number of nodes of the countryside around the mirrored ground.
+_FAR_M, _FAR_NODES = 2400.0, 26
+_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and distance at which they begin
+_AIR_RGB = np.array([0.22, 0.26, 0.31])  # linear colour of haze
 _FOOT_M = 0.05  # kerbs reach this far into the ground
 _STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of kerb stones
 
 
-def ground_mesh(world: World, light: Condition) -> Mesh:
+def ground_mesh(world: World, condition: Condition) -> Mesh:
     """Return the ground of the area on its nodes, its mirror image around it, and distant hills."""
     half, count = world.terrain.half_side_m, len(world.terrain.nodes)
     near = half + np.arange(_STEP_M, MIRRORED_M + 1, _STEP_M)
     far = half + np.geomspace(MIRRORED_M, _FAR_M, _FAR_NODES)[1:]
-    outside = np.concatenate([near, far])
-    axis = np.concatenate([-outside[::-1], np.linspace(-half, half, count), outside])
+    outer = np.concatenate([near, far])
+    axis = np.concatenate([-outer[::-1], np.linspace(-half, half, count), outer])
     x, y = np.meshgrid(axis, axis)
-    beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - half, 0.0)
+    outside_m = np.maximum(np.maximum(np.abs(x), np.abs(y)) - half, 0.0)
     surface = world.terrain.height(x, y)
-    if world.bare is not None:  # objects of a site are not mirrored around it
-        surface = np.where(beyond > 0, world.bare.height(x, y), surface)
-    fade = np.exp(-((beyond / 150.0) ** 2))
-    z = world.level_m + (surface - world.level_m) * fade + _hills(x, y, beyond)
+    if world.bare_ground is not None:  # objects of a site are not mirrored around it
+        surface = np.where(outside_m > 0, world.bare_ground.height(x, y), surface)
+    fade = np.exp(-((outside_m / 150.0) ** 2))
+    z = world.level_m + (surface - world.level_m) * fade + _hills(x, y, outside_m)
     mesh = grid_mesh(axis, axis, z, "ground")
     side_m = world.area_m + 2 * world.margin_m
     mesh.uv[:] = mesh.uv / side_m + 0.5  # the image covers the area once
 
     middle = mesh.vertices[mesh.corners.reshape(-1, 4)].mean(1)
-    country = np.abs(middle[:, :2]).max(1) > half + MIRRORED_M
+    is_countryside = np.abs(middle[:, :2]).max(1) > half + MIRRORED_M
     tint = mesh.tint.copy()
-    away = np.abs(middle[country, :2]).max(1) - half
-    tint[country] = _country(middle[country].astype(float), away.astype(float), light)
+    away = np.abs(middle[is_countryside, :2]).max(1) - half
+    tint[is_countryside] = _countryside_tints(
+        middle[is_countryside].astype(float), away.astype(float), condition
+    )
     mesh = replace(
-        mesh, tint=tint, material=country.astype(np.int32), materials=("ground", "plain")
+        mesh, tint=tint, material=is_countryside.astype(np.int32), materials=("ground", "plain")
     )
     # Quads at walls of a surface model are not planar.
     return mesh if world.imagery is None else mesh.triangulate()
@@ -62,8 +65,8 @@ def kerbs_mesh(world: World) -> Mesh | None:
 
 def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
     """Return one pavement as five edges along it: kerb's foot, over the top, and down behind."""
-    out = kerb.back - kerb.front
-    behind = kerb.front + _STONE_M * out / np.linalg.norm(out, axis=1, keepdims=True)
+    outwards = kerb.back - kerb.front
+    behind = kerb.front + _STONE_M * outwards / np.linalg.norm(outwards, axis=1, keepdims=True)
     edges = np.stack([kerb.front, kerb.front, behind, kerb.back, kerb.back])
     above = [np.full_like(kerb.rise, -_FOOT_M), *[kerb.rise] * 3, np.full_like(kerb.rise, -_FOOT_M)]
     height = world.terrain.height(edges[..., 0], edges[..., 1]) + np.stack(above)
@@ -84,27 +87,30 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
     )
 
 
-def _hills(x: Array, y: Array, beyond: Array) -> Array:
-    """Return heights of hills, which vary from point to point and rise with the distance."""
+def _hills(x: Array, y: Array, outside_m: Array) -> Array:
+    """Return the heights (R, C) of hills at points ``outside_m`` (R, C) metres outside the place.
+
+    They vary from point to point and rise with the distance.
+    """
     turn = np.arctan2(y, x)
     waves = ((0.22, 3, 1.0), (0.12, 7, 2.0), (0.06, 17, 0.0))
     ridge = 0.60 + sum(high * np.sin(count * turn + start) for high, count, start in waves)
-    share = np.clip((beyond - _HILLS_FROM_M) / (0.6 * _FAR_M), 0.0, 1.0)
+    share = np.clip((outside_m - _HILLS_FROM_M) / (0.6 * _FAR_M), 0.0, 1.0)
     return np.asarray(_HILLS_M * ridge * share * share * (3 - 2 * share))
 
 
-def _country(at: Array, beyond: Array, light: Condition) -> NDArray[np.float32]:
-    """Return tints (N, 3) of woods, fields and meadows at points (N, 3).
+def _countryside_tints(at: Array, outside_m: Array, condition: Condition) -> NDArray[np.float32]:
+    """Return the tints (N, 3) of woods, fields and meadows at points (N, 3).
 
-    The points lie ``beyond`` (N,) metres outside the place. Distant points are tinted by haze.
+    The points lie ``outside_m`` (N,) metres outside the place. Distant points are tinted by haze.
     """
     x, y, _ = at.T
     patch = np.sin(x / 61.0 + 1.3 * np.sin(y / 83.0)) + np.sin(y / 47.0 + 1.7 * np.sin(x / 97.0))
-    woods = (patch + beyond / 500.0 > 1.2)[:, None]
+    woods = (patch + outside_m / 500.0 > 1.2)[:, None]
     fields = (patch < -0.5)[:, None]
-    season = light.season
+    season = condition.season
     open_land = np.where(fields, season.ground["field"][1], season.ground["grass"][0])
     foliage = 0.6 * np.array(season.leaf) + 0.4 * np.array(season.leaf_tip)
     tint = np.where(woods, foliage, open_land)
-    air = 0.45 * (1 - np.exp(-beyond / 1500.0))[:, None]
+    air = 0.45 * (1 - np.exp(-outside_m / 1500.0))[:, None]
     return np.asarray(tint + air * (_AIR_RGB - tint), np.float32)

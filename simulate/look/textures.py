@@ -1,7 +1,7 @@
 """Draw images of walls and roofs with numpy.
 
 Each image is (rows, columns, 4) uint8 with row 0 at the bottom. The first three channels are an
-sRGB colour. Alpha is the share by which the object's tint multiplies it: 255 for a wall or tile of
+sRGB colour. Alpha is the share by which the polygon's tint multiplies it: 255 for a wall or tile of
 that tint, 0 for a colour of its own.
 """
 
@@ -23,7 +23,7 @@ BAYS, FLOORS = 12, 6  # number of cells in one facade image
 ROOF_TILE_M = 12.8  # side of one roof image
 ROOFINGS = ("tile", "slate", "metal", "flat")
 
-_TEXEL_M = 0.05
+_TEXEL_M = 0.05  # side of a pixel of the images
 
 
 # Linear colours of window frames of houses and blocks of flats.
@@ -39,6 +39,7 @@ _SHUTTERS: dict[Facade, Rgb] = {
     Facade.HOUSE_GREEN_SHUTTERS: (0.12, 0.22, 0.16),
     Facade.HOUSE_BROWN_SHUTTERS: (0.25, 0.13, 0.09),
 }
+# Facades of blocks of flats.
 _SLABS = (Facade.SLAB_WHITE_FRAMES, Facade.SLAB_WOODEN_FRAMES)
 
 
@@ -64,6 +65,19 @@ def facade_material(facade: Facade) -> str:
 
 def facade(style: Facade) -> Image:
     """Draw the image of a facade: BAYS x FLOORS cells, with doors in the bottom row."""
+    return _draw_facade(style).image()
+
+
+def panes(style: Facade) -> Image:
+    """Draw the share of the light of a lit room that each pixel of a facade lets out, as a grey.
+
+    The image fits that of ``facade``. Curtains and blinds dim the light.
+    """
+    pane = _draw_facade(style).pane
+    return _encode(np.dstack([pane] * 3), np.zeros_like(pane))
+
+
+def _draw_facade(style: Facade) -> _Canvas:
     rng = np.random.default_rng([77, style.value])
     canvas = _Canvas(BAYS * BAY_M, FLOORS * FLOOR_M)
     canvas.weather(rng)
@@ -72,10 +86,10 @@ def facade(style: Facade) -> Image:
     elif style is Facade.HALL_CLADDING:
         _cladding(canvas, rng)
     elif style in _SHOPS:
-        _fronts(canvas, _SHOPS[style], rng)
+        _shop_fronts(canvas, _SHOPS[style], rng)
     else:
         _dwellings(canvas, style, rng)
-    return canvas.image()
+    return canvas
 
 
 def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None:
@@ -88,22 +102,22 @@ def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None
             canvas.rect(0, z - 0.12, BAYS * BAY_M, z + 0.06, (0.7, 0.7, 0.7), tinted=0.6)
         for bay in range(BAYS):
             x = bay * BAY_M
-            kind = rng.random()
+            draw = rng.random()
             if floor == 0 and bay % (4 if slab else 6) == 1:
                 _door(canvas, x, rng)
             elif floor == 0 and not slab and bay % 6 == 4:
                 _window(canvas, (x + 0.4, z + 0.15), (2.2, 2.1), frame, rng)  # onto the terrace
-            elif slab and (bay % 3 == 1 or kind < 0.1):
+            elif slab and (bay % 3 == 1 or draw < 0.1):
                 _balcony(canvas, x, z, frame, rng)
-            elif kind < 0.13:
+            elif draw < 0.13:
                 continue  # blank wall
-            elif kind < 0.28:
+            elif draw < 0.28:
                 _window(canvas, (x + 1.1, z + 1.2), (0.8, 1.0), frame, rng)
             else:
-                width = 1.8 if kind > 0.72 else 1.3
+                width = 1.8 if draw > 0.72 else 1.3
                 left = x + 0.5 * (BAY_M - width) + rng.normal(0, 0.08)
                 _window(canvas, (left, z + 0.95), (width, 1.35), frame, rng)
-                if shutters is not None and kind < 0.6:
+                if shutters is not None and draw < 0.6:
                     for side in (left - 0.42, left + width + 0.04):
                         canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, shutters)
 
@@ -119,8 +133,8 @@ def roof(kind: str) -> Image:
         course, width = (0.40, 0.32) if kind == "tile" else (0.2667, 0.40)
         row = np.floor(v / course).astype(int)
         column = np.floor(u / width + 0.5 * (row % 2)).astype(int) % round(ROOF_TILE_M / width)
-        each = rng.normal(0, 0.10, (row.max() + 1, column.max() + 1)).astype(np.float32)
-        value += each[row, column]
+        tile_shade = rng.normal(0, 0.10, (row.max() + 1, column.max() + 1)).astype(np.float32)
+        value += tile_shade[row, column]
         value *= np.where((v / course) % 1 < 0.2, 0.72, 1.0)  # the shadow under each course
         moss = np.clip(_periodic(rng, n, 1.3) + 0.5 * _periodic(rng, n, 0.3) - 0.75, 0, 1)
         colour -= 0.8 * moss[..., None] * np.array([0.55, 0.15, 0.6], np.float32)
@@ -160,6 +174,7 @@ class _Canvas:
         rows, columns = round(height_m / _TEXEL_M), round(width_m / _TEXEL_M)
         self.rgb = np.full((rows, columns, 3), 0.88, np.float32)
         self.tinted = np.ones((rows, columns), np.float32)
+        self.pane = np.zeros((rows, columns), np.float32)
 
     def rect(
         self,
@@ -172,11 +187,18 @@ class _Canvas:
     ) -> None:
         """Fill a rectangle with a linear colour.
 
-        The object's tint multiplies it by ``tinted``, 0 to 1.
+        The polygon's tint multiplies it by the share ``tinted``, 0 to 1.
         """
         c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
         self.rgb[r0:r1, c0:c1] = rgb
         self.tinted[r0:r1, c0:c1] = tinted
+        self.pane[r0:r1, c0:c1] = 0.0
+
+    def glaze(self, x0: float, z0: float, x1: float, z1: float, rgb: Rgb, pane: float) -> None:
+        """Fill a rectangle that lets out the share ``pane``, 0 to 1, of the light of a room."""
+        self.rect(x0, z0, x1, z1, rgb)
+        c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
+        self.pane[r0:r1, c0:c1] = pane
 
     def weather(self, rng: np.random.Generator) -> None:
         """Add blotches and streaks that run down."""
@@ -215,18 +237,19 @@ def _window(
     for i in range(panes):
         shade = float(rng.uniform(0.5, 1.6))
         left = x + i * pane + 0.06
-        canvas.rect(left, z + 0.06, left + pane - 0.12, z + height - 0.06, _glass(shade))
+        right = left + pane - 0.12
+        canvas.glaze(left, z + 0.06, right, z + height - 0.06, _glass(shade), 1.0)
         if drawn:  # blind or curtain
             top = z + height - 0.06
             low = top - rng.uniform(0.2, 0.9) * (height - 0.12)
-            canvas.rect(left, low, left + pane - 0.12, top, (0.55, 0.53, 0.48))
+            canvas.glaze(left, low, right, top, (0.55, 0.53, 0.48), 0.4)
 
 
 def _door(canvas: _Canvas, x: float, rng: np.random.Generator) -> None:
     colour = [(0.20, 0.05, 0.04), (0.05, 0.10, 0.17), (0.16, 0.09, 0.05), (0.5, 0.5, 0.48)]
     canvas.rect(x + 0.75, 0, x + 2.05, 2.35, (0.7, 0.7, 0.68))
     canvas.rect(x + 0.9, 0, x + 1.9, 2.2, colour[int(rng.integers(4))])
-    canvas.rect(x + 1.15, 1.3, x + 1.65, 2.0, _glass(1.0))
+    canvas.glaze(x + 1.15, 1.3, x + 1.65, 2.0, _glass(1.0), 0.6)
 
 
 def _balcony(
@@ -243,7 +266,7 @@ def _balcony(
     canvas.rect(x + 0.1, z + 0.98, x + BAY_M - 0.1, z + 1.05, (0.75, 0.75, 0.75))
 
 
-def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
+def _shop_fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
     """Draw a town house: shop windows, doors and signs below, a high window in every bay above."""
     width = BAYS * BAY_M
     frame, stone, window_m = shops
@@ -257,11 +280,12 @@ def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
             canvas.rect(x + 0.15, 0.45, x + BAY_M - 0.15, 2.2, frame)
             for left in (x + 0.22, x + 0.5 * BAY_M + 0.03):
                 pane = 0.5 * BAY_M - 0.25
-                canvas.rect(left, 0.52, left + pane, 2.12, _glass(float(rng.uniform(0.4, 1.2))))
+                glass = _glass(float(rng.uniform(0.4, 1.2)))
+                canvas.glaze(left, 0.52, left + pane, 2.12, glass, 1.0)
                 for _ in range(3):  # goods in the window
                     a, h = rng.uniform(0, pane - 0.3), rng.uniform(0.2, 0.9)
                     goods = tuple(rng.uniform(0.05, 0.5, 3).tolist())
-                    canvas.rect(left + a, 0.52, left + a + 0.3, 0.52 + h, goods)
+                    canvas.glaze(left + a, 0.52, left + a + 0.3, 0.52 + h, goods, 0.3)
             canvas.rect(x + 0.1, 2.25, x + BAY_M - 0.1, 2.65, colour)
             for k in range(int(rng.integers(3, 8))):  # letters of the sign
                 at = x + 0.4 + 0.27 * k
@@ -297,7 +321,7 @@ def _cladding(canvas: _Canvas, rng: np.random.Generator) -> None:
     ribs = 1 + 0.06 * np.sign(np.sin(2 * np.pi * np.arange(columns) * _TEXEL_M / 0.5))
     canvas.rgb *= ribs[None, :, None].astype(np.float32)
     canvas.rect(0, 0, BAYS * BAY_M, 0.6, (0.35, 0.35, 0.34))
-    canvas.rect(0, 3.6, BAYS * BAY_M, 4.4, (0.14, 0.17, 0.20))
+    canvas.glaze(0, 3.6, BAYS * BAY_M, 4.4, (0.14, 0.17, 0.20), 0.7)
     for x in np.arange(0, BAYS * BAY_M, 1.0):
         canvas.rect(x, 3.6, x + 0.08, 4.4, (0.6, 0.6, 0.6))
     for bay in range(1, BAYS, 3):
@@ -318,6 +342,7 @@ def _periodic(rng: np.random.Generator, n: int, scale_m: float) -> Float:
 
 
 def _encode(rgb: Float, tinted: Float) -> Image:
+    """Return the image of linear colours (h, w, 3) and shares of the tint (h, w), both 0 to 1."""
     srgb = np.where(
         rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-6) ** (1 / 2.4) - 0.055
     )

@@ -29,10 +29,10 @@ VEHICLES = ("car", "van", "truck")
 LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
 """Classes of objects that a change can remove or add."""
 
-_SHEDS_LEAVES, _BARE = "broadleaf_", "bare_"
+_LEAFY_PREFIX, _BARE_PREFIX = "broadleaf_", "bare_"  # of shapes of trees
 _BAY_M = 2.6  # distance between the middles of vehicles side by side
 _GAP_M = 0.3  # free space around a moved or added object, per side
-_TRIES = 60
+_TRIES = 60  # random positions that are tried for each object
 
 
 class Change(Config):
@@ -52,14 +52,15 @@ class Change(Config):
         0.0,
         ge=0,
         le=1,
-        description="Share of the objects of classes ``LOOSE`` that are removed, 0 to 1.",
+        description="Share of the vehicles, containers and small loose objects that are removed, "
+        "0 to 1.",
     )
     objects_added: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="Number of new objects of classes ``LOOSE``, as a share (0 to 1) of the "
-        "original ones, where there is room.",
+        description="Number of new vehicles, containers and small loose objects, as a share "
+        "(0 to 1) of the original ones, where there is room.",
     )
     bare_trees: bool = Field(
         False, description="Whether broadleaved trees have no leaves, as in leaf-off seasons."
@@ -112,7 +113,7 @@ def change_world(base: World, change: Change, first_new_id: int = 0) -> ChangedW
     """Return the world after a change. Equal arguments give equal worlds.
 
     Unchanged objects keep their id and box. Moved and added objects get new ids, counted from
-    ``first_new_id`` or from the first free id of ``base``.
+    ``first_new_id`` or from the first free id of ``base``, whichever is larger.
 
     Raises:
         InputError: there are more objects than a renderer can number.
@@ -121,24 +122,24 @@ def change_world(base: World, change: Change, first_new_id: int = 0) -> ChangedW
     rng = np.random.default_rng([base.seed, 3, change.seed])
     loose = [o for o in base.objects if o.class_name in LOOSE]
     order = [loose[i] for i in rng.permutation(len(loose))]
-    gone = order[: round(change.objects_removed * len(loose))]
-    staying = [o for o in order[len(gone) :] if o.class_name in VEHICLES]
+    removed = order[: round(change.objects_removed * len(loose))]
+    staying = [o for o in order[len(removed) :] if o.class_name in VEHICLES]
     moving = staying[: round(change.cars_moved * len(staying))]
-    left = {o.id for o in (*gone, *moving)}
-    places = _Places(base, rng)
+    absent = {o.id for o in (*removed, *moving)}
+    positions = _FreePositions(base, rng)
     placed: list[WorldObject] = []
     moved = []
     for item in moving:
-        new = places.find(item, first_new_id + len(placed))
+        new = positions.find(item, first_new_id + len(placed))
         if new is None:
-            left.remove(item.id)  # there is no room anywhere, so it stays
+            absent.remove(item.id)  # there is no room anywhere, so it stays
         else:
             placed.append(new)
             moved.append((item.id, new.id))
     added = []
     for _ in range(round(change.objects_added * len(loose))):
-        like = loose[int(rng.integers(len(loose)))]
-        new = places.find(like, first_new_id + len(placed))
+        original = loose[int(rng.integers(len(loose)))]
+        new = positions.find(original, first_new_id + len(placed))
         if new is not None:
             placed.append(new)
             added.append(new.id)
@@ -147,16 +148,16 @@ def change_world(base: World, change: Change, first_new_id: int = 0) -> ChangedW
             f"the changes of all sessions bring more than {MAX_OBJECT_ID} objects: lower "
             "cars_moved or objects_added, or make the area smaller"
         )
-    objects = [*(o for o in base.objects if o.id not in left), *placed]
+    objects = [*(o for o in base.objects if o.id not in absent), *placed]
     bare = []
     if change.bare_trees:
-        bare = [k for k, o in enumerate(objects) if o.shape.startswith(_SHEDS_LEAVES)]
+        bare = [k for k, o in enumerate(objects) if o.shape.startswith(_LEAFY_PREFIX)]
     for k in bare:
-        shape = objects[k].shape.replace(_SHEDS_LEAVES, _BARE)
+        shape = objects[k].shape.replace(_LEAFY_PREFIX, _BARE_PREFIX)
         objects[k] = replace(objects[k], shape=shape)
     declared = DeclaredChange(
         moved=tuple(sorted(moved)),
-        removed=tuple(sorted(o.id for o in gone)),
+        removed=tuple(sorted(o.id for o in removed)),
         added=tuple(added),
         bare=tuple(objects[k].id for k in bare),
     )
@@ -172,7 +173,7 @@ def _kind(item: WorldObject) -> str:
     return "vehicle" if item.class_name in VEHICLES else item.class_name
 
 
-class _Places:
+class _FreePositions:
     """Finds free positions for objects beside others of their kind, on the same class of ground.
 
     Original positions stay occupied, so that an object without a new position can stay.
@@ -184,50 +185,55 @@ class _Places:
         self._rng = rng
         self._taken: list[Array] = []
         self._circles = CircleGrid()
-        self._kin: dict[str, list[WorldObject]] = {}
+        self._by_kind: dict[str, list[WorldObject]] = {}
         for item in base.objects:
             self._take(item.footprint())
-            self._kin.setdefault(_kind(item), []).append(item)
+            self._by_kind.setdefault(_kind(item), []).append(item)
 
-    def find(self, item: WorldObject, number: int) -> WorldObject | None:
+    def find(self, item: WorldObject, new_id: int) -> WorldObject | None:
         """Return a copy of an object at a free position with a new id; None without one."""
-        kin = self._kin[_kind(item)]
+        similar = self._by_kind[_kind(item)]
         for _ in range(_TRIES):
-            beside = kin[int(self._rng.integers(len(kin)))]
-            at = beside.centre[:2] + self._step(beside)
-            if not self._fits(at, item, beside):
+            neighbour = similar[int(self._rng.integers(len(similar)))]
+            at = neighbour.centre[:2] + self._step(neighbour)
+            if not self._fits(at, item, neighbour):
                 continue
-            self._take(rectangle(at, item.size[:2], beside.yaw))
-            ground = float(self._base.terrain.height(*at)) + self._pavements.at(at)
+            self._take(rectangle(at, item.size[:2], neighbour.yaw))
+            ground = float(self._base.terrain.height(*at)) + self._pavements.height_at(at)
             height = ground + 0.5 * item.size[2]
             centre = np.array([at[0], at[1], height])
-            return replace(item, id=number, centre=centre, yaw=beside.yaw)
+            driven = neighbour.driven
+            return replace(item, id=new_id, centre=centre, yaw=neighbour.yaw, driven=driven)
         return None
 
-    def _step(self, beside: WorldObject) -> Array:
+    def _step(self, neighbour: WorldObject) -> Array:
         """Draw an offset (2,), metres, from an object to a similar position."""
-        ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
+        ahead = np.array([np.cos(neighbour.yaw), np.sin(neighbour.yaw)])
         left = np.array([-ahead[1], ahead[0]])
         sign = 1 if self._rng.random() < 0.5 else -1
-        if beside.class_name not in VEHICLES:
+        if neighbour.class_name not in VEHICLES:
             angle = self._rng.uniform(0, 2 * np.pi)
             return np.asarray(
                 self._rng.uniform(3, 15) * (np.cos(angle) * ahead + np.sin(angle) * left)
             )
-        if self._label(beside.centre[None, :2])[0] == CLASSES["road"]:
+        if self._label(neighbour.centre[None, :2])[0] == CLASSES["road"]:
             return np.asarray(sign * self._rng.uniform(7, 25) * ahead)
         bays = int(self._rng.integers(1, 5))
         return np.asarray(sign * bays * _BAY_M * left)
 
-    def _fits(self, at: Array, item: WorldObject, beside: WorldObject) -> bool:
-        """Return whether a position has a single class of ground and no other object."""
-        grown = rectangle(at, item.size[:2] + 2 * _GAP_M, beside.yaw)
+    def _fits(self, at: Array, item: WorldObject, neighbour: WorldObject) -> bool:
+        """Return whether an object fits at a position.
+
+        It must lie inside the area, only on the neighbour's class of ground, and clear of other
+        objects.
+        """
+        grown = rectangle(at, item.size[:2] + 2 * _GAP_M, neighbour.yaw)
         if np.abs(grown).max() > 0.5 * self._base.area_m:
             return False
         under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])
-        if (self._label(under) != self._label(beside.centre[None, :2])).any():
+        if (self._label(under) != self._label(neighbour.centre[None, :2])).any():
             return False
-        near = self._circles.near(at, float(np.linalg.norm(grown[0] - at)))
+        near = self._circles.find_overlapping(at, float(np.linalg.norm(grown[0] - at)))
         return not any(overlap(grown, self._taken[k]) for k in near)
 
     def _take(self, corners: Array) -> None:

@@ -25,8 +25,11 @@ class CircleGrid:
             self._cells[cell].append(len(self._circles))
         self._circles.append((x, y, float(radius)))
 
-    def near(self, centre: NDArray[np.float64], radius: float) -> list[int]:
-        """Return the numbers of the circles that overlap with this one (metres), ascending."""
+    def find_overlapping(self, centre: NDArray[np.float64], radius: float) -> list[int]:
+        """Return the numbers of the circles that overlap a given circle, ascending.
+
+        The given circle has a centre (2,) and a radius, metres.
+        """
         x, y = centre.tolist()
         candidates = {k for cell in _cells(x, y, radius) for k in self._cells.get(cell, ())}
         neighbours = []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.labels import CLASSES
 from simulate.place.world import Ground, Marking, Region
 
-TEXEL_M = 0.1
+TEXEL_M = 0.1  # smallest side of a texel
 MAX_TEXELS = 4096  # a side; larger places have coarser texels instead of larger images
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel drawing
 

@@ -8,21 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from objconnect.scene.errors import InputError
+from simulate.place.builder import PlaceBuilder
 from simulate.place.kerbs import lay_kerbs, raise_objects
 from simulate.place.paint import paint
 from simulate.place.relief import relief
-from simulate.place.site import Site
-from simulate.place.streets import Block, divide, lay_streets, outlines
-from simulate.place.world import Surroundings, World
+from simulate.place.streets import (
+    TOWN_STREETS,
+    Block,
+    StreetKind,
+    divide,
+    lay_streets,
+    outlines,
+)
+from simulate.place.world import Heightfield, Surroundings, World
 
 MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
 _CORE_M = 600.0  # farther from the middle, most blocks are open land
 _OUTSKIRTS_OPEN = 0.92  # share of open land among those blocks
 
-Use = Callable[[Site, Block], None]
+Use = Callable[[PlaceBuilder, Block], None]
 """A function that fills a block."""
-Lining = Callable[[Site], None]
+Lining = Callable[[PlaceBuilder], None]
 """A function that places objects along the roads."""
+Relief = Callable[[float, np.random.Generator], Heightfield]
+"""A function that draws the terrain of a place from its side in metres."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +49,20 @@ class Quarter:
     open_share: float
     name: str = ""
 
-    def fill(self, site: Site, blocks: Sequence[Block]) -> None:
+    def fill(self, builder: PlaceBuilder, blocks: Sequence[Block]) -> None:
         """Choose the use of each block and fill it. Blocks are sorted by distance to the centre."""
-        first = [self.first[i] for i in site.rng.permutation(len(self.first))]
+        first = [self.first[i] for i in builder.rng.permutation(len(self.first))]
         uses, weights = tuple(self.uses), tuple(self.uses.values())
         for i, block in enumerate(blocks):
-            core = float(np.linalg.norm(block.centre())) < _CORE_M
+            in_core = float(np.linalg.norm(block.centre())) < _CORE_M
             if i < len(first):
-                first[i](site, block)
-            elif site.chance(self.open_share if core else max(self.open_share, _OUTSKIRTS_OPEN)):
-                self.open_land(site, block)
+                first[i](builder, block)
+            elif builder.chance(
+                self.open_share if in_core else max(self.open_share, _OUTSKIRTS_OPEN)
+            ):
+                self.open_land(builder, block)
             else:
-                uses[int(site.rng.choice(len(uses), p=weights))](site, block)
+                uses[int(builder.rng.choice(len(uses), p=weights))](builder, block)
 
 
 @dataclass(frozen=True)
@@ -64,18 +75,20 @@ class Plan:
     Attributes:
         block_m: Typical distance between streets, metres.
         quarters: The parts of the place.
-        after: Functions that place objects along the roads after the blocks are filled.
-        before: Functions that place objects along the roads before the blocks are filled.
-        verge: Ground class along the streets.
+        after_blocks: Functions that place objects along the roads after the blocks are filled.
+        before_blocks: Functions that place objects along the roads before the blocks are filled.
+        streets: The appearance of the streets.
         least_m: The minimum side, metres, for all quarters.
+        relief: The function that draws the terrain.
     """
 
     block_m: float
     quarters: tuple[Quarter, ...]
-    after: tuple[Lining, ...]
-    before: tuple[Lining, ...] = ()
-    verge: str = "pavement"
+    after_blocks: tuple[Lining, ...]
+    before_blocks: tuple[Lining, ...] = ()
+    streets: StreetKind = TOWN_STREETS
     least_m: float = MIN_AREA_M
+    relief: Relief = relief
 
     def build(self, seed: int, area_m: float) -> World:
         """Build a square place of ``area_m`` metres. Equal seeds and areas give equal places.
@@ -91,25 +104,26 @@ class Plan:
         if seed < 0:
             raise InputError(f"seed must not be negative, got {seed}")
         rng = np.random.default_rng([seed, 0])
-        site = Site(area_m, relief(area_m, rng), rng)
+        builder = PlaceBuilder(area_m, self.relief(area_m, rng), rng)
         least = max(2, len(self.quarters))
-        blocks = lay_streets(site, area_m / max(least, round(area_m / self.block_m)), self.verge)
-        for line in self.before:
-            line(site)
+        pitch_m = area_m / max(least, round(area_m / self.block_m))
+        blocks = lay_streets(builder, pitch_m, self.streets)
+        for line_roads in self.before_blocks:
+            line_roads(builder)
         parts = divide(blocks, area_m, len(self.quarters))
         for quarter, part in zip(self.quarters, parts, strict=True):
-            quarter.fill(site, part)
-        for line in self.after:
-            line(site)
-        ground = paint(area_m, site.regions, site.markings)
-        kerbs = lay_kerbs(site.roads, ground)
+            quarter.fill(builder, part)
+        for line_roads in self.after_blocks:
+            line_roads(builder)
+        ground = paint(area_m, builder.regions, builder.markings)
+        kerbs = lay_kerbs(builder.roads, ground)
         return World(
             seed=seed,
             area_m=float(area_m),
-            terrain=site.terrain,
-            roads=site.roads,
+            terrain=builder.terrain,
+            roads=builder.roads,
             ground=ground,
-            objects=raise_objects(site.objects, kerbs),
+            objects=raise_objects(builder.objects, kerbs),
             kerbs=kerbs,
             surroundings=tuple(
                 Surroundings(quarter.name, outline)

@@ -1,18 +1,29 @@
-"""Plans of all presets except ``town``, which has its own module."""
+"""Plans of all presets except ``town``, which has its own module; ``plan`` explains the fields."""
 
 from __future__ import annotations
 
 from functools import partial
 
+from simulate.place.alpine import alp, chalets
+from simulate.place.cemeteries import chapel, graves
+from simulate.place.containers import container_yard
 from simulate.place.dwellings import flats, housing
+from simulate.place.estates import estate
 from simulate.place.farms import farm, hayfield, pasture
 from simulate.place.greens import field, meadow, park, woods
+from simulate.place.harbours import marina, quay
+from simulate.place.orchards import orchard
 from simulate.place.plan import Plan, Quarter
 from simulate.place.power import power_lines
+from simulate.place.relief import valley
 from simulate.place.roadside import avenues, deliveries, street_furniture, street_lamps, traffic
-from simulate.place.trade import tank_farm, trade, works
+from simulate.place.solar import solar
+from simulate.place.streets import StreetKind
+from simulate.place.trade import factory, tank_farm, trade
 from simulate.place.urban import fronts, square
 from simulate.place.water import dock, lake
+
+spruces = partial(woods, conifers=(0.9, 1.0))
 
 SUBURB = Plan(
     block_m=85.0,
@@ -24,7 +35,7 @@ SUBURB = Plan(
             open_share=0.06,
         ),
     ),
-    after=(street_lamps, traffic, street_furniture, deliveries),
+    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
 )
 
 PARK = Plan(
@@ -37,8 +48,8 @@ PARK = Plan(
             open_share=0.3,
         ),
     ),
-    after=(street_lamps, street_furniture),
-    verge="path",
+    after_blocks=(street_lamps, street_furniture),
+    streets=StreetKind(verge="path"),
 )
 
 FARMLAND = Plan(
@@ -51,23 +62,23 @@ FARMLAND = Plan(
             open_share=0.4,
         ),
     ),
-    before=(power_lines,),
-    after=(partial(traffic, parked=0.0),),
-    verge="grass",
+    before_blocks=(power_lines,),
+    after_blocks=(partial(traffic, parked=0.0),),
+    streets=StreetKind(verge="grass"),
 )
 
 INDUSTRIAL = Plan(
     block_m=110.0,
     quarters=(
         Quarter(
-            first=(works, trade, tank_farm, dock),
-            uses={works: 0.42, trade: 0.30, tank_farm: 0.13, dock: 0.15},
+            first=(factory, trade, tank_farm, dock),
+            uses={factory: 0.42, trade: 0.30, tank_farm: 0.13, dock: 0.15},
             open_land=meadow,
             open_share=0.06,
         ),
     ),
-    before=(power_lines,),
-    after=(street_lamps, traffic, street_furniture, deliveries),
+    before_blocks=(power_lines,),
+    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
 )
 
 STREET = Plan(
@@ -96,11 +107,110 @@ STREET = Plan(
             open_share=0.0,
         ),
     ),
-    after=(
+    after_blocks=(
         street_lamps,
         partial(traffic, parked=0.45),
         street_furniture,
         deliveries,
         avenues,
     ),
+)
+
+ESTATE = Plan(
+    block_m=70.0,
+    quarters=(
+        Quarter(
+            first=(estate, estate, estate, estate),
+            uses={estate: 0.93, park: 0.07},
+            open_land=park,
+            open_share=0.04,
+        ),
+    ),
+    after_blocks=(street_lamps, partial(traffic, parked=0.35), street_furniture),
+    streets=StreetKind(bend=0.0),
+)
+
+ORCHARD = Plan(
+    block_m=120.0,
+    quarters=(
+        Quarter(
+            first=(orchard, orchard, farm, orchard),
+            uses={orchard: 0.76, farm: 0.08, pasture: 0.08, field: 0.08},
+            open_land=meadow,
+            open_share=0.08,
+        ),
+    ),
+    after_blocks=(),
+    streets=StreetKind(surface="path", verge="grass", widths_m=(5.0, 3.6), bend=0.0),
+)
+
+SOLAR = Plan(
+    block_m=115.0,
+    quarters=(
+        Quarter(
+            first=(solar, solar, solar, woods),
+            uses={solar: 0.86, pasture: 0.07, woods: 0.07},
+            open_land=meadow,
+            open_share=0.05,
+        ),
+    ),
+    after_blocks=(),
+    streets=StreetKind(surface="path", verge="grass", widths_m=(5.0, 4.0), bend=0.0),
+)
+
+CONTAINERS = Plan(
+    block_m=105.0,
+    quarters=(
+        Quarter(
+            first=(container_yard, container_yard, container_yard, trade),
+            uses={container_yard: 0.9, trade: 0.1},
+            open_land=trade,
+            open_share=0.05,
+        ),
+    ),
+    after_blocks=(street_lamps, partial(traffic, parked=0.0), deliveries),
+    streets=StreetKind(verge="parking", bend=0.0),
+)
+
+CEMETERY = Plan(
+    block_m=58.0,
+    quarters=(
+        Quarter(
+            first=(graves, graves, graves, chapel),
+            uses={graves: 0.88, woods: 0.12},
+            open_land=woods,
+            open_share=0.05,
+        ),
+    ),
+    after_blocks=(avenues,),
+    streets=StreetKind(surface="path", verge="grass", widths_m=(5.0, 3.4), bend=0.15),
+)
+
+ALPINE = Plan(
+    block_m=80.0,
+    quarters=(
+        Quarter(
+            first=(chalets, chalets, chapel, alp),
+            uses={chalets: 0.58, alp: 0.26, spruces: 0.16},
+            open_land=alp,
+            open_share=0.1,
+        ),
+    ),
+    after_blocks=(street_lamps, partial(traffic, parked=0.08)),
+    streets=StreetKind(verge="grass", widths_m=(5.5, 4.0), bend=1.5),
+    relief=valley,
+)
+
+HARBOUR = Plan(
+    block_m=115.0,
+    quarters=(
+        Quarter(
+            first=(quay, marina, quay, trade),
+            uses={quay: 0.48, marina: 0.42, trade: 0.1},
+            open_land=trade,
+            open_share=0.04,
+        ),
+    ),
+    after_blocks=(street_lamps, partial(traffic, parked=0.1), street_furniture, deliveries),
+    streets=StreetKind(bend=0.0),
 )

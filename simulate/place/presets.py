@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _is_plan(entry: object) -> bool:
-    from simulate.place.plan import Plan  # late, because the command line lists presets
+    from simulate.place.plan import Plan  # late, because listing presets must be quick
 
     return isinstance(entry, Plan)
 
@@ -29,6 +29,13 @@ PRESETS: Final[Registry[Plan]] = Registry(
         "farmland": Lazy("simulate.place.plans:FARMLAND"),
         "industrial": Lazy("simulate.place.plans:INDUSTRIAL"),
         "street": Lazy("simulate.place.plans:STREET"),
+        "estate": Lazy("simulate.place.plans:ESTATE"),
+        "orchard": Lazy("simulate.place.plans:ORCHARD"),
+        "solar": Lazy("simulate.place.plans:SOLAR"),
+        "containers": Lazy("simulate.place.plans:CONTAINERS"),
+        "cemetery": Lazy("simulate.place.plans:CEMETERY"),
+        "alpine": Lazy("simulate.place.plans:ALPINE"),
+        "harbour": Lazy("simulate.place.plans:HARBOUR"),
     },
     accepts=_is_plan,
 )

@@ -11,7 +11,7 @@ _MAX_NODES = 500  # a side; enough, because the shortest wave is 90 m long
 
 
 def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
-    """Return rolling ground: a few long waves, a few metres high, with slopes of some per cent."""
+    """Return rolling ground: a few long waves, a few metres high, with slopes of a few per cent."""
     n = int(np.ceil(area_m / max(_SPACING_M, area_m / _MAX_NODES))) + 1
     axis = np.linspace(-0.5 * area_m, 0.5 * area_m, n)
     z = np.zeros((n, n))
@@ -21,3 +21,15 @@ def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
         wave = k * (np.cos(heading) * axis[None] + np.sin(heading) * axis[:, None]) + phase
         z += 0.0045 * length * np.sin(wave)
     return Heightfield(z, float(axis[1] - axis[0]))
+
+
+def valley(area_m: float, rng: np.random.Generator) -> Heightfield:
+    """Return rolling ground in a valley, whose sides rise by 30 to 45 m with slopes up to 27 %."""
+    rolling = relief(area_m, rng)
+    axis = rolling.spacing_m * np.arange(len(rolling.nodes)) - rolling.half_side_m
+    heading, high, wide = rng.uniform(0, np.pi), rng.uniform(30.0, 45.0), rng.uniform(130.0, 160.0)
+    along = np.cos(heading) * axis[None] + np.sin(heading) * axis[:, None]
+    across = np.cos(heading) * axis[:, None] - np.sin(heading) * axis[None]
+    across = across + 18.0 * np.sin(along / 90.0 + rng.uniform(0, 2 * np.pi))
+    rise = high * (1 - np.exp(-((across / wide) ** 2)))
+    return Heightfield(rolling.nodes + rise, rolling.spacing_m)

@@ -5,64 +5,64 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.objects import LAMP_M, car, small, tree, truck
-from simulate.place.site import PAVEMENT_M, Footing, ObjectSpec, Site
+from simulate.place.builder import PAVEMENT_M, Footing, ObjectSpec, PlaceBuilder
+from simulate.place.objects import LAMP_M, car, small_object, tree, truck
 from simulate.place.world import polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 
 
-def street_lamps(site: Site) -> None:
+def street_lamps(builder: PlaceBuilder) -> None:
     """Place lamps along every road, with their arms over the kerb."""
-    for road in site.roads:
-        side = site.choose((1.0, -1.0))
-        for s in np.arange(site.rng.uniform(5, 20), polyline_length(road.line), 27.0):
+    for road in builder.roads:
+        side = builder.choose((1.0, -1.0))
+        for s in np.arange(builder.rng.uniform(5, 20), polyline_length(road.line), 27.0):
             (p,), (along,) = polyline_points(road.line, s)
             across = side * np.array([-along[1], along[0]])
             yaw = float(np.arctan2(-across[1], -across[0]))
             at = p + (0.5 * road.width_m + 0.2) * across
-            if off_junction(site, at, 1.5):
+            if off_junction(builder, at, 1.5):
                 lamp = ObjectSpec("lamp", "lamp", LAMP_M, (0.25, 0.26, 0.27))
-                site.place(lamp, at, yaw, Footing(on_road=True))
+                builder.place(lamp, at, yaw, Footing(on_road=True))
 
 
-def avenues(site: Site) -> None:
+def avenues(builder: PlaceBuilder) -> None:
     """Place trees along both sides of every road, behind its pavements, where there is room."""
-    for road in site.roads:
+    for road in builder.roads:
         for side in (1.0, -1.0):
-            for s in np.arange(site.rng.uniform(3, 9), polyline_length(road.line), 9.0):
+            for s in np.arange(builder.rng.uniform(3, 9), polyline_length(road.line), 9.0):
                 (p,), (along,) = polyline_points(road.line, s)
                 out = 0.5 * road.width_m + PAVEMENT_M + 2.6
                 at = p + side * out * np.array([-along[1], along[0]])
-                tree(site, at, site.rng.uniform(1.5, 2.3), conifers=0.0)
+                tree(builder, at, builder.rng.uniform(1.5, 2.3), conifers=0.0)
 
 
-def street_furniture(site: Site) -> None:
+def street_furniture(builder: PlaceBuilder) -> None:
     """Place bins, hydrants, signs and bollards in turn on the pavements."""
     kinds = ("sign", "bin", "hydrant", "bollard")
     placed = 0
-    for road in site.roads:
+    for road in builder.roads:
         length = polyline_length(road.line)
-        for s in np.arange(site.rng.uniform(5, 20), length, 22.0):
+        for s in np.arange(builder.rng.uniform(5, 20), length, 22.0):
             (p,), (along,) = polyline_points(road.line, s)
-            side = site.choose((1.0, -1.0))
+            side = builder.choose((1.0, -1.0))
             at = p + side * (0.5 * road.width_m + 1.2) * np.array([-along[1], along[0]])
             # Signs face the drivers that come towards them on the right-hand lane.
             yaw = float(np.arctan2(side * along[1], side * along[0]))
-            if off_junction(site, at, 6.0):
+            if off_junction(builder, at, 6.0):
                 kind = kinds[placed % len(kinds)]
-                placed += small(site, kind, at, yaw, Footing(on_road=True))
+                placed += small_object(builder, kind, at, yaw, Footing(on_road=True))
 
 
-def traffic(site: Site, parked: float = 0.28) -> None:
+def traffic(builder: PlaceBuilder, parked: float = 0.28) -> None:
     """Place vehicles on the right-hand lanes of all roads, and parked ones along side streets.
 
     Args:
-        site: The place.
+        builder: The place.
         parked: The share of the parking places along side streets that are occupied.
     """
-    rng = site.rng
-    for road in site.roads:
+    rng = builder.rng
+    for road in builder.roads:
         length = polyline_length(road.line)
         for direction in (1.0, -1.0):
             s = rng.uniform(0, 40)
@@ -72,38 +72,38 @@ def traffic(site: Site, parked: float = 0.28) -> None:
                 right = np.array([along[1], -along[0]])
                 at = p + (0.25 * road.width_m + rng.normal(0, 0.1)) * right
                 yaw = float(np.arctan2(along[1], along[0]))
-                if off_junction(site, at, 6.0):
-                    if site.chance(0.85):
-                        car(site, at, yaw, gap_m=0.5)
+                if off_junction(builder, at, 6.0):
+                    if builder.chance(0.85):
+                        car(builder, at, yaw, gap_m=0.5, driven=True)
                     else:
-                        truck(site, at, yaw, on_road=True)
+                        truck(builder, at, yaw, on_road=True, driven=True)
                 s += rng.uniform(14, 75)
         if road.main:
             continue
-        side = site.choose((1.0, -1.0))
+        side = builder.choose((1.0, -1.0))
         for s in np.arange(6.0, length, 6.4):
             (p,), (along,) = polyline_points(road.line, s)
             at = p + side * (0.5 * road.width_m - 1.1) * np.array([-along[1], along[0]])
-            if site.chance(parked) and off_junction(site, at, 9.0):
+            if builder.chance(parked) and off_junction(builder, at, 9.0):
                 car(
-                    site,
+                    builder,
                     at,
-                    float(np.arctan2(along[1], along[0])) + site.choose((0.0, np.pi)),
+                    float(np.arctan2(along[1], along[0])) + builder.choose((0.0, np.pi)),
                     gap_m=0.5,
                 )
 
 
-def deliveries(site: Site) -> None:
+def deliveries(builder: PlaceBuilder) -> None:
     """Place lorries that stand at the kerb."""
-    for road in site.roads:
-        for s in np.arange(site.rng.uniform(10, 40), polyline_length(road.line), 30.0):
+    for road in builder.roads:
+        for s in np.arange(builder.rng.uniform(10, 40), polyline_length(road.line), 30.0):
             (p,), (along,) = polyline_points(road.line, s)
             at = p + (0.5 * road.width_m - 1.5) * np.array([along[1], -along[0]])
             yaw = float(np.arctan2(along[1], along[0]))
-            if site.chance(0.3) and off_junction(site, at, 8.0):
-                truck(site, at, yaw, shapes=("lorry",), on_road=True)
+            if builder.chance(0.3) and off_junction(builder, at, 8.0):
+                truck(builder, at, yaw, shapes=("lorry",), on_road=True)
 
 
-def off_junction(site: Site, at: Array, clear_m: float) -> bool:
+def off_junction(builder: PlaceBuilder, at: Array, clear_m: float) -> bool:
     """Return whether only one road comes within ``clear_m`` metres of a point (2,)."""
-    return len(site.roads_within(at[None], clear_m)) <= 1
+    return len(builder.roads_within(at[None], clear_m)) <= 1

@@ -5,17 +5,38 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.builder import PAVEMENT_M, PlaceBuilder
 from simulate.place.world import Road, polyline_length, polyline_points, ribbon
 
 Array = NDArray[np.float64]
 
-_MAIN_M, _SIDE_M = 8.0, 6.2  # carriageway widths
 _STEP_M = 3.0  # distance between the points of a centre line
+
+
+@dataclass(frozen=True)
+class StreetKind:
+    """The appearance of all streets of a place.
+
+    Attributes:
+        surface: Ground class of the carriageways. Only roads have markings.
+        verge: Ground class along them.
+        widths_m: Widths of main and of other carriageways, metres.
+        bend: Strength of the bends: 0 for straight streets and rectangular blocks.
+    """
+
+    surface: str = "road"
+    verge: str = "pavement"
+    widths_m: tuple[float, float] = (8.0, 6.2)
+    bend: float = 1.0
+
+
+TOWN_STREETS: Final = StreetKind()
+"""Curved roads with pavements."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +49,14 @@ class Warp:
     phase: Array  # (2,) radians
 
     @staticmethod
-    def random(rng: np.random.Generator, pitch_m: float) -> Warp:
-        """Draw a warp with bends proportional to the distance between streets."""
+    def random(rng: np.random.Generator, pitch_m: float, bend: float) -> Warp:
+        """Draw a warp with bends proportional to the distance between streets and to ``bend``."""
         heading = rng.uniform(0, 2 * np.pi, 2)
-        number = 2 * np.pi / (pitch_m * rng.uniform(2.4, 3.6, 2))
+        wave_number = 2 * np.pi / (pitch_m * rng.uniform(2.4, 3.6, 2))
         return Warp(
             rotation=float(rng.uniform(-0.45, 0.45)),
-            amplitude=pitch_m * rng.uniform(0.05, 0.085, (2, 2)),
-            wave=number[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1),
+            amplitude=bend * pitch_m * rng.uniform(0.05, 0.085, (2, 2)),
+            wave=wave_number[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1),
             phase=rng.uniform(0, 2 * np.pi, 2),
         )
 
@@ -48,10 +69,10 @@ class Warp:
 
 
 @dataclass(frozen=True)
-class Frame:
+class StreetFrame:
     """Coordinates of a block: metres along a street (a) and away from it (b), from a corner.
 
-    ``sign`` -1 turns the frame round.
+    With ``sign`` -1 the frame is rotated by 180 degrees: a and b count from the opposite corner.
     """
 
     warp: Warp
@@ -59,9 +80,9 @@ class Frame:
     v: float
     sign: int = 1
 
-    def shift(self, a: float, b: float = 0.0) -> Frame:
+    def shift(self, a: float, b: float = 0.0) -> StreetFrame:
         """Return the same frame with its origin moved to (a, b)."""
-        return Frame(self.warp, self.u + self.sign * a, self.v + self.sign * b, self.sign)
+        return StreetFrame(self.warp, self.u + self.sign * a, self.v + self.sign * b, self.sign)
 
     def point(self, a: ArrayLike, b: ArrayLike) -> Array:
         """Map local metres a, b to world points (..., 2)."""
@@ -100,33 +121,33 @@ class Block:
         """Return the extent along v, metres."""
         return self.v1 - self.v0
 
-    def front(self, sign: int) -> Frame:
+    def front(self, sign: int) -> StreetFrame:
         """Return the frame of the street at v0 (sign +1) or at v1 (sign -1)."""
         if sign > 0:
-            return Frame(self.warp, self.u0, self.v0)
-        return Frame(self.warp, self.u1, self.v1, -1)
+            return StreetFrame(self.warp, self.u0, self.v0)
+        return StreetFrame(self.warp, self.u1, self.v1, -1)
 
     def centre(self) -> Array:
         """Return the middle of the block in the world, (2,) metres."""
         return self.warp([0.5 * (self.u0 + self.u1), 0.5 * (self.v0 + self.v1)])
 
 
-def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Block]:
+def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list[Block]:
     """Lay roads, verges and markings, and return the blocks between them.
 
     The roads are about ``pitch_m`` metres apart. The blocks cover the area, and those nearest the
     origin come first.
     """
-    rng = site.rng
-    warp = Warp.random(rng, pitch_m)
-    cells = int(np.ceil(0.5 * site.area_m * 1.3 / pitch_m)) + 1  # on each side of the origin
+    rng = builder.rng
+    warp = Warp.random(rng, pitch_m, kind.bend)
+    cells = int(np.ceil(0.5 * builder.area_m * 1.3 / pitch_m)) + 1  # on each side of the origin
     lines = [
         pitch_m * (np.arange(-cells, cells + 1) + rng.uniform(-0.14, 0.14, 2 * cells + 1))
         for _ in range(2)
     ]
     main = [rng.random(2 * cells + 1) < 0.35 for _ in range(2)]
     main[int(rng.integers(2))][cells] = True
-    widths = [np.where(m, _MAIN_M, _SIDE_M) for m in main]
+    widths = [np.where(m, *kind.widths_m) for m in main]
     (us, vs), (u_main, v_main), (u_widths, v_widths) = lines, main, widths
     # Pieces of streets along v may be missing, which makes T junctions.
     present = rng.random((len(us), len(vs) - 1)) > 0.22
@@ -144,8 +165,8 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
             v = np.linspace(v0, v1, max(2, int((v1 - v0) / _STEP_M) + 1))
             line = warp(np.stack([np.full_like(v, u), v], -1))
             roads.append(Road(line, float(u_widths[k]), bool(u_main[k])))
-    site.lay_roads(roads)
-    _pave(site, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)), verge)
+    builder.lay_roads(roads)
+    _pave(builder, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)), kind)
 
     blocks = []
     for i in range(len(us) - 1):
@@ -164,7 +185,7 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
                     vs[j + 1] - inset_v[1],
                 )
             )
-    reach = 0.5 * site.area_m + 0.75 * pitch_m
+    reach = 0.5 * builder.area_m + 0.75 * pitch_m
     blocks = [b for b in blocks if np.abs(b.centre()).max() < reach]
     return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
 
@@ -178,8 +199,8 @@ def divide(blocks: Sequence[Block], area_m: float, count: int) -> list[list[Bloc
     inside = [c for c in columns if abs(sum(c)) < 1.1 * area_m]
     bands = np.array_split(np.arange(len(inside)), count)
     starts = [inside[band[0]][0] for band in bands[1:]]
-    which = [sum(block.u0 >= start for start in starts) for block in blocks]
-    return [[b for b, w in zip(blocks, which, strict=True) if w == k] for k in range(count)]
+    band_of = [sum(block.u0 >= start for start in starts) for block in blocks]
+    return [[b for b, w in zip(blocks, band_of, strict=True) if w == k] for k in range(count)]
 
 
 def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
@@ -192,37 +213,38 @@ def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
     return [np.vstack([left, right[::-1]]) for left, right in pairwise(sides)]
 
 
-def _pave(site: Site, junctions: Array, verge: str) -> None:
+def _pave(builder: PlaceBuilder, junctions: Array, kind: StreetKind) -> None:
     """Paint verges, carriageways and markings of all roads, which meet at junctions (M, 2)."""
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     disc = np.stack([np.cos(turn), np.sin(turn)], -1)
-    for road in site.roads:
-        site.paint(verge, ribbon(road.line, road.width_m + 2 * PAVEMENT_M))
-    for road in site.roads:
-        tone = 0.35 + 0.3 * site.rng.random()
-        site.paint("road", ribbon(road.line, road.width_m), tone)
+    for road in builder.roads:
+        builder.paint(kind.verge, ribbon(road.line, road.width_m + 2 * PAVEMENT_M))
+    for road in builder.roads:
+        tone = 0.35 + 0.3 * builder.rng.random()
+        builder.paint(kind.surface, ribbon(road.line, road.width_m), tone)
     for junction in junctions:
-        if len(site.roads_within(junction[None], 0.5)) < 2:
+        if len(builder.roads_within(junction[None], 0.5)) < 2:
             continue
         # Carriageways widen at junctions, with rounded kerbs.
-        site.paint("road", junction + 5.2 * disc, 0.45)
-    for road in site.roads:
-        if road.main:
-            _centre_line(site, road, junctions)
-            _crossings(site, road, junctions)
+        builder.paint(kind.surface, junction + 5.2 * disc, 0.45)
+    for road in builder.roads:
+        if road.main and kind.surface == "road":
+            _centre_line(builder, road, junctions)
+            _crossings(builder, road, junctions)
 
 
-def _centre_line(site: Site, road: Road, junctions: Array) -> None:
+def _centre_line(builder: PlaceBuilder, road: Road, junctions: Array) -> None:
+    """Paint the dashed centre line of a road, except near junctions (M, 2)."""
     dash, period = 3.0, 7.0
     starts = np.arange(0.0, polyline_length(road.line) - dash, period)
     a, _ = polyline_points(road.line, starts)
     b, _ = polyline_points(road.line, starts + dash)
     gap = np.linalg.norm(0.5 * (a + b)[:, None] - junctions, axis=-1).min(1)
     for p, q in zip(a[gap > 9.0], b[gap > 9.0], strict=True):
-        site.mark([p, q], 0.14)
+        builder.mark([p, q], 0.14)
 
 
-def _crossings(site: Site, road: Road, junctions: Array) -> None:
+def _crossings(builder: PlaceBuilder, road: Road, junctions: Array) -> None:
     """Paint zebra crossings before some of the junctions that this road passes."""
     for junction in junctions:
         near = np.linalg.norm(road.line - junction, axis=1)
@@ -231,10 +253,10 @@ def _crossings(site: Site, road: Road, junctions: Array) -> None:
         at = float(near.argmin()) / (len(road.line) - 1) * polyline_length(road.line)
         for side in (-1, 1):
             s = at + side * 9.0
-            if not 0 < s < polyline_length(road.line) or not site.chance(0.45):
+            if not 0 < s < polyline_length(road.line) or not builder.chance(0.45):
                 continue
             (middle,), (along,) = polyline_points(road.line, s)
             across = np.array([-along[1], along[0]])
             for offset in np.arange(-0.5 * road.width_m + 0.7, 0.5 * road.width_m - 0.4, 1.0):
                 stripe = middle + offset * across
-                site.mark([stripe - 1.5 * along, stripe + 1.5 * along], 0.5)
+                builder.mark([stripe - 1.5 * along, stripe + 1.5 * along], 0.5)

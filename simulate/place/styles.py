@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from simulate.place.site import Site
+from simulate.place.builder import PlaceBuilder
 from simulate.place.world import BuildingStyle, Facade, Rgb, Roof, Roofing
 
-# Linear albedo.
+# Linear albedo of walls and roofs.
 WALLS: tuple[Rgb, ...] = (
     (0.58, 0.56, 0.51),
     (0.52, 0.46, 0.35),
@@ -31,7 +31,12 @@ METAL_ROOFS: tuple[Rgb, ...] = (
     (0.20, 0.26, 0.21),
 )
 
+# Walls and roofs of chalets.
+_TIMBER: tuple[Rgb, ...] = ((0.19, 0.10, 0.055), (0.12, 0.065, 0.04), (0.26, 0.16, 0.09))
+_SHINGLES: tuple[Rgb, ...] = ((0.17, 0.15, 0.135), (0.12, 0.085, 0.07), (0.22, 0.21, 0.20))
+
 _HOUSE_ROOFS: tuple[Roof, ...] = ("gable", "hip", "flat")
+# Roofing of pitched roofs.
 _PITCHED: tuple[Roofing, ...] = ("tile", "slate")
 _HOUSES = (
     Facade.HOUSE_WHITE_FRAMES,
@@ -43,101 +48,148 @@ _SLABS = (Facade.SLAB_WHITE_FRAMES, Facade.SLAB_WOODEN_FRAMES)
 _SHOPS = (Facade.SHOPS_PALE_STONE, Facade.SHOPS_DARK_STONE, Facade.SHOPS_WHITE_STONE)
 
 
-def vary(site: Site, rgb: Rgb) -> Rgb:
+def vary(builder: PlaceBuilder, rgb: Rgb) -> Rgb:
     """Return a colour made a little lighter or darker, and a little warmer or colder."""
-    value = site.rng.uniform(0.82, 1.15)
-    warm = site.rng.uniform(0.95, 1.05)
+    value = builder.rng.uniform(0.82, 1.15)
+    warm = builder.rng.uniform(0.95, 1.05)
     return (rgb[0] * value * warm, rgb[1] * value, rgb[2] * value / warm)
 
 
-def house_style(site: Site, front: float, back: float) -> BuildingStyle:
-    """Draw the style of a house whose box is ``front`` metres wide and ``back`` metres deep."""
-    rng = site.rng
-    floors = 1 if site.chance(0.3) else 2
+def house_style(builder: PlaceBuilder, width: float, depth: float) -> BuildingStyle:
+    """Draw the style of a house whose box is ``width`` x ``depth`` metres."""
+    rng = builder.rng
+    floors = 1 if builder.chance(0.3) else 2
     roof = _HOUSE_ROOFS[int(rng.choice(len(_HOUSE_ROOFS), p=[0.6, 0.28, 0.12]))]
     pitch = rng.uniform(0.55, 0.95)
     flat = roof == "flat"
-    l_shaped = site.chance(0.45) and min(front, back) > 8.0
-    main = (rng.uniform(0.60, 0.72), rng.uniform(0.42, 0.6)) if l_shaped else (1.0, 1.0)
+    l_shaped = builder.chance(0.45) and min(width, depth) > 8.0
+    main_depth, wing_width = (
+        (rng.uniform(0.60, 0.72), rng.uniform(0.42, 0.6)) if l_shaped else (1.0, 1.0)
+    )
     return BuildingStyle(
         floors=floors,
         roof=roof,
-        roof_height_m=0.45 if flat else 0.5 * pitch * back * main[0] + 0.5,
-        eaves_m=0.05 if flat else 0.45,
+        roof_height_m=0.45 if flat else 0.5 * pitch * depth * main_depth + 0.5,
+        overhang_m=0.05 if flat else 0.45,
         facade=_HOUSES[int(rng.integers(len(_HOUSES)))],
         roofing="flat" if flat else _PITCHED[int(rng.choice(len(_PITCHED), p=[0.65, 0.35]))],
-        wall_rgb=vary(site, site.choose(WALLS)),
-        roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else TILES)),
-        wing=main,
+        wall_rgb=vary(builder, builder.choose(WALLS)),
+        roof_rgb=vary(builder, builder.choose(FLAT_ROOFS if flat else TILES)),
+        main_depth_share=main_depth,
+        wing_width_share=wing_width,
         detail=int(rng.integers(2**31)),
     )
 
 
-def slab_style(site: Site, floors: int) -> BuildingStyle:
+def slab_style(builder: PlaceBuilder, floors: int) -> BuildingStyle:
     """Draw the style of a block of flats."""
-    rng = site.rng
-    flat = site.chance(0.65)
+    rng = builder.rng
+    flat = builder.chance(0.65)
     return BuildingStyle(
         floors=floors,
         roof="flat" if flat else "hip",
         roof_height_m=2.3 if flat else 3.2,  # a flat roof carries a stair head
-        eaves_m=0.05 if flat else 0.5,
+        overhang_m=0.05 if flat else 0.5,
         facade=_SLABS[int(rng.integers(len(_SLABS)))],
         roofing="flat" if flat else "tile",
-        wall_rgb=vary(site, site.choose(WALLS)),
-        roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else TILES)),
-        wing=(1.0, 1.0),
+        wall_rgb=vary(builder, builder.choose(WALLS)),
+        roof_rgb=vary(builder, builder.choose(FLAT_ROOFS if flat else TILES)),
+        main_depth_share=1.0,
+        wing_width_share=1.0,
         detail=int(rng.integers(2**31)),
     )
 
 
-def front_style(site: Site, floors: int) -> BuildingStyle:
+def front_style(builder: PlaceBuilder, floors: int) -> BuildingStyle:
     """Draw the style of a building wall to wall with its neighbours, with shops below."""
-    gabled = site.chance(0.5)
+    gabled = builder.chance(0.5)
     return BuildingStyle(
         floors=floors,
         roof="gable" if gabled else "flat",
         roof_height_m=3.4 if gabled else 2.3,
-        eaves_m=0.05,
-        facade=_SHOPS[int(site.rng.integers(len(_SHOPS)))],
-        roofing=_PITCHED[int(site.rng.choice(len(_PITCHED)))] if gabled else "flat",
-        wall_rgb=vary(site, site.choose(WALLS)),
-        roof_rgb=vary(site, site.choose(TILES if gabled else FLAT_ROOFS)),
-        wing=(1.0, 1.0),
-        detail=int(site.rng.integers(2**31)),
+        overhang_m=0.05,
+        facade=_SHOPS[int(builder.rng.integers(len(_SHOPS)))],
+        roofing=_PITCHED[int(builder.rng.choice(len(_PITCHED)))] if gabled else "flat",
+        wall_rgb=vary(builder, builder.choose(WALLS)),
+        roof_rgb=vary(builder, builder.choose(TILES if gabled else FLAT_ROOFS)),
+        main_depth_share=1.0,
+        wing_width_share=1.0,
+        detail=int(builder.rng.integers(2**31)),
     )
 
 
-def hall_style(site: Site) -> BuildingStyle:
+def hall_style(builder: PlaceBuilder) -> BuildingStyle:
     """Draw the style of an industrial hall."""
-    rng = site.rng
-    flat = site.chance(0.45)
+    rng = builder.rng
+    flat = builder.chance(0.45)
     return BuildingStyle(
         floors=2,
         roof="flat" if flat else "gable",
         roof_height_m=1.6 if flat else 2.2,
-        eaves_m=0.1,
+        overhang_m=0.1,
         facade=Facade.HALL_CLADDING,
         roofing="flat" if flat else "metal",
-        wall_rgb=vary(site, site.choose(METAL_ROOFS + WALLS[:2])),
-        roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else METAL_ROOFS)),
-        wing=(1.0, 1.0),
+        wall_rgb=vary(builder, builder.choose(METAL_ROOFS + WALLS[:2])),
+        roof_rgb=vary(builder, builder.choose(FLAT_ROOFS if flat else METAL_ROOFS)),
+        main_depth_share=1.0,
+        wing_width_share=1.0,
         detail=int(rng.integers(2**31)),
     )
 
 
-def shed_style(site: Site) -> BuildingStyle:
+def chalet_style(builder: PlaceBuilder, depth: float) -> BuildingStyle:
+    """Draw the style of a chalet or hay barn: timber under a low roof that reaches far out."""
+    rng = builder.rng
+    return BuildingStyle(
+        floors=2 if builder.chance(0.55) else 3,
+        roof="gable",
+        roof_height_m=0.5 * rng.uniform(0.32, 0.50) * depth + 0.5,
+        overhang_m=0.11 * depth,
+        facade=Facade.HOUSE_BROWN_SHUTTERS,
+        roofing="metal" if builder.chance(0.2) else "slate",
+        wall_rgb=vary(builder, builder.choose(_TIMBER)),
+        roof_rgb=vary(builder, builder.choose(_SHINGLES)),
+        main_depth_share=1.0,
+        wing_width_share=1.0,
+        detail=int(rng.integers(2**31)),
+    )
+
+
+def chapel_style(builder: PlaceBuilder, *, tower: bool) -> BuildingStyle:
+    """Draw the style of a chapel, or of its tower. Those of a place have the same stone."""
+    stone, slate = builder.once(_chapel_colours)
+    return BuildingStyle(
+        floors=2,
+        roof="hip" if tower else "gable",
+        roof_height_m=5.0 if tower else builder.rng.uniform(4.0, 5.5),
+        overhang_m=0.05 if tower else 0.3,
+        facade=Facade.HOUSE_DARK_FRAMES,
+        roofing="slate",
+        wall_rgb=stone,
+        roof_rgb=slate,
+        main_depth_share=1.0,
+        wing_width_share=1.0,
+        detail=int(builder.rng.integers(2**31)),
+    )
+
+
+def _chapel_colours(builder: PlaceBuilder) -> tuple[Rgb, Rgb]:
+    return vary(builder, builder.choose(WALLS)), vary(builder, builder.choose(TILES))
+
+
+def shed_style(builder: PlaceBuilder) -> BuildingStyle:
     """Draw the style of a shed or garage."""
-    gabled = site.chance(0.5)
+    gabled = builder.chance(0.5)
     return BuildingStyle(
         floors=1,
         roof="gable" if gabled else "flat",
         roof_height_m=0.7 if gabled else 0.25,
-        eaves_m=0.1 if gabled else 0.03,
+        overhang_m=0.1 if gabled else 0.03,
         facade=Facade.SHED_BOARDS,
         roofing="tile" if gabled else "flat",
-        wall_rgb=vary(site, site.choose(WALLS)),
-        roof_rgb=vary(site, site.choose(TILES if gabled else FLAT_ROOFS)),
-        wing=(1.0, 1.0),
-        detail=int(site.rng.integers(2**31)),
+        wall_rgb=vary(builder, builder.choose(WALLS)),
+        roof_rgb=vary(builder, builder.choose(TILES if gabled else FLAT_ROOFS)),
+        main_depth_share=1.0,
+        wing_width_share=1.0,
+        detail=int(builder.rng.integers(2**31)),
     )

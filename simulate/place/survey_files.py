@@ -13,12 +13,12 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
 from simulate.place.world import Ground, Heightfield, Imagery, World
 
-_GREY: Final = 128  # tone of ground cover without parcels
+_NEUTRAL_TONE: Final = 128  # of ``Ground.tone``; sites have no parcels
 
 
 def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
     """Return the ground cover of a site from its labels (n, n) uint8."""
-    tone = np.broadcast_to(np.uint8(_GREY), labels.shape)
+    tone = np.broadcast_to(np.uint8(_NEUTRAL_TONE), labels.shape)
     return Ground(texel_m, labels, tone, ())
 
 
@@ -28,7 +28,7 @@ def save_site(path: Path, world: World) -> None:
     Raises:
         WriteError: The file cannot be written.
     """
-    assert world.imagery is not None and world.bare is not None
+    assert world.imagery is not None and world.bare_ground is not None
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial, partial.open("wb") as file:
         np.savez_compressed(
@@ -38,7 +38,7 @@ def save_site(path: Path, world: World) -> None:
             level_m=world.level_m,
             spacing_m=world.terrain.spacing_m,
             surface=world.terrain.nodes.astype(np.float32),
-            bare=world.bare.nodes.astype(np.float32),
+            bare=world.bare_ground.nodes.astype(np.float32),
             texel_m=world.ground.texel_m,
             labels=world.ground.labels,
             albedo=world.imagery.albedo,
@@ -64,7 +64,7 @@ def load_site(path: Path, seed: int) -> World:
                 ground=make_ground(file["labels"], float(file["texel_m"])),
                 objects=(),
                 imagery=Imagery(file["albedo"], file["snow"], str(file["season"])),
-                bare=Heightfield(file["bare"].astype(float), spacing_m),
+                bare_ground=Heightfield(file["bare"].astype(float), spacing_m),
                 margin_m=float(file["margin_m"]),
                 level_m=float(file["level_m"]),
             )

@@ -18,5 +18,5 @@ TOWN = Plan(
             open_share=0.12,
         ),
     ),
-    after=(street_lamps, traffic, street_furniture, deliveries),
+    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
 )

@@ -1,4 +1,7 @@
-"""Build blocks of a city centre: perimeter blocks around a court, and paved squares."""
+"""Build blocks of a city centre: perimeter blocks around a court, and paved squares.
+
+Local coordinates (a, b) are metres along a street and away from it, see ``StreetFrame``.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +9,40 @@ from itertools import pairwise
 
 import numpy as np
 
-from simulate.place.objects import bench, small, tree
+from simulate.place.builder import PAVEMENT_M, Footing, ObjectSpec, PlaceBuilder
+from simulate.place.objects import bench, small_object, tree
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Footing, ObjectSpec, Site
 from simulate.place.streets import Block
 from simulate.place.styles import front_style
 
 _SETBACK_M = 0.35  # distance from the edge of the block to the fronts
-_DEPTH_M = 11.0
+_DEPTH_M = 11.0  # depth of the buildings
 _PASSAGE_M = 4.2  # width of the passage into the court
 
 
-def fronts(site: Site, block: Block) -> None:
+def fronts(builder: PlaceBuilder, block: Block) -> None:
     """Place buildings wall to wall along all four streets, around a court with parked cars."""
     length, depth = block.length, block.depth
-    site.paint("pavement", block.front(1).quad(-1.2, length + 1.2, -1.2, depth + 1.2), 0.6)
+    builder.paint("pavement", block.front(1).quad(-1.2, length + 1.2, -1.2, depth + 1.2), 0.6)
     inner = _SETBACK_M + _DEPTH_M
     for side in (1, -1):
         # The only passage leads through the row along the first street.
-        way_in = site.rng.uniform(0.4, 0.6) * length if side > 0 else None
-        _row(site, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), way_in)
-    for quarter_turn in (1, -1):
+        way_in = builder.rng.uniform(0.4, 0.6) * length if side > 0 else None
+        _row(builder, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), way_in)
+    for side in (1, -1):
         span = (inner + 0.1, depth - inner - 0.1)
-        _row(site, block, quarter_turn, 0.5 * np.pi, span, None)
+        _row(builder, block, side, 0.5 * np.pi, span, None)
     court = length - 2 * inner - 2.0, depth - 2 * inner - 2.0
     if court[0] > 3 * BAY_M[0] and court[1] > 2 * BAY_M[1] + AISLE_M:
         middle = 0.5 * (depth - 2 * BAY_M[1] - AISLE_M)
-        car_park(site, block.front(1).shift(inner + 1.0, middle), court[0], rows=1)
-    for share in site.rng.uniform(0.2, 0.8, (6, 2)):
+        car_park(builder, block.front(1).shift(inner + 1.0, middle), court[0], rows=1)
+    for share in builder.rng.uniform(0.2, 0.8, (6, 2)):
         spot = block.front(1).point(*(share * (length, depth)))
-        tree(site, spot, site.rng.uniform(1.2, 2.2))
+        tree(builder, spot, builder.rng.uniform(1.2, 2.2))
 
 
 def _row(
-    site: Site,
+    builder: PlaceBuilder,
     block: Block,
     side: int,
     turn: float,
@@ -52,48 +55,50 @@ def _row(
     ``span`` is the first and the last metre of the buildings along the street.
     ``way_in`` is the position of the passage in metres, or None.
     """
-    at = block.front(side)
+    frame = block.front(side)
     start, end = span
     corners = [start]
     while end - corners[-1] > 15.0:
-        corners.append(corners[-1] + float(site.rng.uniform(9.0, 15.0)))
+        corners.append(corners[-1] + float(builder.rng.uniform(9.0, 15.0)))
     corners.append(end)
     for first, last in pairwise(corners):
         if way_in is not None and first <= way_in < last:
-            lane = at.quad(first, first + _PASSAGE_M, -PAVEMENT_M - 0.8, _DEPTH_M + 3.0)
-            site.paint("driveway", lane, float(site.rng.random()))
+            lane = frame.quad(first, first + _PASSAGE_M, -PAVEMENT_M - 0.8, _DEPTH_M + 3.0)
+            builder.paint("driveway", lane, float(builder.rng.random()))
             first += _PASSAGE_M
         if last - first < 4.0:
             continue
-        floors = int(site.rng.integers(3, 6))
-        style = front_style(site, floors)
+        floors = int(builder.rng.integers(3, 6))
+        style = front_style(builder, floors)
         height = 2.8 * floors + 0.6 + style.roof_height_m
         along, across = 0.5 * (first + last), _SETBACK_M + 0.5 * _DEPTH_M
         a, b = (along, across) if turn == 0 else (across, along)
         # Where the street bends there may be less room; narrower buildings leave a gap there.
         for share in (1.0, 0.985, 0.96, 0.93, 0.88, 0.8):
             size = ((last - first) * share - 0.02, _DEPTH_M * (0.5 + 0.5 * share), height)
-            yaw = at.yaw(a, b) + turn
+            yaw = frame.yaw(a, b) + turn
             front = ObjectSpec("building", "front", size, style=style)
-            if site.place(front, at.point(a, b), yaw, Footing(gap_m=0.0)):
+            if builder.place(front, frame.point(a, b), yaw, Footing(gap_m=0.0)):
                 break
 
 
-def square(site: Site, block: Block) -> None:
+def square(builder: PlaceBuilder, block: Block) -> None:
     """Lay a paved square with rows of trees, and benches, bins and bollards between them."""
-    rng = site.rng
-    at = block.front(1)
+    rng = builder.rng
+    frame = block.front(1)
     length, depth = block.length, block.depth
-    site.paint("pavement", at.quad(-1.2, length + 1.2, -1.2, depth + 1.2), float(rng.random()))
-    lawn = at.quad(0.3 * length, 0.7 * length, 0.3 * depth, 0.7 * depth)
-    site.paint("grass", lawn, float(rng.random()))
+    builder.paint(
+        "pavement", frame.quad(-1.2, length + 1.2, -1.2, depth + 1.2), float(rng.random())
+    )
+    lawn = frame.quad(0.3 * length, 0.7 * length, 0.3 * depth, 0.7 * depth)
+    builder.paint("grass", lawn, float(rng.random()))
     for a in np.arange(4.0, length - 3.0, 7.5):
         for b in np.arange(4.0, depth - 3.0, 7.5):
-            tree(site, at.point(a, b), rng.uniform(1.8, 2.6), conifers=0.0)
-            if site.chance(0.4):
-                bench(site, at.point(a + 3.7, b), at.yaw(a, b))
+            tree(builder, frame.point(a, b), rng.uniform(1.8, 2.6), conifers=0.0)
+            if builder.chance(0.4):
+                bench(builder, frame.point(a + 3.7, b), frame.yaw(a, b))
     for a in np.arange(1.5, length - 1.0, 6.0):
         for b in (0.5, depth - 0.5):
-            small(site, "bollard", at.point(a, b), at.yaw(a, b))
+            small_object(builder, "bollard", frame.point(a, b), frame.yaw(a, b))
     for a in (0.25 * length, 0.75 * length):
-        small(site, "bin", at.point(a, 0.5 * depth), at.yaw(a, 0.5 * depth))
+        small_object(builder, "bin", frame.point(a, 0.5 * depth), frame.yaw(a, 0.5 * depth))

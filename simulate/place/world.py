@@ -60,7 +60,10 @@ class Heightfield:
 
 @dataclass(frozen=True)
 class Road:
-    """A carriageway: centre line (K, 2) and width in metres, and whether the line is painted."""
+    """A carriageway: centre line (K, 2) and width in metres, and whether it is a main road.
+
+    Main roads have painted centre lines and zebra crossings.
+    """
 
     line: NDArray[np.float64]
     width_m: float
@@ -181,23 +184,25 @@ class BuildingStyle:
         floors: Number of floors.
         roof: Shape of the roof. Ridges run along the x axis of the box.
         roof_height_m: Height of the roof above the walls, metres.
-        eaves_m: Overhang of the roof beyond the walls, metres.
+        overhang_m: Overhang of the roof beyond the walls, metres.
         wall_rgb: Albedo of the walls, linear RGB.
         roof_rgb: Albedo of the roof, linear RGB.
-        wing: Fractions of the depth and of the width of the box that the main body of an L-shaped
-            building takes; (1, 1) where the footprint is a rectangle.
+        main_depth_share: Share of the box's depth that the main body takes. Its width is the box's.
+        wing_width_share: Share of the box's width that the wing of an L-shaped building takes. Both
+            shares are 1 where the footprint is a rectangle.
         detail: Seed of chimneys, vents and windows.
     """
 
     floors: int
     roof: Roof
     roof_height_m: float
-    eaves_m: float
+    overhang_m: float
     facade: Facade
     roofing: Roofing
     wall_rgb: Rgb
     roof_rgb: Rgb
-    wing: tuple[float, float]
+    main_depth_share: float
+    wing_width_share: float
     detail: int
 
 
@@ -207,7 +212,7 @@ class WorldObject:
 
     ``centre`` (3,) is in world metres, ``size`` (3,) in metres along the box's axes, and ``yaw`` in
     radians anticlockwise from east. ``shape`` names the mesh. ``colour`` is linear RGB. Buildings
-    have a style.
+    have a style. ``driven`` vehicles are in traffic, with their lights on at night.
     """
 
     id: int
@@ -218,6 +223,7 @@ class WorldObject:
     shape: str
     colour: Rgb
     style: BuildingStyle | None = None
+    driven: bool = False
 
     def footprint(self) -> NDArray[np.float64]:
         """Return the four corners of the box seen from above, (4, 2) metres, anticlockwise."""
@@ -233,7 +239,7 @@ class World:
 
     Attributes:
         imagery: The appearance of a site.
-        bare: The ground of a site without buildings and trees, the reference of flight altitudes.
+        bare_ground: Ground of a site below buildings and trees, the reference of flight altitudes.
         margin_m: Width of the margin around the place with terrain and ground, metres.
         level_m: Height of the land around the place, metres.
     """
@@ -247,14 +253,14 @@ class World:
     kerbs: tuple[Kerb, ...] = ()
     surroundings: tuple[Surroundings, ...] = ()
     imagery: Imagery | None = None
-    bare: Heightfield | None = None
+    bare_ground: Heightfield | None = None
     margin_m: float = 0.0
     level_m: float = 0.0
 
     @property
-    def footing(self) -> Heightfield:
+    def flight_ground(self) -> Heightfield:
         """Return the ground to which altitudes of flights refer."""
-        return self.terrain if self.bare is None else self.bare
+        return self.terrain if self.bare_ground is None else self.bare_ground
 
 
 def arc_lengths(line: NDArray[np.float64]) -> NDArray[np.float64]:

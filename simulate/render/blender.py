@@ -15,6 +15,7 @@ from typing import Any, TextIO
 import bpy
 import numpy as np
 import OpenEXR
+from mathutils import Vector
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -22,14 +23,16 @@ from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import resample
-from simulate.look import ground
+from simulate.look import conditions, ground
 from simulate.look.buildings import building_mesh
-from simulate.look.conditions import Condition, condition
+from simulate.look.conditions import Condition
+from simulate.look.cover import cover
+from simulate.look.lamps import Beam, beams
 from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
-from simulate.look.survey_albedo import bake_albedo, bake_gloss
+from simulate.look.survey_albedo import bake_albedo, bake_specular
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
 from simulate.place.change import change_world
@@ -45,8 +48,10 @@ from simulate.render.frame import (
     semantic_labels,
 )
 from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_path
+from simulate.render.precipitation import precipitate
 from simulate.render.process import end_with, keep_to_one_core
-from simulate.render.reach import Reach
+from simulate.render.reach import Reach, depth_inside
+from simulate.render.shutter import roll_shutter
 
 _SENSOR_MM = 36.0
 # Cycles offsets the first ray of a pixel by this much (px) to the right and up, because it samples
@@ -66,15 +71,15 @@ def main(chunk_path: str) -> None:
     if chunk.threads == 1:
         keep_to_one_core()
     job = chunk.job
-    world = stage = None
+    world = stage = condition = None
     if job.board is not None:
         _build_board(job.board)
     else:
         base = preset(job.preset, job.prepared)(job.seed, job.area_m)
         world = change_world(base, job.change, job.first_new_id).world
-        light = condition(job.condition, job.origin)
-        _build_scene(world, light)
-        stage = _Stage(world, light)
+        condition = conditions.condition(job.condition, job.origin)
+        _build_scene(world, condition)
+        stage = _Stage(world, condition)
     _set_up_render(job, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # denoising shifts edges of a board
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
@@ -95,10 +100,13 @@ def main(chunk_path: str) -> None:
             if stage is not None:
                 stage.set_up(job.camera, pose, float(np.linalg.norm(travel)))
             arrays = _render(pose, travel, folder)
+            if condition is not None:
+                drops = np.random.default_rng([job.seed, frame, 6])
+                arrays["rgb"] = precipitate(arrays["rgb"], job.camera, pose, condition, drops)
             if chunk.rays is not None:
                 c = job.camera
-                xy, small = c.f * rays + [c.cx, c.cy], caster.small(pose, c.f)
-                arrays = resample(arrays, xy, rays, caster.cast_from(pose), small)
+                xy, boxes = c.f * rays + [c.cx, c.cy], caster.small_object_boxes(pose, c.f)
+                arrays = resample(arrays, xy, rays, caster.cast_from(pose), boxes)
             if world is not None:
                 shift = row_shift(travel, len(rays))
                 arrays["semantic"] = semantic_labels(world, rays, pose, shift, arrays)
@@ -122,27 +130,29 @@ def _claim_stdout() -> TextIO:
 # --- the scene ---------------------------------------------------------------------------------
 
 
-def _build_scene(world: World, light: Condition) -> None:
+def _build_scene(world: World, condition: Condition) -> None:
     """Add the world under a condition to an empty Blender file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if world.imagery is None:
-        albedo = ground.bake(world.ground, light, world.seed)
-        specular = ground.specular_map(world.ground, light, world.seed)
+        covered = cover(world, condition)
+        albedo = ground.bake(world.ground, condition, world.seed, covered)
+        specular = ground.specular_map(world.ground, condition, world.seed, covered)
     else:
-        albedo, specular = bake_albedo(world, light), bake_gloss(world, light)
-    materials = build_materials(bpy.data, light, albedo, specular)
+        albedo, specular = bake_albedo(world, condition), bake_specular(world, condition)
+    materials = build_materials(bpy.data, condition, albedo, specular, world.seed)
     # Meshes come first, because adding a material to a mesh slows down with existing objects.
+    grounds = {"terrain": ground_mesh(world, condition), "kerbs": kerbs_mesh(world)}
     surfaces = [
         _mesh_data(name, surface, materials)
-        for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
+        for name, surface in grounds.items()
         if surface is not None
     ]
     shared: dict[str, Any] = {}
     meshes = []
     for item in world.objects:
-        own = _own_mesh(item, world)
-        if own is not None:
-            meshes.append(_mesh_data(f"{item.id:05d}", own, materials))
+        individual = _individual_mesh(item, world)
+        if individual is not None:
+            meshes.append(_mesh_data(f"{item.id:05d}", individual, materials))
             continue
         if item.shape not in shared:
             shared[item.shape] = _mesh_data(item.shape, shape_mesh(item.shape), materials)
@@ -155,12 +165,12 @@ def _build_scene(world: World, light: Condition) -> None:
         placed.pass_index = item.id
         placed.location = item.centre
         placed.rotation_euler = (0.0, 0.0, item.yaw)
-        placed.color = (*item.colour, 1.0)
+        placed.color = (*item.colour, float(item.driven))
         if item.shape in shared:
             placed.scale = item.size
         if item.class_name == "building":  # the origin of its mesh is at the ground
             placed.location.z -= 0.5 * item.size[2]
-    _add_light(light)
+    _add_light(condition)
 
 
 def _build_board(board: Board) -> None:
@@ -179,7 +189,7 @@ def _build_board(board: Board) -> None:
     _add("board", _mesh_data("board", board_mesh(board), materials))
 
 
-def _own_mesh(item: WorldObject, world: World) -> Mesh | None:
+def _individual_mesh(item: WorldObject, world: World) -> Mesh | None:
     """Return the individual mesh of an object, in metres; None for shared shapes."""
     if item.class_name == "building":
         return building_mesh(item)
@@ -220,12 +230,12 @@ def _add(name: str, data: Any) -> Any:
     return item
 
 
-def _add_light(light: Condition) -> None:
+def _add_light(condition: Condition) -> None:
     """Add the sun, and a sky that is brighter towards the horizon."""
-    sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.color, sun.angle = light.sun.watts, light.sun.rgb, np.radians(light.sun.angle)
-    elevation, azimuth = np.radians([light.sun.elevation, light.sun.azimuth])
-    _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
+    lamp, sun = bpy.data.lights.new("sun", "SUN"), condition.luminary
+    lamp.energy, lamp.color, lamp.angle = sun.watts, sun.rgb, np.radians(sun.angle)
+    elevation, azimuth = np.radians([sun.elevation, sun.azimuth])
+    _add("sun", lamp).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
 
     sky = bpy.data.worlds.new("sky")
     bpy.context.scene.world = sky
@@ -237,10 +247,10 @@ def _add_light(light: Condition) -> None:
     ramp = tree.nodes.new("ShaderNodeValToRGB")
     background = tree.nodes.new("ShaderNodeBackground")
     output = tree.nodes.new("ShaderNodeOutputWorld")
-    ramp.color_ramp.elements[0].color = (*light.sky.horizon, 1.0)
-    ramp.color_ramp.elements[1].color = (*light.sky.zenith, 1.0)
+    ramp.color_ramp.elements[0].color = (*condition.sky.horizon, 1.0)
+    ramp.color_ramp.elements[1].color = (*condition.sky.zenith, 1.0)
     ramp.color_ramp.elements[1].position = 0.6
-    background.inputs["Strength"].default_value = light.sky.strength
+    background.inputs["Strength"].default_value = condition.sky.strength
     tree.links.new(direction, split.inputs[0])
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
@@ -248,34 +258,56 @@ def _add_light(light: Condition) -> None:
     # Rays from surfaces sample a smooth sky well. Sampling it as a lamp would take half of the
     # shadow rays from the sun, a third more time, and add noise.
     sky.cycles.sampling_method = "NONE"
-    bpy.context.scene.view_settings.exposure = light.exposure
+    bpy.context.scene.view_settings.exposure = condition.exposure
+
+
+def _add_beam(name: str, beam: Beam) -> Any:
+    """Add a spot light, which the camera does not see, and return it."""
+    lamp = bpy.data.lights.new(name, "SPOT")
+    lamp.color = beam.rgb
+    lamp.spot_size, lamp.spot_blend, lamp.shadow_soft_size = np.radians(beam.cone_deg), 0.8, 0.0
+    placed = _add(name, lamp)
+    placed.location = beam.at
+    # Spot lights shine along -z; their cone is flattened along y.
+    placed.rotation_euler = Vector(beam.towards).to_track_quat("-Z", "Y").to_euler()
+    placed.scale = (1.0, beam.flat, 1.0)
+    placed.visible_camera = False
+    return lamp
 
 
 class _Stage:
     """Removes the objects that a frame does not need, without changing its pixels.
 
+    It also adds the lamps of a night and switches off those too far away to light the view.
+
     Objects are moved far below the ground, which takes 0.2 ms each. In a place with many objects
     they are unlinked instead, after which Cycles reloads the scene in 0.4 s.
     """
 
-    def __init__(self, world: World, light: Condition) -> None:
-        self._reach = Reach(world.objects, light.sun.elevation)
+    def __init__(self, world: World, condition: Condition) -> None:
+        self._reach = Reach(world.objects, condition.luminary.elevation)
         self._objects = [bpy.data.objects[f"{item.id:05d}"] for item in world.objects]
-        self._there = np.ones(len(self._objects), bool)
-        self._leave = len(self._objects) > _MANY_OBJECTS
+        self._present = np.ones(len(self._objects), bool)
+        self._unlinks = len(self._objects) > _MANY_OBJECTS
+        self._beams = [] if condition.night is None else list(beams(world))
+        self._lamps = [_add_beam(f"beam {k:05d}", beam) for k, beam in enumerate(self._beams)]
 
     def set_up(
         self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
     ) -> None:
         """Restore the objects that a frame needs, and remove the others."""
         needed = self._reach(camera, cam_from_world, travel_m)
-        held = bpy.context.scene.collection.objects
-        for row in np.flatnonzero(needed != self._there):
-            if self._leave:
-                (held.link if needed[row] else held.unlink)(self._objects[row])
+        linked = bpy.context.scene.collection.objects
+        for row in np.flatnonzero(needed != self._present):
+            if self._unlinks:
+                (linked.link if needed[row] else linked.unlink)(self._objects[row])
             else:
                 self._objects[row].delta_location.z = 0.0 if needed[row] else -_FAR_BELOW_M
-        self._there = needed
+        self._present = needed
+        at = np.array([beam.at for beam in self._beams]).reshape(-1, 3)
+        inside = depth_inside(at, camera, cam_from_world) + travel_m
+        for lamp, beam, depth in zip(self._lamps, self._beams, inside, strict=True):
+            lamp.energy = beam.watts if depth > -beam.reach_m else 0.0
 
 
 # --- the camera and the renderer -----------------------------------------------------------------
@@ -335,7 +367,7 @@ def _render(
     world_from_cam = np.linalg.inv(cam_from_world)
     # Blender's camera looks along -z with y up.
     scene.camera.matrix_world = (world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])).T.tolist()
-    _roll_shutter(scene, travel)
+    roll_shutter(scene, travel)
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     settings.exr_codec = "NONE"
@@ -344,8 +376,8 @@ def _render(
     # An uncompressed TIFF takes two thirds of the time of an uncompressed PNG.
     settings.file_format, settings.color_depth, settings.color_mode = "TIFF", "8", "RGB"
     settings.tiff_codec = "NONE"
-    picture = folder / "picture.tif"
-    bpy.data.images["Render Result"].save_render(str(picture), scene=scene)
+    picture = str(folder / "picture.tif")
+    bpy.data.images["Render Result"].save_render(picture, scene=scene)
 
     with OpenEXR.File(str(folder / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
@@ -362,33 +394,6 @@ def _render(
         "instance": np.rint(channels["IndexOB.X"]).astype(np.uint16),
         "normal": np.rint(127 * normal).astype(np.int8),
     }
-
-
-def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
-    """Animate the camera for a rolling shutter with ``travel`` (3,) metres over the picture.
-
-    The camera's current position is that of the middle row.
-    """
-    camera, moves = scene.camera, bool(travel.any())
-    # Assigning these makes Cycles reload the scene for 0.3 s, even if nothing changes.
-    if camera.animation_data is not None:
-        camera.animation_data_clear()
-    if scene.render.use_motion_blur != moves:
-        scene.render.use_motion_blur = moves
-    if not moves:
-        return
-    scene.render.motion_blur_shutter = 1.0  # from half a frame before to half a frame after
-    scene.render.motion_blur_position = "CENTER"
-    scene.cycles.rolling_shutter_type = "TOP"
-    scene.cycles.rolling_shutter_duration = 0.0  # row by row and without streaks
-    now = scene.frame_current
-    middle = np.array(camera.location) - exposure_offset(travel, scene.render.resolution_y)
-    for step in (-1, 1):
-        camera.location = middle + step * travel
-        camera.keyframe_insert("location", frame=now + step)
-    for curve in camera.animation_data.action.fcurves:
-        for key in curve.keyframe_points:
-            key.interpolation = "LINEAR"
 
 
 if __name__ == "__main__":

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from simulate.camera.resample import Cast
 
-# Objects whose box in the picture is smaller than this (square px) may have parts thinner than a
+# Objects whose box covers less of the picture than this (square px) may have parts thinner than a
 # pixel, such as lamps.
-_SMALL_PX = 1000.0
+_SMALL_PX2 = 1000.0
 
 
 class Caster:
@@ -31,33 +31,43 @@ class Caster:
             if item.type == "MESH":
                 placed = item, np.array(item.matrix_world)
                 self._objects.setdefault(item.pass_index, []).append(placed)
-        items = [(number, placed[0]) for number, placed in self._objects.items() if number > 0]
-        self._numbers = [number for number, _ in items]
+        items = [
+            (object_id, placed[0]) for object_id, placed in self._objects.items() if object_id > 0
+        ]
+        self._ids = [object_id for object_id, _ in items]
         boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, (item, _) in items]
         self._corners = np.array(
             [box @ matrix.T for box, (_, (_, matrix)) in zip(boxes, items, strict=True)]
         ).reshape(-1, 8, 4)
 
-    def small(
+    def small_object_boxes(
         self, cam_from_world: NDArray[np.float64], f: float
     ) -> dict[int, NDArray[np.float64]]:
-        """Return the boxes of small objects in a pinhole picture for ``resample``, by id."""
+        """Return the boxes (4,) of small objects by id: the least x and y, then the largest.
+
+        They are in image coordinates at depth 1, not in pixels. ``simulate.camera.resample`` looks
+        for parts of these objects between pixel centres.
+
+        Args:
+            cam_from_world: pose (4, 4).
+            f: focal length, pixels.
+        """
         x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
         ahead = (z > self._near_m).all(-1)
         xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
         boxes = np.concatenate([xy.min(1), xy.max(1)], -1)
         area = f**2 * (boxes[:, 2:] - boxes[:, :2]).prod(-1)
-        chosen = np.flatnonzero(ahead & (area < _SMALL_PX))
-        return {self._numbers[k]: boxes[k] for k in chosen}
+        chosen = np.flatnonzero(ahead & (area < _SMALL_PX2))
+        return {self._ids[k]: boxes[k] for k in chosen}
 
     def cast_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
         """Return the function that casts rays of the camera at a pose."""
         world_from_cam = np.linalg.inv(cam_from_world)
 
-        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        def cast(object_id: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
             nearest = np.full(len(rays), np.inf)
             ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
-            for item, world_from_local in self._objects[number]:
+            for item, world_from_local in self._objects[object_id]:
                 local_from_cam = np.linalg.inv(world_from_local) @ world_from_cam
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T

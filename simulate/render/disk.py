@@ -9,9 +9,12 @@ from objconnect.scene.bundle.frames import LAYERS
 from objconnect.scene.errors import InputError
 
 # Bytes per pixel of a rendered frame before it is packed: rgb and all layers, uncompressed.
-_RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())
-# Upper bound after packing: a fifth to a quarter remains at 512 px, more for smaller frames.
-_PACKED = 0.5 * _RAW
+_RAW_BYTES = 3 + sum(
+    dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items()
+)
+# Upper bound of the bytes per pixel of a packed frame. Packing leaves a fifth to a quarter of the
+# raw bytes at 512 px, and more for smaller frames.
+_PACKED_BYTES = 0.5 * _RAW_BYTES
 
 
 def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int) -> int:
@@ -23,8 +26,8 @@ def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int) -> int:
     """
     packed = sum(to_pack for _, to_pack in left.values())
     # Only one session at a time has unpacked frames.
-    waiting = max((to_render for to_render, _ in left.values()), default=0)
-    return int(pixels * (_PACKED * packed + _RAW * waiting))
+    unpacked = max((to_render for to_render, _ in left.values()), default=0)
+    return int(pixels * (_PACKED_BYTES * packed + _RAW_BYTES * unpacked))
 
 
 def require_space(folder: Path, needed: int) -> None:

@@ -13,7 +13,10 @@ from simulate.place.world import World, class_lookup
 
 
 def exposure_offset(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return the camera's offset (3,), metres, as Cycles exposes rows at the end of each row."""
+    """Return the offset (3,), metres, that every row has in addition to ``row_shift``.
+
+    Cycles exposes each row at the end of its readout, not in the middle as ``row_shift`` assumes.
+    """
     return 0.5 * travel / height
 
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
-from simulate.look.conditions import PLACE
+from simulate.look.conditions import DEFAULT_ORIGIN
 from simulate.place.change import Change
 
 Denoising = Literal["fast", "high"]
@@ -50,7 +50,7 @@ class RenderJob(BaseModel):
     seed: int = Field(ge=0)
     area_m: float = Field(gt=0)
     condition: str
-    origin: Geodetic = PLACE
+    origin: Geodetic = DEFAULT_ORIGIN
     change: Change = Change()
     first_new_id: int = Field(default=0, ge=0)
     prepared: Path | None = None

@@ -36,7 +36,7 @@ class RenderError(RuntimeError):
 def render(
     job: RenderJob,
     out_dir: Path,
-    jobs: int = 1,
+    processes: int = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> None:
     """Render every frame of a job that does not exist yet.
@@ -49,7 +49,7 @@ def render(
     Args:
         job: the frames.
         out_dir: folder of the frames.
-        jobs: number of processes.
+        processes: number of processes.
         on_frame: called in this thread with the number of each finished frame.
 
     Raises:
@@ -57,14 +57,14 @@ def render(
             that day.
         RenderError: a process failed; finished frames remain.
     """
-    with closing(iterate_rendering(job, out_dir, jobs)) as frames:
+    with closing(iterate_rendering(job, out_dir, processes)) as frames:
         for frame in frames:
             if on_frame is not None:
                 on_frame(frame)
 
 
 def iterate_rendering(
-    job: RenderJob, out_dir: Path, jobs: int = 1, threads: int | None = None
+    job: RenderJob, out_dir: Path, processes: int = 1, threads: int | None = None
 ) -> Generator[int, None, None]:
     """Render as ``render`` does, and yield the number of each finished frame.
 
@@ -77,10 +77,10 @@ def iterate_rendering(
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
     if not missing:
         return
-    jobs = max(1, min(jobs, len(missing)))
+    processes = max(1, min(processes, len(missing)))
     if threads is None:
-        threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
-    size = min(FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
+        threads = 0 if processes == 1 else max(1, (os.cpu_count() or 1) // processes)
+    size = min(FRAMES_PER_PROCESS, math.ceil(len(missing) / processes))
     shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
     with scratch(out_dir) as folder:
         rays = None
@@ -89,7 +89,7 @@ def iterate_rendering(
             np.save(rays, _lens_rays(job.lens))
         numbers = count()
 
-        def start(share: list[int]) -> _Child:
+        def start(share: list[int]) -> _BlenderProcess:
             part = job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
             chunk = RenderChunk(
                 job=part,
@@ -101,9 +101,9 @@ def iterate_rendering(
             )
             path = folder / f"{next(numbers)}.json"
             path.write_text(chunk.model_dump_json())
-            return _Child(path)
+            return _BlenderProcess(path)
 
-        yield from _run(shares, jobs, start, out_dir)
+        yield from _run(shares, processes, start, out_dir)
 
 
 def _lens_rays(lens: str) -> NDArray[np.float64]:
@@ -116,7 +116,7 @@ def _lens_rays(lens: str) -> NDArray[np.float64]:
     return np.asarray(rays[..., :2].numpy())
 
 
-class _Child:
+class _BlenderProcess:
     """A Blender process. Its output lines are put into a queue."""
 
     def __init__(self, chunk: Path) -> None:
@@ -134,7 +134,7 @@ class _Child:
                 env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(chunk.parent.resolve())},
             )
 
-    def listen(self, lines: queue.Queue[tuple[_Child, str | None]]) -> None:
+    def listen(self, lines: queue.Queue[tuple[_BlenderProcess, str | None]]) -> None:
         """Start a thread that puts every line into the queue, and None at the end."""
 
         def pump() -> None:
@@ -168,22 +168,22 @@ class _Child:
 
 def _run(
     shares: deque[list[int]],
-    jobs: int,
-    start: Callable[[list[int]], _Child],
+    processes: int,
+    start: Callable[[list[int]], _BlenderProcess],
     out_dir: Path,
 ) -> Iterator[int]:
-    """Run up to ``jobs`` processes, one per share, and yield the finished frames.
+    """Run up to ``processes`` processes at once, one per share, and yield the finished frames.
 
     Remaining frames of a process that ends early go to another process.
 
     Raises:
         RenderError: a process failed.
     """
-    lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
-    running: dict[_Child, list[int]] = {}
+    lines: queue.Queue[tuple[_BlenderProcess, str | None]] = queue.Queue()
+    running: dict[_BlenderProcess, list[int]] = {}
     try:
         while shares or running:
-            while shares and len(running) < jobs:
+            while shares and len(running) < processes:
                 share = shares.popleft()
                 child = start(share)
                 running[child] = share

@@ -30,9 +30,9 @@ def keep_to_one_core() -> None:
     """Bind this process to one core that no other rendering process uses.
 
     Blender with one thread starts a second one that polls for work and would occupy another core.
-    On a single core it yields to the first thread. A core is reserved by an abstract socket name,
-    which disappears with the process. Without a free core, and on systems other than Linux, the
-    process is not bound.
+    On a single core, the second thread yields to the first. A core is reserved by an abstract
+    socket name, which disappears with the process. Without a free core, and on systems other than
+    Linux, the process is not bound.
     """
     if sys.platform != "linux":
         return

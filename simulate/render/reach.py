@@ -38,15 +38,23 @@ class Reach:
             cam_from_world: pose (4, 4).
             travel_m: displacement of the camera while the picture is read out, metres.
         """
-        planes = np.array(
-            [
-                [camera.f, 0.0, camera.cx],
-                [-camera.f, 0.0, camera.width - camera.cx],
-                [0.0, camera.f, camera.cy],
-                [0.0, -camera.f, camera.height - camera.cy],
-            ]
-        )
-        planes /= np.linalg.norm(planes, axis=1, keepdims=True)
-        local = self._centres @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
-        inside = (local @ planes.T).min(1)
+        inside = depth_inside(self._centres, camera, cam_from_world)
         return np.asarray(inside > -(self._reach + travel_m))
+
+
+def depth_inside(
+    points: NDArray[np.float64], camera: PinholeCamera, cam_from_world: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how far points (N, 3) lie inside a camera's view, (N,) metres; negative outside."""
+    # Inward normals of the four sides of the view, in camera coordinates.
+    planes = np.array(
+        [
+            [camera.f, 0.0, camera.cx],
+            [-camera.f, 0.0, camera.width - camera.cx],
+            [0.0, camera.f, camera.cy],
+            [0.0, -camera.f, camera.height - camera.cy],
+        ]
+    )
+    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    local = points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+    return np.asarray((local @ planes.T).min(1))

@@ -20,13 +20,14 @@ _STOPS = np.array(
      -3.06, -2.845, -2.631, -2.425, -2.22, -2.006, -1.791, -1.561, -1.328, -1.073, -0.811, -0.524,
      -0.216, 0.116, 0.478, 0.886, 1.341, 1.861, 2.466, 3.17, 4.0]
 )  # fmt: skip
-# Light reflected by a surface model relative to a level plane; it is rough and shades itself.
-_SHADED = 0.81
+# Light that a rough surface model reflects, relative to a level plane. It is less than 1, because
+# rough surfaces shade a part of themselves.
+_SELF_SHADING = 0.81
 _DARKEST, _BRIGHTEST = 0.008, 0.85  # albedo of real surfaces
 _MAX_GAIN = 5.0  # upper bound of the brightening of shadows
-_WALL, _WALL_M = 0.6, 1.0  # maximum uprightness of a wall's normal, and blur of its colours (m)
+_WALL_LEVELNESS, _WALL_BLUR_M = 0.6, 1.0  # maximum levelness of a wall, and blur of its colours (m)
 _SEAM_M = 0.4  # width of the transition at the edge of a shadow
-_FEWEST = 200  # minimum number of sunny and shaded cells of a class to measure its gain
+_MIN_CELLS = 200  # minimum number of sunny and of shaded cells of a class to measure its gain
 
 
 def estimate_albedo(rgb: Float, shown_in: Condition, mean_albedo: float | None = None) -> Float:
@@ -42,25 +43,25 @@ def estimate_albedo(rgb: Float, shown_in: Condition, mean_albedo: float | None =
     """
     table = np.exp2(np.interp(np.arange(256) / 255, _SHOWN, _STOPS)).astype(np.float32)
     linear = table[np.clip(np.rint(rgb), 0, 255).astype(np.uint8)]
-    share = 1 / _brightness(shown_in) if mean_albedo is None else mean_albedo / linear.mean()
-    linear *= np.float32(share)
+    scale = 1 / _brightness(shown_in) if mean_albedo is None else mean_albedo / linear.mean()
+    linear *= np.float32(scale)
     return np.clip(linear, _DARKEST, _BRIGHTEST, out=linear)
 
 
-def _brightness(light: Condition) -> float:
+def _brightness(condition: Condition) -> float:
     """Return the exposed value of level white ground in a condition."""
-    sky = light.sky.strength * (sum(light.sky.zenith) + sum(light.sky.horizon)) / 6
-    sun = light.sun.watts * np.sin(np.radians(light.sun.elevation)) / np.pi
-    return float(_SHADED * 2**light.exposure * (sun + sky))
+    sky = condition.sky.strength * (sum(condition.sky.zenith) + sum(condition.sky.horizon)) / 6
+    sun = condition.sun.watts * np.sin(np.radians(condition.sun.elevation)) / np.pi
+    return float(_SELF_SHADING * 2**condition.exposure * (sun + sky))
 
 
-def blur_walls(albedo: Float, upright: Float, cell_m: float) -> Float:
+def blur_walls(albedo: Float, levelness: Float, cell_m: float) -> Float:
     """Blur the colours (n, n, 3) of walls, which cover few pixels of an orthophoto.
 
-    ``upright`` (n, n) is 1 where the surface is level and 0 on walls.
+    ``levelness`` (n, n) is 1 where the surface is level and 0 on walls.
     """
-    wall = np.clip((_WALL - upright) / 0.2, 0, 1)[..., None]
-    albedo += wall * (cv2.GaussianBlur(albedo, (0, 0), _WALL_M / cell_m) - albedo)
+    wall = np.clip((_WALL_LEVELNESS - levelness) / 0.2, 0, 1)[..., None]
+    albedo += wall * (cv2.GaussianBlur(albedo, (0, 0), _WALL_BLUR_M / cell_m) - albedo)
     return albedo
 
 
@@ -83,11 +84,11 @@ def soften_shadows(
     value = albedo.mean(-1)
     gain = np.ones(value.shape, np.float32)
     for label in np.unique(labels).tolist():
-        here = labels == label
-        sunny, dark = value[here & (shade < 0.05)], value[here & (shade > 0.95)]
-        if label == WATER or min(len(sunny), len(dark)) < _FEWEST:
+        of_class = labels == label
+        sunny, dark = value[of_class & (shade < 0.05)], value[of_class & (shade > 0.95)]
+        if label == WATER or min(len(sunny), len(dark)) < _MIN_CELLS:
             continue
-        gain[here] = np.clip(np.median(sunny) / np.median(dark), 1.0, _MAX_GAIN)
+        gain[of_class] = np.clip(np.median(sunny) / np.median(dark), 1.0, _MAX_GAIN)
     gain = cv2.GaussianBlur(gain, (0, 0), sigma)
     albedo *= (1 + shade * (gain - 1))[..., None]
     np.clip(albedo, _DARKEST, _BRIGHTEST, out=albedo)

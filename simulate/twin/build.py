@@ -33,15 +33,15 @@ from simulate.twin.sampling import (
 )
 from simulate.twin.snow import snow_share
 from simulate.twin.source import Files, open_rasters
-from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below, uprightness
+from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below, levelness
 
 Float = NDArray[np.float32]
 
 # Maximum sizes and minimum spacings of texture and surface; larger places are coarser.
 _MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
 _MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
-_NOTED_HOLES = 0.005  # a larger share of holes gets a note
-_LOWEST_SUN = 3.0  # minimum elevation (deg) of the sun to locate shadows
+_NOTED_SHARE = 0.005  # a larger share of holes is noted in the report
+_MIN_SUN_DEG = 3.0  # minimum elevation of the sun to locate shadows
 
 
 class _Grids(NamedTuple):
@@ -62,15 +62,18 @@ def build_site(
         area_m: Side of the place, metres.
         origin: Origin of its world, at its centre.
         seed: Random seed of snow and puddles.
-        beside: Folder beside which temporary files are written.
+        beside: Folder in which temporary files are written.
 
     Raises:
         InputError: A file cannot be used or has changed, rasters do not overlap, or too much of the
             place has no data.
     """
-    if file_digests(site.model_dump()) != site.sha256:
+    digests = file_digests(site.model_dump())
+    if digests != site.sha256:
+        changed = sorted({name for name, _ in digests.items() ^ site.sha256.items()})
         raise InputError(
-            "a file of the site has changed since the scene was configured: restore it"
+            f"{', '.join(changed)} of the site has changed since the scene was configured: restore "
+            "the file"
         )
     with open_rasters(site, beside) as files:
         return _build(site, files, area_m, origin, seed)
@@ -84,17 +87,19 @@ def _build(
     surface = drop_islands(surface, grids.nodes.spacing_m)
     rgb = sample_colours(files.colours, origin, grids.texels)
     n, texel_m = len(rgb), grids.texels.spacing_m
-    unknown_share = _check_holes(
+    closed_share = _check_holes(
         surface, grids.nodes, grids.margin_m, site.most_closed, "surface model"
     )
     surface, closed = close_holes(surface, grids.nodes.spacing_m)
-    fine = _interpolate(surface, n)
-    rgb = _paint(rgb, fine, grids.texels, files.photographs)
-    holes = _check_holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
+    texel_heights = _interpolate(surface, n)
+    rgb = _fill_from_photographs(rgb, texel_heights, grids.texels, files.photographs)
+    hole_share = _check_holes(
+        rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto"
+    )
     rgb, _ = close_holes(rgb, texel_m)
-    bare = ground_below(surface, grids.nodes.spacing_m)
+    bare_ground = ground_below(surface, grids.nodes.spacing_m)
     unknown = _interpolate(closed.astype(np.float32), n) > 0.5
-    classes = classify(rgb, fine, _interpolate(bare, n), texel_m, unknown)
+    classes = classify(rgb, texel_heights, _interpolate(bare_ground, n), texel_m, unknown)
     if site.classes is not None:
         mask = sample_labels(Raster.open(site.classes, "class mask"), origin, grids.texels)
         classes = apply_mask(mask, classes)
@@ -102,13 +107,13 @@ def _build(
         texel_m=round(texel_m, 4),
         spacing_m=round(grids.nodes.spacing_m, 4),
         margin_m=round(grids.margin_m, 2),
-        closed=round(unknown_share, 4),
-        holes=round(holes, 4),
+        closed=round(closed_share, 4),
+        holes=round(hole_share, 4),
         classes={name: round(float((classes == k).mean()), 4) for k, name in NAMES.items()},
     )
-    albedo, report = _albedo(site, files, origin, (rgb, fine, classes), report)
-    above = fine - _interpolate(bare, n)
-    snow = snow_share(surface, grids.nodes.spacing_m, classes, above, albedo, texel_m)
+    albedo, report = _albedo(site, files, origin, (rgb, texel_heights, classes), report)
+    above_ground = texel_heights - _interpolate(bare_ground, n)
+    snow = snow_share(surface, grids.nodes.spacing_m, classes, above_ground, albedo, texel_m)
     world = World(
         seed=seed,
         area_m=float(area_m),
@@ -117,9 +122,9 @@ def _build(
         ground=make_ground(classes, texel_m),
         objects=(),
         imagery=Imagery(srgb(albedo), np.rint(255 * snow).astype(np.uint8), site.season),
-        bare=Heightfield(bare.astype(float), grids.nodes.spacing_m),
+        bare_ground=Heightfield(bare_ground.astype(float), grids.nodes.spacing_m),
         margin_m=grids.margin_m,
-        level_m=float(np.median(bare)),
+        level_m=float(np.median(bare_ground)),
     )
     return world, report.model_copy(update={"notes": _notes(files, report)})
 
@@ -131,16 +136,17 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
     if known_m <= 0:
         raise InputError(
             f"{files.colours.path.name} and {files.heights.path.name} do not both show the origin "
-            f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give others, or "
-            "leave the origin out"
+            f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give rasters of "
+            "that place, or leave the origin out"
         )
     if files.photographs:  # photographs colour the surroundings as far as they show them
         known_m = outer_square(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
     half_m = 0.5 * area_m + margin_m
-    pixel, step = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
+    pixel, height_pixel = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
     texels = round(2 * half_m / max(pixel, _LEAST_TEXEL_M, 2 * half_m / _MOST_TEXELS))
-    nodes = round(2 * half_m / max(step, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))) + 1
+    spacing_m = max(height_pixel, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))
+    nodes = round(2 * half_m / spacing_m) + 1
     half_texel = half_m / texels
     height = _level(files.heights, origin)
     return _Grids(
@@ -158,23 +164,26 @@ def _level(raster: Raster, origin: Geodetic) -> float:
     return float(np.median(known)) - origin.altitude if known.size else 0.0
 
 
-def _check_holes(values: Float, cells: Cells, margin_m: float, most: float, what: str) -> float:
+def _check_holes(values: Float, cells: Cells, margin_m: float, limit: float, what: str) -> float:
     """Return the share of the place without data in a raster, not counting the margin.
 
     Raises:
-        InputError: The share is larger than ``most``.
+        InputError: The share is larger than ``limit``.
     """
     inside = np.abs(cells.axis) <= -cells.axis[0] - margin_m
     share = float((~np.isfinite(values[np.ix_(inside, inside)])).mean())
-    if share > most:
+    if share > limit:
         raise InputError(
             f"{100 * share:.0f} % of the place have no data in the {what}, at most "
-            f"{100 * most:.0f} % are allowed: choose a smaller --area, or photograph more of it"
+            f"{100 * limit:.0f} % are allowed: choose a smaller --area, or photograph "
+            "more of it"
         )
     return share
 
 
-def _paint(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photograph]) -> Float:
+def _fill_from_photographs(
+    rgb: Float, texel_heights: Float, cells: Cells, photographs: Sequence[Photograph]
+) -> Float:
     """Fill holes of the colours (n, n, 3) from photographs.
 
     The surface (n, n) is interpolated in such holes, so that objects appear flat there.
@@ -182,10 +191,10 @@ def _paint(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photogra
     rows, columns = np.nonzero(~np.isfinite(rgb[..., 0]))
     if not photographs or not len(rows):
         return rgb
-    x, y, z = cells.axis[columns], cells.axis[rows], fine[rows, columns]
-    painted = rgb.copy()
-    painted[rows, columns] = sample_photographs(photographs, np.stack([x, y, z], -1).astype(float))
-    return painted
+    x, y, z = cells.axis[columns], cells.axis[rows], texel_heights[rows, columns]
+    filled = rgb.copy()
+    filled[rows, columns] = sample_photographs(photographs, np.stack([x, y, z], -1).astype(float))
+    return filled
 
 
 def _interpolate(values: Float, n: int) -> Float:
@@ -200,17 +209,17 @@ def _albedo(
     site: SiteConfig,
     files: Files,
     origin: Geodetic,
-    place: tuple[Float, Float, NDArray[np.uint8]],
+    layers: tuple[Float, Float, NDArray[np.uint8]],
     report: SiteReport,
 ) -> tuple[Float, SiteReport]:
-    """Return the albedo of a place (colours, heights, classes) with softened shadows."""
-    rgb, surface, classes = place
+    """Return the albedo of a place with softened shadows; ``layers``: colours, heights, classes."""
+    rgb, surface, classes = layers
     albedo = estimate_albedo(rgb, condition(f"{site.season}-noon", origin), site.albedo)
-    albedo = blur_walls(albedo, uprightness(surface, report.texel_m), report.texel_m)
+    albedo = blur_walls(albedo, levelness(surface, report.texel_m), report.texel_m)
     if files.taken is None:
         return albedo, report
     sun = sun_position(files.taken, origin)
-    if sun.elevation < _LOWEST_SUN:
+    if sun.elevation < _MIN_SUN_DEG:
         return albedo, report
     lit = find_sunlit(surface, report.texel_m, sun.azimuth, sun.elevation)
     albedo, gain = soften_shadows(albedo, classes, lit, report.texel_m)
@@ -224,11 +233,11 @@ def _albedo(
 
 def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
     notes = list(files.notes)
-    if report.closed > _NOTED_HOLES:
+    if report.closed > _NOTED_SHARE:
         notes.append(
             f"closed: {100 * report.closed:.1f} % of the place had no height and were interpolated"
         )
-    if report.holes > _NOTED_HOLES:
+    if report.holes > _NOTED_SHARE:
         notes.append(
             f"holes: {100 * report.holes:.1f} % of the place had no colours and were interpolated"
         )

@@ -15,17 +15,23 @@ Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
 
-LOW, PAVED, WATER, ROOF, CROWN = (
+LOW_VEGETATION, PAVED, WATER, ROOF, CROWN = (
     CLASSES[name] for name in ("grass", "pavement", "water", "building", "tree")
 )
-NAMES: Final = {LOW: "low vegetation", PAVED: "ground", WATER: "water", ROOF: "roof", CROWN: "tree"}
+NAMES: Final = {
+    LOW_VEGETATION: "low vegetation",
+    PAVED: "ground",
+    WATER: "water",
+    ROOF: "roof",
+    CROWN: "tree",
+}
 
 _HIGH_M = 1.8  # minimum height of buildings and trees above the ground
-_GREEN = 0.035  # excess of green over red and blue, as a share of their sum
-_SCALE_M = 0.6  # colours and heights are compared over this distance
+_GREEN = 0.035  # minimum excess of green, see ``_excess_green``
+_SCALE_M = 0.6  # standard deviation of the blur of colours
 # Minimum deviation (m) of a crown from a plane if it is green, and if it is faintly green, like dry
-# leaves.
-_PLANE_M, _ROUGH_M, _FAINT = 0.2, 0.5, 0.015
+# leaves; and minimum excess of green that counts as faint.
+_GREEN_ROUGH_M, _FAINT_ROUGH_M, _FAINT = 0.2, 0.5, 0.015
 _GRAINY = 0.25  # minimum grain of leaves with their shadows; lawns have 0.1 to 0.15
 _LEVEL = 0.06  # maximum slope of water
 _DARK = 0.34  # maximum brightness of water, 0 to 1
@@ -52,21 +58,21 @@ def classify(
         Labels (n, n) of ``objconnect.scene.bundle.labels.CLASSES``.
     """
     sigma = max(_SCALE_M / cell_m, 0.6)
-    soft = cv2.GaussianBlur(rgb, (0, 0), sigma) / np.float32(255)
-    excess = _excess_green(soft)
+    blurred = cv2.GaussianBlur(rgb, (0, 0), sigma) / np.float32(255)
+    excess = _excess_green(blurred)
     green = excess > _GREEN
-    above = surface - ground
-    labels = np.where(green, LOW, PAVED).astype(np.uint8)
-    labels[_water(rgb, soft, surface, above, cell_m)] = WATER
-    high = _patches(above > _HIGH_M, _LEAST_M2, cell_m)
-    rough = _roughness(above, high, cell_m)
-    leafy = (green & (rough > _PLANE_M)) | ((excess > _FAINT) & (rough > _ROUGH_M))
+    above_ground = surface - ground
+    labels = np.where(green, LOW_VEGETATION, PAVED).astype(np.uint8)
+    labels[_water(rgb, blurred, surface, above_ground, cell_m)] = WATER
+    high = _drop_small_patches(above_ground > _HIGH_M, _LEAST_M2, cell_m)
+    rough = _roughness(above_ground, high, cell_m)
+    leafy = (green & (rough > _GREEN_ROUGH_M)) | ((excess > _FAINT) & (rough > _FAINT_ROUGH_M))
     crown = _majority(leafy, high, cell_m)
     labels[high] = np.where(crown, CROWN, ROOF)[high]
     if closed is not None:
         flat = closed & ~high & (labels != WATER)
         leaves = _majority((excess > 0) & (_grain(rgb, cell_m) > _GRAINY), flat, cell_m)
-        labels[_patches(leaves & flat, _LEAST_M2, cell_m)] = CROWN
+        labels[_drop_small_patches(leaves & flat, _LEAST_M2, cell_m)] = CROWN
     return labels
 
 
@@ -101,7 +107,7 @@ def _grain(rgb: Float, cell_m: float) -> Float:
     return np.asarray(np.sqrt(np.maximum(spread, 0)) / np.maximum(mean, 1))
 
 
-def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float) -> Mask:
+def _water(rgb: Float, blurred: Float, surface: Float, above_ground: Float, cell_m: float) -> Mask:
     """Return the mask (n, n) of water: dark, bluish, smooth, level and wide."""
     value = rgb.mean(-1) / np.float32(255)
     sigma = 1.5 / cell_m
@@ -111,26 +117,28 @@ def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float)
     smooth = cv2.GaussianBlur(surface, (0, 0), sigma)
     north, east = np.gradient(smooth, cell_m)
     level = (np.hypot(north, east) < _LEVEL) & (np.abs(surface - smooth) < 0.1)
-    bluish = soft[..., 2] > soft[..., 0] * np.float32(1.06)
-    like = bluish & (value < _DARK) & (above < 0.5)
+    bluish = blurred[..., 2] > blurred[..., 0] * np.float32(1.06)
+    is_waterlike = bluish & (value < _DARK) & (above_ground < 0.5)
     side = 2 * max(1, round(0.5 * _NARROWEST_WATER_M / cell_m)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    sure = (like & calm & level & (mean < _DARK)).astype(np.uint8)
-    wide = _patches(cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m)
+    sure = (is_waterlike & calm & level & (mean < _DARK)).astype(np.uint8)
+    wide = _drop_small_patches(
+        cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m
+    )
     # The shore fails the tests of smoothness and level within their radius.
     shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
-    return np.asarray(wide | (like & (shore > 0)))
+    return np.asarray(wide | (is_waterlike & (shore > 0)))
 
 
-def _patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
-    """Keep the connected patches of at least an area."""
+def _drop_small_patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
+    """Return the mask (n, n) without connected patches that are smaller than ``least_m2``."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     keep = stats[:count, cv2.CC_STAT_AREA] * cell_m**2 >= least_m2
     keep[0] = False
     return np.asarray(keep[labels])
 
 
-def _roughness(above: Float, high: Mask, cell_m: float) -> Float:
+def _roughness(above_ground: Float, high: Mask, cell_m: float) -> Float:
     """Return the deviation of heights from a local plane, (n, n) metres, 0 outside of ``high``.
 
     Only heights of ``high`` count, so that the edge of a flat roof is not rough.
@@ -142,13 +150,13 @@ def _roughness(above: Float, high: Mask, cell_m: float) -> Float:
         total = cv2.GaussianBlur(values * weight, (0, 0), sigma)
         return np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3))
 
-    # The mean is biased at edges; the same mean of the difference tolerates that for planes.
-    once = mean(above)
-    return np.asarray(mean(np.abs(above - once)) * weight)
+    # At edges the mean of a sloping roof is biased, so it deviates there. Averaging dampens that.
+    plane = mean(above_ground)
+    return np.asarray(mean(np.abs(above_ground - plane)) * weight)
 
 
 def _majority(mask: Mask, among: Mask, cell_m: float) -> Mask:
-    """Return where most cells of ``among`` within some metres are in ``mask``, (n, n)."""
+    """Return where most cells of ``among`` within about a metre are in ``mask``, (n, n)."""
     sigma = 1.2 / cell_m
     weight = cv2.GaussianBlur(among.astype(np.float32), (0, 0), sigma)
     share = cv2.GaussianBlur((mask & among).astype(np.float32), (0, 0), sigma)

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from objconnect.scene.config import Config
 from objconnect.scene.storage.digests import sha256_of
-from simulate.look.conditions import SEASONS
+from simulate.look.seasons import SEASONS
 
 _FILES = ("ortho", "dsm", "classes")
 
@@ -27,8 +27,8 @@ class SiteConfig(Config):
     )
     scene: Path | None = Field(
         None,
-        description="Scene with exact depth or depth of ``dense``, instead of both files. The site "
-        "keeps its world.",
+        description="Scene with exact depth, or with depth of ``objconnect dense``, instead of "
+        "``ortho`` and ``dsm``. The site keeps the world of the scene.",
     )
     classes: Path | None = Field(
         None,

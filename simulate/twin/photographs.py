@@ -1,4 +1,4 @@
-"""Coverage and colours of points by the photographs of a site's map.
+"""Find where the photographs of a site's map see the ground, and the colours of points in them.
 
 Occlusion is not tested, because a site has no exact heights.
 """
@@ -20,11 +20,11 @@ from objconnect.scene.storage.images import read_rgb
 
 Array = NDArray[np.float64]
 
-_AT_ONCE: Final = 1 << 20  # points that are projected at once
+_POINTS_AT_ONCE: Final = 1 << 20  # points that are projected together
 # Minimum number of photographs for a height, and maximum share of a covered square that has fewer.
-_FEWEST_VIEWS: Final = 2
-_UNSEEN: Final = 0.05
-_COARSE: Final = 256  # side of the grid on which views are counted
+_MIN_VIEWS: Final = 2
+_MAX_UNSEEN_SHARE: Final = 0.05
+_GRID_CELLS: Final = 256  # cells along a side of the grid on which views are counted
 
 
 class Photograph(NamedTuple):
@@ -44,8 +44,8 @@ class Photograph(NamedTuple):
         import torch
 
         pixels, seen = [], []
-        for k in range(0, len(points), _AT_ONCE):
-            local = points[k : k + _AT_ONCE] @ self.cam_from_world[:3, :3].T
+        for k in range(0, len(points), _POINTS_AT_ONCE):
+            local = points[k : k + _POINTS_AT_ONCE] @ self.cam_from_world[:3, :3].T
             projected = self.camera.project(torch.from_numpy(local + self.cam_from_world[:3, 3]))
             inside = projected.valid & self.camera.contains(projected.xy)
             pixels.append(projected.xy.numpy().astype(np.float32))
@@ -69,7 +69,7 @@ def map_photographs(scene: Scene) -> list[Photograph]:
 
 
 def covered_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
-    """Return the side of the largest square around the origin that two photographs see.
+    """Return the side of the largest square around the origin that at least two photographs see.
 
     Args:
         photographs: The photographs of the map.
@@ -79,7 +79,7 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
     Returns:
         The side in metres; 0 where the origin was not photographed.
     """
-    axis = (np.arange(_COARSE) + 0.5) / _COARSE - 0.5
+    axis = (np.arange(_GRID_CELLS) + 0.5) / _GRID_CELLS - 0.5
     x, y = (most_m * grid.ravel() for grid in np.meshgrid(axis, axis))
     ground = np.stack([x, y, np.full(len(x), height)], -1)
     views = np.zeros(len(ground), int)
@@ -88,8 +88,8 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
     # Side of the square on whose edge each point lies, sorted from the centre outwards.
     sides = 2 * np.maximum(abs(x), abs(y))
     order = np.argsort(sides, kind="stable")
-    unseen = np.cumsum(views[order] < _FEWEST_VIEWS) / np.arange(1, len(order) + 1)
-    good = np.nonzero(unseen <= _UNSEEN)[0]
+    unseen_share = np.cumsum(views[order] < _MIN_VIEWS) / np.arange(1, len(order) + 1)
+    good = np.nonzero(unseen_share <= _MAX_UNSEEN_SHARE)[0]
     return float(sides[order][good[-1]]) if len(good) else 0.0
 
 

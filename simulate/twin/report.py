@@ -6,8 +6,8 @@ from typing import Final
 
 from pydantic import BaseModel, ConfigDict
 
-REPORT: Final = "site/report.json"
-PLACE: Final = "site/place.npz"
+REPORT_FILE: Final = "site/report.json"
+PLACE_FILE: Final = "site/place.npz"
 
 
 class SiteReport(BaseModel):

@@ -1,8 +1,9 @@
 """Sample rasters of a coordinate reference system on a square grid of the world.
 
 The grid is centred on the world's origin, with rows from south to north. The world is
-east-north-up, so it is rotated against the raster by the meridian convergence, and its plane leaves
-the curved earth (``geo.local_coordinates``). Values are interpolated at steps of 1/32 pixel.
+east-north-up, so it is rotated against the raster by the meridian convergence, and its horizontal
+plane leaves the curved earth (``geo.local_coordinates``). Values are interpolated at steps of 1/32
+pixel.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 Float = NDArray[np.float32]
 
 _ROWS = 256  # rows of the grid that are computed at once
-_MARGIN = 3.0  # pixels of the raster around the grid
+_MARGIN_PX = 3.0  # of the raster around the grid
 
 
 class Cells(NamedTuple):
@@ -44,7 +45,7 @@ class Cells(NamedTuple):
 
 def sample_colours(raster: Raster, origin: Geodetic, cells: Cells) -> Float:
     """Return the colours of an orthophoto at a grid, (n, n, 3) in 0..255, NaN where unknown."""
-    patch, local = _around(raster, origin, cells)
+    patch, local = _patch_around(raster, origin, cells)
     bands = np.ascontiguousarray(np.moveaxis(patch.values, 0, -1))
     parts = [
         cv2.remap(bands, x, y, cv2.INTER_LINEAR, borderValue=(np.nan,) * 4)
@@ -56,7 +57,7 @@ def sample_colours(raster: Raster, origin: Geodetic, cells: Cells) -> Float:
 
 def sample_heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: float) -> Float:
     """Return the heights of a surface model at a grid, (n, n) world metres, NaN where unknown."""
-    patch, local = _around(raster, origin, cells)
+    patch, local = _patch_around(raster, origin, cells)
     # The mean is subtracted, because float32 loses millimetres far from zero.
     known = np.isfinite(patch.values)
     zero = float(patch.values[known].mean()) if known.any() else 0.0
@@ -70,7 +71,7 @@ def sample_heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: f
 
 def sample_labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
     """Return the nearest values of a mask at a grid, (n, n); 0 beyond the mask."""
-    patch, local = _around(raster, origin, cells, means=False)
+    patch, local = _patch_around(raster, origin, cells, average=False)
     values = np.nan_to_num(patch.values[0])
     parts = [cv2.remap(values, x, y, cv2.INTER_NEAREST) for x, y, _ in _pixels(patch, local, cells)]
     return np.asarray(np.concatenate(parts), np.uint8)
@@ -90,22 +91,22 @@ def outer_square(raster: Raster, origin: Geodetic) -> float:
 
 
 def _reach(raster: Raster, origin: Geodetic) -> Array:
-    """Return the half side of the square around an origin that touches each edge of a raster."""
+    """Return the half sides (4,), metres, of the squares that touch each edge of a raster."""
     left, bottom, right, top = raster.grid.box
     corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
     height = origin.altitude
-    around = world_from(
+    corners_m = world_from(
         raster.grid.projection, origin, np.array([(*corner, height) for corner in corners])
     )[:, :2]
-    side = np.roll(around, -1, axis=0) - around
+    side = np.roll(corners_m, -1, axis=0) - corners_m
     outward = np.stack([side[:, 1], -side[:, 0]], -1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     # A square of half side h touches a line of normal n at the distance h (|nx| + |ny|).
-    return np.asarray((outward * around).sum(1) / np.abs(outward).sum(1))
+    return np.asarray((outward * corners_m).sum(1) / np.abs(outward).sum(1))
 
 
-def _around(
-    raster: Raster, origin: Geodetic, cells: Cells, means: bool = True
+def _patch_around(
+    raster: Raster, origin: Geodetic, cells: Cells, average: bool = True
 ) -> tuple[Patch, LocalProjection]:
     """Return the patch of a raster around a grid, and the projection from the world to it."""
     reach = float(cells.axis[-1])
@@ -115,10 +116,10 @@ def _around(
     local = LocalProjection.fit(projection, origin, middle - corner, middle + corner)
     ends = [(x, y, cells.height) for x in (-reach, reach) for y in (-reach, reach)]
     at = local.coordinates(np.array(ends))
-    margin = _MARGIN * max(raster.grid.pixel)
+    margin = _MARGIN_PX * max(raster.grid.pixel)
     (left, bottom, _), (right, top, _) = at.min(0) - margin, at.max(0) + margin
     box = Box(float(left), float(bottom), float(right), float(top))
-    return raster.patch(box, cells.spacing_m if means else 0.0), local
+    return raster.patch(box, cells.spacing_m if average else 0.0), local
 
 
 def _pixels(

@@ -6,32 +6,41 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.twin.classes import CROWN, LOW, PAVED, ROOF, WATER
+from simulate.twin.classes import CROWN, LOW_VEGETATION, PAVED, ROOF, WATER
 
 Float = NDArray[np.float32]
 Labels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # distance and full height of sheltering walls
+# Distance within which a wall shelters the ground, and its height for the full effect.
+_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0
 _SHELTERED = 0.08  # share of the snow that a high wall keeps off
-_SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals without snow, and with all snow
+# Vertical component of unit normals at which no snow lies, and from which all snow stays.
+_SNOW_FROM, _SNOW_TO = 0.35, 0.75
 # Sides lower than this keep most of their snow: hedges, banks, noise of the surface model.
 _LOW_SIDE_M, _ON_LOW_SIDES = 1.2, 0.7
 # Share of the snow that stays, by class. Crowns are speckled on all sides.
-_KEPT = {LOW: 1.0, ROOF: 1.0, CROWN: 0.42, WATER: 0.0}
-# Share that stays on paved ground: traffic clears roads and partly car parks; narrow or light
-# ground (paths, pavements, gravel yards) is mostly walked on.
+_KEPT_SHARE = {LOW_VEGETATION: 1.0, ROOF: 1.0, CROWN: 0.42, WATER: 0.0}
+# Share of the snow that stays on roads, car parks and paths. Traffic clears roads, and car parks in
+# part. Narrow or light ground (pavements, gravel yards) counts as a path, which is walked on.
 _ON_ROADS, _ON_LOTS, _ON_PATHS = 0.12, 0.4, 0.5
 _PATH_M, _LOT_M = 4.0, 14.0  # maximum width of paths, minimum width of car parks
-_LIGHT, _TOO_LIGHT = 1.8, 3.3  # range of light ground's albedo over that of roads, below markings
+# Light ground has an albedo between these multiples of that of roads; painted lines are lighter.
+_LIGHT, _TOO_LIGHT = 1.8, 3.3
 _PAINT_M = 0.7  # blur of the albedo, against painted lines
 _RIM_M = 2.0  # minimum width of crowns; narrower ones are misclassified edges of roofs
-_STANDS_M, _ON_THINGS = 0.6, 0.9  # minimum height of cars and other objects, which keep their snow
+# Minimum height of cars and other objects, and share of the snow that stays on them.
+_MIN_OBJECT_M, _ON_OBJECTS = 0.6, 0.9
 _SPLASH_M = 0.5  # distance over which wheels throw snow to the edges
 
 
 def snow_share(
-    surface: Float, spacing_m: float, classes: Labels, above: Float, albedo: Float, texel_m: float
+    surface: Float,
+    spacing_m: float,
+    classes: Labels,
+    above_ground: Float,
+    albedo: Float,
+    texel_m: float,
 ) -> Float:
     """Return the share of the snow that stays on each texel, (n, n).
 
@@ -39,41 +48,41 @@ def snow_share(
         surface: Heights at the nodes (m, m), metres.
         spacing_m: Distance between nodes, metres.
         classes: Classes (n, n).
-        above: Height above the ground (n, n), metres.
+        above_ground: Height above the ground (n, n), metres.
         albedo: Linear colours (n, n, 3).
         texel_m: Side of a texel, metres.
     """
-    lies = snow_by_slope(surface, spacing_m, len(classes))
+    by_slope = snow_by_slope(surface, spacing_m, len(classes))
     kept = np.zeros(256, np.float32)
-    kept[list(_KEPT)] = list(_KEPT.values())
+    kept[list(_KEPT_SHARE)] = list(_KEPT_SHARE.values())
     share = np.asarray(kept[classes])
     paved = classes == PAVED
     share[paved] = _snow_on_pavement(paved, albedo, texel_m)[paved]
     share = cv2.GaussianBlur(share, (0, 0), _SPLASH_M / texel_m)
     share[classes == WATER] = 0.0
-    share[paved & (above > _STANDS_M)] = _ON_THINGS
+    share[paved & (above_ground > _MIN_OBJECT_M)] = _ON_OBJECTS
     crown = _open_mask(classes == CROWN, _RIM_M, texel_m)
-    share[crown] = _KEPT[CROWN]
-    return np.asarray(share * np.where(crown, np.float32(1), lies), np.float32)
+    share[crown] = _KEPT_SHARE[CROWN]
+    return np.asarray(share * np.where(crown, np.float32(1), by_slope), np.float32)
 
 
 def snow_by_slope(surface: Float, spacing_m: float, n: int) -> Float:
     """Return the share of snow by slope and shelter on (n, n) texels of a surface (m, m).
 
-    No snow lies on walls, and a little less beside high walls.
+    No snow lies on walls. A little less than elsewhere lies beside high walls.
     """
     # Slopes of the cells between nodes, because slopes at nodes affect the ground beside walls.
     east = 0.5 * (np.diff(surface[1:], axis=1) + np.diff(surface[:-1], axis=1)) / spacing_m
     north = 0.5 * (np.diff(surface[:, 1:], axis=0) + np.diff(surface[:, :-1], axis=0)) / spacing_m
     up = 1 / np.sqrt(1 + east**2 + north**2)
-    lies = np.clip((up - _SNOW_FROM) / (_SNOW_TO - _SNOW_FROM), 0, 1)
-    around = np.ones((3, 3), np.uint8)
-    side = (cv2.dilate(surface, around) - cv2.erode(surface, around))[:-1, :-1]
-    lies = np.where(side < _LOW_SIDE_M, np.maximum(lies, _ON_LOW_SIDES), lies)
+    by_slope = np.clip((up - _SNOW_FROM) / (_SNOW_TO - _SNOW_FROM), 0, 1)
+    kernel = np.ones((3, 3), np.uint8)
+    side = (cv2.dilate(surface, kernel) - cv2.erode(surface, kernel))[:-1, :-1]
+    by_slope = np.where(side < _LOW_SIDE_M, np.maximum(by_slope, _ON_LOW_SIDES), by_slope)
     width = 2 * max(1, round(_SHELTER_M / spacing_m)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     rise = np.clip((cv2.dilate(surface, disc) - surface) / _SHELTER_RISE_M, 0, 1)[:-1, :-1]
-    share = (lies * (1 - _SHELTERED * rise)).astype(np.float32)
+    share = (by_slope * (1 - _SHELTERED * rise)).astype(np.float32)
     return np.asarray(cv2.resize(share, (n, n), interpolation=cv2.INTER_LINEAR))
 
 
@@ -85,8 +94,8 @@ def _snow_on_pavement(paved: Mask, albedo: Float, texel_m: float) -> Float:
     value = cv2.GaussianBlur(albedo.mean(-1), (0, 0), _PAINT_M / texel_m)
     driven = paved & ~narrow
     if driven.any():
-        usual = float(np.median(value[driven]))
-        share[(value > _LIGHT * usual) & (value < _TOO_LIGHT * usual)] = _ON_PATHS
+        road_value = float(np.median(value[driven]))
+        share[(value > _LIGHT * road_value) & (value < _TOO_LIGHT * road_value)] = _ON_PATHS
     share[narrow] = _ON_PATHS
     return share
 

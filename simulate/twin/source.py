@@ -21,11 +21,11 @@ from simulate.twin.options import LEAST_SITE_M, SiteConfig
 from simulate.twin.photographs import Photograph, covered_square, map_photographs
 from simulate.twin.sampling import inner_square
 
-_FEWEST = 8  # minimum number of photographs of a site
+_MIN_PHOTOGRAPHS = 8  # minimum number of photographs of a site
 # Photographs lie on one line if they deviate from it by less than this share of its length.
-_THIN = 0.12
-_COARSE = 64  # side of the coarse grid whose median is the height of the ground
-_MOST_M = 2000.0
+_THIN_SHARE = 0.12
+_GROUND_CELLS = 64  # cells along a side of the grid whose median is the height of the ground
+_MAX_SIDE_M = 2000.0  # maximum side of a site
 
 
 class Files(NamedTuple):
@@ -47,7 +47,7 @@ class Files(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """The origin of a site's world, and the side of the place, metres."""
+    """The origin of a site's world, and the side of the square site around it, metres."""
 
     origin: Geodetic
     side_m: float
@@ -77,15 +77,15 @@ def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
         yield Files(colours, heights, site.taken or taken, photographs, notes)
 
 
-def measure_extent(site: SiteConfig, sized: bool = False) -> Extent:
-    """Return the origin and the side of a site.
+def measure_extent(site: SiteConfig, has_side: bool = False) -> Extent:
+    """Return the origin of a site and the side of its square.
 
     A scene keeps its origin. Two rasters have their origin on the ground, at the centre of their
     common area.
 
     Args:
         site: Its files.
-        sized: Whether the configuration has the side, so that a small common area is allowed.
+        has_side: Whether the configuration states the side, so that a small common area is allowed.
 
     Raises:
         InputError: The rasters cannot be used or do not overlap, or the site is too small.
@@ -96,12 +96,12 @@ def measure_extent(site: SiteConfig, sized: bool = False) -> Extent:
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
     side_m = 2 * inner_square((colours, heights), origin)
-    if side_m < LEAST_SITE_M and not sized:
+    if side_m < LEAST_SITE_M and not has_side:
         raise InputError(
             f"{site.ortho} and {site.dsm} have a square of {max(side_m, 0):.0f} m in common, a "
             f"site needs {LEAST_SITE_M:.0f} m: give larger files"
         )
-    return Extent(origin, float(min(np.floor(side_m), _MOST_M)))
+    return Extent(origin, float(min(np.floor(side_m), _MAX_SIDE_M)))
 
 
 def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
@@ -112,40 +112,44 @@ def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
 def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
     """Return the centre of the common area of two rasters, on the ground."""
     box = heights.grid.box
-    coarse = heights.patch(box, heights.grid.longest_m / _COARSE).values
+    coarse = heights.patch(box, heights.grid.longest_m / _GROUND_CELLS).values
     known = coarse[np.isfinite(coarse)]
     if not known.size:
-        raise InputError(f"surface model {heights.path} has no height")
+        raise InputError(f"surface model {heights.path} has no height: give another file")
     height = float(np.median(known))
     corners = [(x, y, height) for x in (box.left, box.right) for y in (box.bottom, box.top)]
-    here, there = colours.grid.projection, heights.grid.projection
-    at = np.array([here.from_geodetic(there.to_geodetic(np.array(corner))) for corner in corners])
-    own = colours.grid.box
-    low = np.maximum(at.min(0)[:2], [own.left, own.bottom])
-    high = np.minimum(at.max(0)[:2], [own.right, own.top])
+    colour_crs, height_crs = colours.grid.projection, heights.grid.projection
+    at = np.array(
+        [colour_crs.from_geodetic(height_crs.to_geodetic(np.array(corner))) for corner in corners]
+    )
+    colour_box = colours.grid.box
+    low = np.maximum(at.min(0)[:2], [colour_box.left, colour_box.bottom])
+    high = np.minimum(at.max(0)[:2], [colour_box.right, colour_box.top])
     if (low >= high).any():
-        raise InputError(f"{colours.path} and {heights.path} do not overlap")
-    middle = here.to_geodetic(np.array([*(low + high) / 2, height]))
-    return at_height(there, middle, height + undulation)
+        raise InputError(
+            f"{colours.path} and {heights.path} do not overlap: give files of one place"
+        )
+    middle = colour_crs.to_geodetic(np.array([*(low + high) / 2, height]))
+    return at_height(height_crs, middle, height + undulation)
 
 
 def _side(scene: Scene) -> float:
-    """Return the side of the square around the origin that the map's photographs cover."""
-    own = scene.manifest.config.get("area")
-    if isinstance(own, int | float):
-        return float(own)
+    """Return the recorded side of the site, or that of the square that its photographs cover."""
+    recorded_side = scene.manifest.config.get("area")
+    if isinstance(recorded_side, int | float):
+        return float(recorded_side)
     photographs = map_photographs(scene)
     if not photographs:
-        raise InputError(f"no photograph of {scene.path} belongs to its map")
+        raise InputError(f"no photograph of {scene.path} belongs to its map: build a map of it")
     points = scene.sparse_map().xyz
     if not len(points):
-        raise InputError(f"the map of {scene.path} has no points")
-    most_m = min(2 * float(np.abs(points[:, :2]).max()), _MOST_M)
+        raise InputError(f"the map of {scene.path} has no points: build it again")
+    most_m = min(2 * float(np.abs(points[:, :2]).max()), _MAX_SIDE_M)
     side_m = covered_square(photographs, float(np.median(points[:, 2])), most_m)
     if side_m < LEAST_SITE_M:
         raise InputError(
-            f"two photographs of {scene.path} see a square of {side_m:.0f} m around its origin, a "
-            f"site needs {LEAST_SITE_M:.0f} m: photograph more of it"
+            f"at least two photographs of {scene.path} see a square of {side_m:.0f} m around its "
+            f"origin, a site needs {LEAST_SITE_M:.0f} m: photograph more of it"
         )
     return float(np.floor(side_m))
 
@@ -157,14 +161,14 @@ def _check_photographs(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
         InputError: There are too few photographs.
     """
     centres = np.array([photograph.centre for photograph in map_photographs(scene)])
-    if len(centres) < _FEWEST:
+    if len(centres) < _MIN_PHOTOGRAPHS:
         raise InputError(
-            f"{scene.path} has {len(centres)} photographs in its map, a site needs {_FEWEST}: "
-            "photograph more of it"
+            f"{scene.path} has {len(centres)} photographs in its map, a site needs "
+            f"{_MIN_PHOTOGRAPHS}: photograph more of it"
         )
     spread = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
     notes = []
-    if spread[1] < _THIN * spread[0]:
+    if spread[1] < _THIN_SHARE * spread[0]:
         notes.append(
             "thin coverage: the photographs lie along one line, so surfaces beside it are seen "
             "from one side only"

@@ -13,14 +13,14 @@ Mask = NDArray[np.bool_]
 _WINDOWS_M = (3.0, 5.0, 9.0, 17.0, 33.0, 49.0)
 _STEP_M = 0.4  # minimum height of objects at the smallest window
 _SLOPE = 0.15  # maximum slope of the ground
-_HIGHEST_STEP_M = 2.5
+_HIGHEST_STEP_M = 2.5  # upper bound of the minimum height of objects at larger windows
 _CELL_M = 1.0  # the filter works on cells of this size
-# Standard deviations (m) of the filters over closed holes. A filter sets in ``_DEPTHS`` standard
+# Standard deviations (m) of the filters over closed holes. A filter starts ``_DEPTHS`` standard
 # deviations inside a hole, and has full weight at twice that depth.
 _SMOOTH_M = (1.0, 2.0, 4.0, 8.0, 16.0)
 _DEPTHS = 2.0
 _GROUND_M = 2.0  # standard deviation of the filter over the ground
-_SIGMA = 4.0  # maximum standard deviation in cells; wider filters work on larger cells
+_MAX_SIGMA_CELLS = 4.0  # maximum standard deviation in cells; wider filters work on larger cells
 _ISLAND_M2 = 10.0  # smaller patches of heights in a hole are dropped
 
 
@@ -31,8 +31,8 @@ def drop_islands(surface: Float, spacing_m: float) -> Float:
     """
     known = np.isfinite(surface).astype(np.uint8)
     _, patch, stats, _ = cv2.connectedComponentsWithStats(known, connectivity=8)
-    small = stats[:, cv2.CC_STAT_AREA] * spacing_m**2 < _ISLAND_M2
-    return np.where(small[patch], np.float32(np.nan), surface)
+    is_small = stats[:, cv2.CC_STAT_AREA] * spacing_m**2 < _ISLAND_M2
+    return np.where(is_small[patch], np.float32(np.nan), surface)
 
 
 def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
@@ -74,9 +74,9 @@ def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
 def _blur(values: Float, sigma: float) -> Float:
     """Smooth a grid. Wide filters work on a coarser grid, which is faster."""
     n = len(values)
-    m = min(n, max(4, round(n * _SIGMA / sigma)))
-    small = cv2.resize(values, (m, m), interpolation=cv2.INTER_AREA) if m < n else values
-    soft = cv2.GaussianBlur(small, (0, 0), sigma * m / n)
+    m = min(n, max(4, round(n * _MAX_SIGMA_CELLS / sigma)))
+    coarse = cv2.resize(values, (m, m), interpolation=cv2.INTER_AREA) if m < n else values
+    soft = cv2.GaussianBlur(coarse, (0, 0), sigma * m / n)
     return np.asarray(cv2.resize(soft, (n, n)) if m < n else soft, np.float32)
 
 
@@ -93,24 +93,24 @@ def ground_below(surface: Float, spacing_m: float) -> Float:
     n = len(surface)
     m = max(8, round(n * spacing_m / _CELL_M))
     cell = n * spacing_m / m
-    small = cv2.resize(surface, (m, m), interpolation=cv2.INTER_AREA) if m < n else surface
+    coarse = cv2.resize(surface, (m, m), interpolation=cv2.INTER_AREA) if m < n else surface
     cell = cell if m < n else spacing_m
-    stands = np.zeros(small.shape, bool)
-    before, filtered = 0.0, small
+    is_object = np.zeros(coarse.shape, bool)
+    previous_m, filtered = 0.0, coarse
     for width in _WINDOWS_M:
         side = 2 * max(1, round(0.5 * width / cell)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         opened = cv2.morphologyEx(filtered, cv2.MORPH_OPEN, disc, borderType=cv2.BORDER_REPLICATE)
-        allowed = min(_STEP_M + _SLOPE * (width - before), _HIGHEST_STEP_M)
-        stands |= filtered - opened > (allowed if before else _STEP_M)
-        before, filtered = width, opened
-    ground, _ = close_holes(np.where(stands, np.float32(np.nan), small), cell)
+        allowed = min(_STEP_M + _SLOPE * (width - previous_m), _HIGHEST_STEP_M)
+        is_object |= filtered - opened > (allowed if previous_m else _STEP_M)
+        previous_m, filtered = width, opened
+    ground, _ = close_holes(np.where(is_object, np.float32(np.nan), coarse), cell)
     ground = cv2.GaussianBlur(ground, (0, 0), _GROUND_M / cell)
     full = cv2.resize(ground, (n, n), interpolation=cv2.INTER_LINEAR)
     return np.asarray(np.minimum(full, surface))
 
 
-def uprightness(surface: Float, spacing_m: float) -> Float:
+def levelness(surface: Float, spacing_m: float) -> Float:
     """Return the vertical component of a surface's unit normals (n, n): 1 if level, 0 on walls."""
     north, east = np.gradient(surface, spacing_m)
     return np.asarray(1 / np.sqrt(1 + north**2 + east**2), np.float32)
@@ -128,6 +128,6 @@ def find_sunlit(surface: Float, spacing_m: float, azimuth: float, elevation: flo
         towards = cv2.warpAffine(
             surface, shift, surface.shape[::-1], borderMode=cv2.BORDER_REPLICATE
         )
-        # The margin keeps slopes from shading themselves.
+        # The margin of 0.1 m keeps slopes from shading themselves.
         lit &= towards <= surface + np.float32(k * spacing_m * rise + 0.1)
     return lit

@@ -1,17 +1,16 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from baselines.binary import Akaze, Binary, Orb
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.scene.maps.features import unit_bits
 from objconnect.scene.storage.images import read_rgb
 
-GATE = Path(__file__).parents[1] / "data" / "gate" / "images" / "map" / "images"
+GATE = GATE_SCENES["gate"] / "images" / "map" / "images"
 KINDS = [Orb(2000), Akaze(2000, 1e-4)]
 
 

@@ -6,19 +6,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.methods import METHODS, create
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
+from tests.baselines.lightglue.weights import LIGHTGLUE, options_of
 
-GATE = Path(__file__).parents[1] / "data" / "gate"
+GATE = GATE_SCENES["gate"]
 (DATASET,) = open_datasets(GATE)
 # The prior itself looks at neither image nor points.
 LOOKING = tuple(name for name in METHODS if name != "prior")
@@ -70,7 +73,7 @@ def one_point(sparse_map: SparseMap) -> SparseMap:
 
 def create_or_skip(method: str) -> Localizer:
     try:
-        return create(method, {})
+        return create(method, options_of(method))
     except InputError as error:
         pytest.skip(f"{method} cannot be made: {error}")
 
@@ -81,7 +84,11 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.fixture(scope="module", params=LOOKING)
+def mark_slow(method: str, slow: tuple[str, ...]) -> Any:
+    return pytest.param(method, marks=pytest.mark.thorough) if method in slow else method
+
+
+@pytest.fixture(scope="module", params=[mark_slow(name, LIGHTGLUE) for name in LOOKING])
 def localizer(request: pytest.FixtureRequest, cache: Path) -> Localizer:
     """Every method, prepared on a sound map."""
     localizer = create_or_skip(request.param)
@@ -194,10 +201,7 @@ SEARCHING = ("objconnect", "pixloc-search")
 
 @pytest.mark.parametrize(
     "method",
-    [
-        pytest.param(name, marks=pytest.mark.thorough) if name in SEARCHING else name
-        for name in LOOKING
-    ],
+    [mark_slow(name, (*SEARCHING, *LIGHTGLUE)) for name in LOOKING],
 )
 @pytest.mark.parametrize(
     "spoiled",

@@ -3,33 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from objconnect.scene.colmap.sift import SiftExtractor
-from objconnect.scene.maps.features import Features
 from tests.benchmark.made_data import write_flight, write_scene
-
-
-@pytest.fixture(scope="module")
-def extracted_once() -> Iterator[None]:
-    """SIFT features of a picture, which are the same in every test, are extracted once."""
-    extract = SiftExtractor.__call__
-    known: dict[tuple[str, bytes], Features] = {}
-
-    def remembered(extractor: SiftExtractor, rgb: NDArray[np.uint8]) -> Features:
-        key = (str(extractor._options.todict()), rgb.tobytes())
-        if key not in known:
-            known[key] = extract(extractor, rgb)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SiftExtractor, "__call__", remembered)
-        yield
 
 
 @pytest.fixture

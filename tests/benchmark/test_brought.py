@@ -70,7 +70,8 @@ def test_an_unknown_name_lists_the_known_ones(install: Install) -> None:
     install("nearest", "nearest:make")
     with pytest.raises(
         InputError,
-        match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, pixloc, "
-        "pixloc-search, objconnect, place, prior, nearest",
+        match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, "
+        r"aliked\+lightglue, disk\+lightglue, pixloc, pixloc-search, objconnect, place, prior, "
+        "nearest",
     ):
         create("oracle", {})

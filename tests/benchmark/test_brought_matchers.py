@@ -19,13 +19,14 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.methods import create, method_names
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Estimate, Localizer, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "matchers"
-(DATASET,) = open_datasets(Path(__file__).parents[1] / "data" / "gate")
+(DATASET,) = open_datasets(GATE_SCENES["gate"])
 TRUTH = DATASET.queries[3].reference
 QUERY = DATASET.queries[3].load(DATASET.queries[3].prior)
 
@@ -183,7 +184,24 @@ def test_vismatch_is_needed_only_when_it_is_used(
     vismatch(sift_matches)
     with pytest.raises(InputError, match=r"matcher=roma on device=cpu: Matcher roma not yet.*d\.$"):
         ready(create("vismatch", {"matcher": "roma"}))
-    assert {"vismatch", "hloc"} <= set(method_names())
+    assert {"vismatch", "hloc", "adalam"} <= set(method_names())
+
+
+@pytest.mark.parametrize("prior", [True, False], ids=["with-prior", "without-prior"])
+def test_pairs_of_adalam_give_the_pose(prior: bool) -> None:
+    pytest.importorskip("kornia", reason="kornia is not installed: make install")
+    localizer = ready(create("adalam", {"max_features": 2048}))
+    estimate = localizer.localize(QUERY if prior else replace(QUERY, prior=None))
+    assert metres_off(estimate) < 0.4
+    blank = replace(QUERY, image=np.zeros_like(QUERY.image))
+    assert localizer.localize(blank).status is Status.FAILED
+
+
+def test_without_kornia_adalam_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "kornia.feature", None)
+    monkeypatch.setitem(sys.modules, "kornia", None)
+    with pytest.raises(InputError, match=r"objconnect\[kornia\]"):
+        create("adalam", {})
 
 
 def write_hloc(folder: Path, query_first: bool = True, separator: str = "/") -> dict[str, Path]:

@@ -292,7 +292,7 @@ def test_evaluate_writes_results_that_leaderboard_reads(
     out = tmp_path / "out"
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", out)
     assert result.exit_code == 0, result.output
-    assert "| fake | same-flight | 3 | 66.7 [20.8, 93.9] |" in result.stdout
+    assert "| fake | same-flight | 3 | 1 | 66.7 [–] |" in result.stdout
     board = invoke("leaderboard", out, "--out", tmp_path / "board")
     assert board.exit_code == 0
     assert (tmp_path / "board" / "leaderboard.md").read_text() == board.stdout
@@ -318,7 +318,7 @@ def test_basin_writes_a_level_for_each_size(
     result = invoke(*words)
     assert result.exit_code == 0, result.output
     assert result.stdout.splitlines()[0] == str(out / "meadow" / "fake.basin.json")
-    assert "prior 3 m 5°: 66.7 [20.8, 93.9] % at 0.25 m 2°" in result.stdout
+    assert "prior 3 m 5°: 66.7 [–] % at 0.25 m 2°" in result.stdout
     summary = json.loads(invoke(*words, "--json").stdout)
     (found,) = summary["basins"].values()
     assert [level["queries"] for level in found["levels"]] == [3, 3]

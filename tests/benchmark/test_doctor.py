@@ -45,6 +45,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *packages: str) -> None:
     monkeypatch.setattr(doctor, "_version", lambda p: None if p in packages else known(p))
 
 
+@pytest.mark.thorough
 def test_a_library_that_does_not_load_and_no_network(tmp_path: Path) -> None:
     """Really: in processes where h5py is broken, the command line cannot start for want of typer,
     and whoever connects to anything ends at once."""

@@ -1,9 +1,9 @@
 """The gate on two fixed scenes: our own recall, planted faults, and chance.
 
-``tests/data/gate`` is a town in one season, which `sift` alone localizes, for faults that leave
-every network as it is. ``tests/data/gate-snow`` has queries in snow over a map of the summer, and
-guards every method with and without a prior. Both are kept in the repository, see
-``tests/data/make_gate.py``. After a change that is meant to change recall, such as new weights:
+The scene ``gate`` is a town in one season, which `sift` alone localizes, for faults that leave
+every network as it is. ``gate-snow`` has queries in snow over a map of the summer, and guards every
+method with and without a prior. Both lie in ``benchmark/gate``; ``tests/data/make_gate.py`` makes
+them. After a change that is meant to change recall, such as new weights:
 ``pytest tests/benchmark/test_gate.py -m "" -k has_not --update-recall``.
 """
 
@@ -25,6 +25,7 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import evaluate
 from benchmark.evaluation.starts import parse_start
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.localization.featuremetric import problem, references
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.maps import Network
@@ -72,13 +73,13 @@ pytestmark = pytest.mark.usefixtures("extracted_once")
 
 @pytest.fixture(scope="module")
 def gate() -> Dataset:
-    (dataset,) = open_datasets(DATA / "gate")
+    (dataset,) = open_datasets(GATE_SCENES["gate"])
     return dataset
 
 
 @pytest.fixture(scope="module")
 def snow() -> Dataset:
-    (dataset,) = open_datasets(DATA / "gate-snow")
+    (dataset,) = open_datasets(GATE_SCENES["gate-snow"])
     return dataset
 
 
@@ -224,13 +225,13 @@ class Lost:
         self._network, self._level = network, level
 
     def __call__(
-        self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
+        self, image: Tensor, *, levels: int | None = None, needed: NDArray[np.bool_] | None = None
     ) -> list[tuple[Tensor, Tensor]]:
         # All levels at once: half precision is on only while the network is called.
         return [
             (features * (level != self._level), confidence)
             for level, (features, confidence) in enumerate(
-                self._network(image, levels=levels, shown=shown)
+                self._network(image, levels=levels, needed=needed)
             )
         ]
 

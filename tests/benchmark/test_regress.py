@@ -20,7 +20,13 @@ from objconnect.localization.provenance import Method
 from tests.benchmark.made_data import make_scored_query
 
 
-def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64) -> None:
+def write(
+    folder: Path,
+    errors: dict[str, float | None],
+    sha256: str = "a" * 64,
+    start: str = "prior",
+    unjudged: tuple[str, ...] = (),
+) -> None:
     """Results whose queries have these errors (m); None is a failure, names begin with s or w."""
     queries = [
         make_scored_query(name, error, "summer" if name.startswith("s") else "winter")
@@ -28,8 +34,14 @@ def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64)
     ]
     Results.of(
         Method(name="sift", config={}, weights_sha256=None),
-        DatasetId(name="d", track="uav-sim", sha256=sha256, map_conditions=("summer",)),
-        "prior",
+        DatasetId(
+            name="d",
+            track="uav-sim",
+            sha256=sha256,
+            map_conditions=("summer",),
+            unjudged=unjudged,
+        ),
+        start,
         queries,
     ).write(folder / "d" / "sift.json")
 
@@ -69,8 +81,8 @@ def test_a_folder_is_not_compared_with_itself(
 def test_the_same_results_pass(baseline: Path, again: Path) -> None:
     answer = regress(again, baseline)
     assert answer.exit_code == 0
-    # Three thresholds over all queries, summer's and winter's.
-    assert len(answer.stdout.splitlines()) == 9
+    # Three thresholds, false fixes and wrong answers over all queries, summer's and winter's.
+    assert len(answer.stdout.splitlines()) == 15
     assert "DROP" not in answer.stdout
 
 
@@ -88,7 +100,8 @@ def test_a_baseline_that_cannot_drop_is_named(
     answer = regress(tmp_path / "lost", tmp_path / "few")
     assert answer.exit_code == 0, "it is blind, and says so"
     said = [record.getMessage() for record in caplog.records]
-    assert len(said) == 3
+    # Three thresholds, false fixes and wrong answers.
+    assert len(said) == 5
     assert all("sift on d (uav-sim), winter, " in line for line in said)
     assert any("0.5m_5deg: no loss could be significant" in line for line in said)
 
@@ -99,6 +112,44 @@ def test_one_query_in_ten_lost_is_caught(baseline: Path, tmp_path: Path) -> None
     assert answer.exit_code == 1
     drops = [line for line in answer.stdout.splitlines() if line.startswith("DROP")]
     assert any("sift on d (uav-sim), all, 0.5m_5deg: -10.0 points" in line for line in drops)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "dropped"),
+    [
+        (0.8, 1.2, {"not_wrong_1m"}),
+        (2.9, 3.1, {"not_worse_than_prior"}),
+        (4.0, 6.0, {"5m_10deg", "not_false_fix"}),
+    ],
+)
+def test_integrity_that_drops_is_caught(
+    tmp_path: Path, before: float, after: float, dropped: set[str]
+) -> None:
+    """Ten of 50 winter queries get worse; recall alone shows only the last of the three."""
+    start = "error=3m,5deg"
+    for folder, metres in (("old", before), ("new", after)):
+        write(tmp_path / folder, GOOD | {f"w{k}": metres for k in range(10)}, start=start)
+    answer = regress(tmp_path / "new", tmp_path / "old")
+    assert answer.exit_code == 1
+    lines = [line for line in answer.stdout.splitlines() if line.startswith("DROP")]
+    winter = [line for line in lines if ", winter, " in line]
+    assert {line.split(", ")[2].split(":")[0] for line in winter} == dropped
+
+
+def test_what_the_reference_poses_do_not_judge_is_not_compared(
+    baseline: Path, tmp_path: Path
+) -> None:
+    """Errors of 0.3 m are losses at 0.25 m, which these reference poses cannot tell."""
+    coarse = ("0.25 m 2°",)
+    write(tmp_path / "new", GOOD | {f"w{k}": 0.3 for k in range(10)}, unjudged=coarse)
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 0
+    assert "0.25m_2deg" not in answer.stdout
+    nothing = ("0.25 m 2°", "0.5 m 5°", "1 m", "5 m 10°")
+    write(tmp_path / "blind", GOOD, unjudged=nothing)
+    answer = regress(tmp_path / "blind", baseline)
+    assert answer.exit_code == 2
+    assert "too inexact to judge any figure" in answer.stderr
 
 
 def test_queries_that_vanished_are_losses(baseline: Path, tmp_path: Path) -> None:
@@ -155,7 +206,7 @@ def test_gains_pass(baseline: Path, tmp_path: Path) -> None:
     ("fault", "message"),
     [
         (lambda new: (new / "d" / "sift.json").unlink(), "lacks d/sift.json"),
-        (lambda new: write(new, GOOD, "b" * 64), "record it again with --update"),
+        (lambda new: write(new, GOOD, "b" * 64), "record the baseline again with --update"),
         (lambda new: (new / "d" / "sift.json").write_text("{"), "is not valid JSON"),
     ],
 )

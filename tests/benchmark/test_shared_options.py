@@ -18,12 +18,15 @@ COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
 
 # Commands with each option, and the default of each: a start is told where the command has one.
 DEFAULTS: dict[str, dict[str, object]] = {
-    "--set": dict.fromkeys(("localize", "evaluate", "basin", "submit", "train", "forecast")),
-    "--jobs": dict.fromkeys(("evaluate", "simulate", "track", "forecast"), 1),
+    "--set": dict.fromkeys(
+        ("localize", "evaluate", "basin", "submit", "train", "forecast", "ingest")
+    ),
+    "--jobs": dict.fromkeys(("evaluate", "submit", "simulate", "track", "forecast"), 1),
     "--start": {
         "evaluate": "prior",
         "forecast": "prior",
         "score": "none",
+        "submit": "prior",
     },
 }
 

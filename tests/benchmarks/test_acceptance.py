@@ -39,9 +39,9 @@ def test_records_give_a_model(tmp_path: Path, files: int, inliers: int) -> None:
     records = [write_records(tmp_path / f"{k}.jsonl", k, inliers) for k in range(files)]
     fit(Namespace(records=records, out=tmp_path / "own.acceptance.yaml"))
     model = load_config(AcceptanceModel, tmp_path / "own.acceptance.yaml", {})
-    assert model.of_alignment(Evidence(14.0, 0.1, 0.8)) > log_odds_of(0.95)
-    assert model.of_alignment(Evidence(4.0, 1.5, 0.1)) < log_odds_of(0.05)
+    assert model.alignment_log_odds(Evidence(14.0, 0.1, 0.8)) > log_odds_of(0.95)
+    assert model.alignment_log_odds(Evidence(4.0, 1.5, 0.1)) < log_odds_of(0.05)
     if inliers:
-        assert model.of_matches(100) > 0 > model.of_matches(10)
+        assert model.match_log_odds(100) > 0 > model.match_log_odds(10)
     else:
-        assert model.matched == AcceptanceModel.beside(None).matched
+        assert model.matched == AcceptanceModel.load_beside(None).matched

@@ -29,7 +29,7 @@ FLAT_MB: Final = 4.0
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heap is told by glibc")
 def test_memory_is_flat_over_64_queries_told_nothing(tmp_path: Path) -> None:
     """See docs/evidence/robustness.md, where 64 queries are 32 of the demo asked twice."""
-    command = [sys.executable, "-m", "experiments.query_memory", "tests/data/gate"]
+    command = [sys.executable, "-m", "experiments.query_memory", "benchmark/gate/gate"]
     command += ["--cache", str(tmp_path), "--queries", str(QUERIES)]
     command += ["--among", str(FIRST), str(LAST)]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}

@@ -127,7 +127,7 @@ def test_mix_ours(
     benchmark: BenchmarkFixture, looked_up: tuple[CellTable, torch.Tensor, torch.Tensor]
 ) -> None:
     table, index, weights = looked_up
-    assert benchmark(table.mix, index, weights).shape == (1, 2048, 3, 128)
+    assert benchmark(table.value_and_slopes, index, weights).shape == (1, 2048, 3, 128)
 
 
 @pytest.mark.benchmark(group="value and slopes of 2,048 points, 128 channels")
@@ -139,7 +139,7 @@ def test_mix_by_products(
     parts = torch.nn.functional.one_hot(torch.tensor([0] * 4 + [1] * 8 + [2] * 8)).T
     each = weights[..., None, :] * parts
     mixed = benchmark(lambda: each @ table.gather(index))
-    torch.testing.assert_close(mixed, table.mix(index, weights))
+    torch.testing.assert_close(mixed, table.value_and_slopes(index, weights))
 
 
 @pytest.mark.benchmark(group="value and slopes of 2,048 points, 128 channels")
@@ -148,14 +148,14 @@ def test_mix_bare_lookup(
 ) -> None:
     """The cells copied once, each of them only for one of the sums."""
     table, index, _ = looked_up
-    benchmark(lambda: table.cells.index_select(0, index[..., 4:16].flatten()))
+    benchmark(lambda: table.values.index_select(0, index[..., 4:16].flatten()))
 
 
 @pytest.mark.benchmark(group="the cost of a pose around 2,048 points, 32 channels")
 @pytest.mark.parametrize("way", ["compiled", "by_torch"])
 def test_linearise(benchmark: BenchmarkFixture, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """In compiled loops, and by operations of torch."""
-    monkeypatch.setattr(linearising, "loops_serve", lambda device: way == "compiled")
+    monkeypatch.setattr(linearising, "supports_loops", lambda device: way == "compiled")
     generator = torch.Generator().manual_seed(0)
     maps = torch.rand(1, 32, 256, 256, generator=generator).contiguous(
         memory_format=torch.channels_last

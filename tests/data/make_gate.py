@@ -1,4 +1,4 @@
-"""Makes ``tests/data/gate`` or ``tests/data/gate-snow`` from the configuration of that name:
+"""Makes a scene in ``benchmark/gate`` from the configuration of its name:
 
     python -m tests.data.make_gate gate-snow
 
@@ -19,6 +19,7 @@ import torch
 
 from benchmark.datasets.dataset import BenchmarkQuery
 from benchmark.datasets.open import open_datasets
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.mapping.build import build_map
 from objconnect.scene.config import load_config
 from objconnect.scene.geometry.pose import Pose
@@ -29,12 +30,12 @@ ROOT: Final = Path(__file__).parents[2]
 
 
 def make(name: str) -> None:
-    """Render and map the scene of a configuration in ``runs/``, and copy it beside this module."""
+    """Render and map the scene of a configuration in ``runs/``, and copy it into the package."""
     scene = ROOT / "runs" / name
     simulate(load_config(SimulateConfig, Path(name), {}), scene)
     if not (scene / "map").exists():
         build_map(scene)
-    copy(scene, Path(__file__).with_name(name))
+    copy(scene, GATE_SCENES[name])
 
 
 def copy(scene: Path, out: Path) -> None:

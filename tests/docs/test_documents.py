@@ -100,6 +100,7 @@ def test_commands_are_those_of_the_command_line(path: Path) -> None:
 @every_document
 def test_python_imports_what_exists(path: Path) -> None:
     for block in documents.blocks(path, "python"):
+        assert "--8 <" not in block, "a formatter broke the mark of an included file"
         if block.startswith("--8<--"):
             assert (ROOT / block.split('"')[1]).is_file()
             continue

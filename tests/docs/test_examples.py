@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import matplotlib.pyplot as plt
 import pytest
@@ -144,19 +145,38 @@ def figures() -> Iterator[None]:
     plt.switch_backend(backend)
 
 
-@pytest.mark.usefixtures("figures")
-def test_the_notebook(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its code cells run in order, as a notebook runs them."""
-    monkeypatch.setenv("OBJCONNECT_SCENE", str(scene))
-    notebook = json.loads((EXAMPLES / "map_query_error.ipynb").read_text(encoding="utf-8"))
+def run_notebook(name: str) -> dict[str, Any]:
+    """Run the code cells in order, as a notebook runs them, and return their variables."""
+    notebook = json.loads((EXAMPLES / f"{name}.ipynb").read_text(encoding="utf-8"))
     assert notebook["nbformat"] == 4
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
             assert not cell["outputs"]
-            exec(compile("".join(cell["source"]), "map_query_error", "exec"), names)
-    assert names["metres"] < 0.5  # type: ignore[operator]
+            exec(compile("".join(cell["source"]), name, "exec"), names)
+    return names
+
+
+@pytest.mark.usefixtures("figures")
+def test_the_notebook_of_a_scene(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OBJCONNECT_SCENE", str(scene))
+    assert run_notebook("map_query_error")["metres"] < 0.5
     assert len(plt.get_fignums()) == 2
+
+
+@pytest.mark.usefixtures("figures")
+def test_the_notebook_of_a_published_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without Blender, on the sample that the notebook publishes."""
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    monkeypatch.delenv("OBJCONNECT_SAMPLE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    assert run_notebook("published_sample")["metres"] < 0.5
+    assert len(plt.get_fignums()) == 2
+    files = (path for path in (tmp_path / "sample").rglob("*") if path.is_file())
+    assert sum(path.stat().st_size for path in files) < 20e6
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem[:2])

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from benchmark.report.board.runs import TrackBoard
-from experiments.figure_values import p_text
-from experiments.figures import documents, inserted, stale, stored_results
+from benchmark.scoring.score import recall
+from experiments.figure_values import FOUND, p_text, select, value
+from experiments.figures import documents, insert_figures, list_stale, stored_results
 from objconnect.scene.errors import InputError
 from tests.docs.documents import name
 
@@ -28,23 +29,23 @@ def boards() -> Boards:
 
 @pytest.mark.parametrize("path", documents(), ids=name)
 def test_documents_state_the_stored_results(path: Path, boards: Boards) -> None:
-    wrong = list(stale(boards, path.read_text(encoding="utf-8")))
+    wrong = list(list_stale(boards, path.read_text(encoding="utf-8")))
     assert not wrong, "python -m experiments.figures --write mends it"
 
 
 @pytest.mark.parametrize("text", [SENTENCE, BLOCK, COVARIANCES])
 def test_figures_are_inserted_once(text: str, boards: Boards) -> None:
-    made = inserted(boards, text)
+    made = insert_figures(boards, text)
     assert "?" not in made
-    assert inserted(boards, made) == made
-    assert not list(stale(boards, made))
+    assert insert_figures(boards, made) == made
+    assert not list(list_stale(boards, made))
 
 
 def test_another_figure_is_stale(boards: Boards) -> None:
-    made = inserted(boards, SENTENCE)
+    made = insert_figures(boards, SENTENCE)
     (number,) = re.findall(r">(\d+)<", made)
     wrong = made.replace(f">{number}<", f">{int(number) + 1}<")
-    (line,) = stale(boards, wrong)
+    (line,) = list_stale(boards, wrong)
     assert line.startswith("line 1: ")
     assert made in line
 
@@ -56,12 +57,12 @@ def test_a_figure_is_that_of_the_results(boards: Boards) -> None:
     found = int(run.correct[1, snow].sum())
     text = "a <!--figure:uav-small/none/sift/snow/found--><!--end-->/"
     text += "<!--figure:uav-small/none/sift/snow/queries--><!--end-->"
-    assert re.findall(r">(\d+)<", inserted(boards, text)) == [str(found), str(len(snow))]
+    assert re.findall(r">(\d+)<", insert_figures(boards, text)) == [str(found), str(len(snow))]
 
 
 def test_tables_of_commands_stay(boards: Boards) -> None:
     text = "<!-- figures: make demo -->\nas measured\n<!-- end -->\n"
-    assert inserted(boards, text) == text
+    assert insert_figures(boards, text) == text
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_tables_of_commands_stay(boards: Boards) -> None:
 )
 def test_unknown_names_are_refused(text: str, message: str, boards: Boards) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
-        inserted(boards, text)
+        insert_figures(boards, text)
 
 
 @pytest.mark.parametrize(
@@ -92,3 +93,15 @@ def test_unknown_names_are_refused(text: str, message: str, boards: Boards) -> N
 )
 def test_p_values_are_short(p: float, text: str) -> None:
     assert p_text(p) == text
+
+
+def test_intervals_are_by_course(boards: Boards) -> None:
+    """A bootstrap of whole courses gives [96.1, 99.6], independent queries [97.5, 98.5]."""
+    board = boards["uav-seasons"]
+    cell = "uav-seasons/error=3m,5deg/objconnect/changed"
+    assert value(boards, f"{cell}/courses") == "14"
+    (run,) = (r for r in board.runs if (r.start, r.method) == ("error=3m,5deg", "objconnect"))
+    found = recall(run.answers_at(select(board, "changed")), FOUND)
+    assert found.low == pytest.approx(96.1, abs=1.5)
+    assert found.high == pytest.approx(99.6, abs=0.5)
+    assert value(boards, f"{cell}/interval") == f"98.1 % [{found.low:.1f}, {found.high:.1f}]"

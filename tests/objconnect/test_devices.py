@@ -16,6 +16,7 @@ import torch
 from typer.testing import CliRunner
 
 from benchmark.cli import app
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.learning.training.config import TrainConfig
 from objconnect.localization.align import descent, linearise
 from objconnect.mapping.dense import patchmatch
@@ -43,7 +44,7 @@ from tests.objconnect.mapping.dense.test_patchmatch import some_seeds
 from tests.objconnect.network import test_landmarks, test_object_matching
 from tests.second_device import second_device
 
-GATE = Path(__file__).parents[1] / "data" / "gate"
+GATE = GATE_SCENES["gate"]
 
 
 @pytest.fixture(autouse=True)
@@ -165,9 +166,8 @@ def test_objects_connect_as_on_the_processor() -> None:
     def run_connector(device: str) -> list[torch.Tensor]:
         graph = test_object_matching.graph(layers=1).to(device)
         connect = Connector(graph, landmarks, test_landmarks.GROUND)
-        camera, pose = test_landmarks.CAMERA, test_landmarks.DOWN
-        headings = test_object_matching.HEADINGS
-        candidates = connect(view.found, camera, pose, headings, [60.0, 75.0])
+        camera, attitudes = test_landmarks.CAMERA, [test_landmarks.DOWN]
+        candidates = connect(view.found, camera, attitudes, test_object_matching.ANY)
         return [candidate.pose.matrix() for candidate in candidates]
 
     here = run_connector("cpu")
@@ -177,7 +177,7 @@ def test_objects_connect_as_on_the_processor() -> None:
 
 
 def test_depth_maps_are_those_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patchmatch, "loops_serve", lambda device: False)
+    monkeypatch.setattr(patchmatch, "supports_loops", lambda device: False)
     monkeypatch.setattr(patchmatch, "_FIRST_ROUNDS", 1)
 
     def planes(device: str) -> torch.Tensor:

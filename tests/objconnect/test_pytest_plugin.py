@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 
 from objconnect.scene.bundle.scene import Scene
 from tests.benchmark.test_regress import GOOD, write
@@ -44,13 +43,3 @@ def test_the_example_test_runs_as_it_stands(pytester: pytest.Pytester, rendered:
     pytester.runpytest("--update-recall").assert_outcomes(passed=1)
     pytester.runpytest().assert_outcomes(passed=1)
     assert list((pytester.path / "baseline").rglob("sift.json"))
-
-
-def test_the_example_workflow_names_commands_that_exist() -> None:
-    from benchmark.cli.commands import CommandGroup
-
-    steps = yaml.safe_load((EXAMPLES / "localization.yml").read_text())["jobs"]["recall"]["steps"]
-    runs = [step["run"].split() for step in steps if "run" in step]
-    used = {words[1] for words in runs if words[0] == "objconnect"}
-    assert used == {"evaluate", "regress", "leaderboard"}
-    assert used <= set(CommandGroup().commands)

@@ -78,8 +78,8 @@ MUTANTS: Final = (
     Mutant(
         "the confidence of places is not taught",
         "objconnect/localization/featuremetric/training.py",
-        "options.trust_share * doubt",
-        "0.0 * doubt",
+        "options.trust_share * confidence_loss",
+        "0.0 * confidence_loss",
         (
             f"{_PIXLOC}::test_the_loss_is_the_sum_of_its_parts",
             f"{_PIXLOC}::test_confidence_learns_where_places_are_found_again",
@@ -187,8 +187,8 @@ MUTANTS: Final = (
     Mutant(
         "the confidence of places bends the features",
         "objconnect/localization/featuremetric/training.py",
-        "torch.exp(-lost.detach())",
-        "torch.exp(-lost)",
+        "torch.exp(-negative_log.detach())",
+        "torch.exp(-negative_log)",
         (f"{_PIXLOC}::test_confidence_does_not_bend_features",),
     ),
     Mutant(
@@ -295,8 +295,8 @@ MUTANTS: Final = (
     Mutant(
         "the confidence of objects is only logged",
         "objconnect/network/training.py",
-        "loss = loss + trust",
-        "loss = loss + trust.detach()",
+        "loss = loss + confidence_loss",
+        "loss = loss + confidence_loss.detach()",
         (f"{_TRAINING}::test_every_part_of_the_loss_teaches",),
     ),
     Mutant(

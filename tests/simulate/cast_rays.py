@@ -1,4 +1,4 @@
-"""Casts Blender's rays at the scene a job renders: `python -m tests.simulate.cast_rays JOB OUT`.
+"""Cast Blender's rays at the scene of a render job: `python -m tests.simulate.cast_rays JOB OUT`.
 
 OUT is npz of arrays (F, M): pixel columns and rows of the photograph, and what the ray through each
 pixel's centre meets: planar depth in metres and object id, zero where it meets nothing.

@@ -1,4 +1,4 @@
-"""Photographs shining discs that face the camera: `python -m tests.simulate.photograph_dots JOB
+"""Photograph luminous discs that face the camera: `python -m tests.simulate.photograph_dots JOB
 DOTS OUT`.
 
 DOTS is npz of world points (N, 3) and radii (N,) in metres, OUT the photograph (H, W, 3) as npy,
@@ -28,14 +28,18 @@ def main(job_path: str, dots_path: str, out: str) -> None:
     bpy.ops.mesh.primitive_circle_add(vertices=64, fill_type="NGON")
     disc = bpy.context.object.data
     bpy.data.objects.remove(bpy.context.object)
-    disc.materials.append(shining(bpy.data.materials.new("dot"), "ShaderNodeOutputMaterial", 0.8))
+    disc.materials.append(
+        make_luminous(bpy.data.materials.new("dot"), "ShaderNodeOutputMaterial", 0.8)
+    )
     pose = np.array(job.poses[0])
     for point, radius in zip(dots["points"], dots["radii"], strict=True):
         placed = _add("dot", disc)
         placed.rotation_euler = Matrix(pose[:3, :3].T.tolist()).to_euler()
         placed.location, placed.scale = point, (radius,) * 3
     # Grey: on black, what resampling overshoots would be cut off on one side.
-    bpy.context.scene.world = shining(bpy.data.worlds.new("sky"), "ShaderNodeOutputWorld", 0.1)
+    bpy.context.scene.world = make_luminous(
+        bpy.data.worlds.new("sky"), "ShaderNodeOutputWorld", 0.1
+    )
     _set_up_render(job, threads=0)
     bpy.context.scene.cycles.use_denoising = False
     # Linear light: of a tone curve's output the centre of light would not be that of the disc.
@@ -48,7 +52,7 @@ def main(job_path: str, dots_path: str, out: str) -> None:
     np.save(out, picture)
 
 
-def shining(item: bpy.types.ID, output: str, strength: float) -> bpy.types.ID:
+def make_luminous(item: bpy.types.ID, output: str, strength: float) -> bpy.types.ID:
     item.use_nodes = True
     tree = item.node_tree
     tree.nodes.clear()

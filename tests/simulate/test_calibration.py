@@ -1,4 +1,4 @@
-"""The rendered camera is the camera it says it is, as OpenCV sees it."""
+"""OpenCV recovers a simulated camera from rendered views of a chessboard."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 
 
 
 @pytest.mark.parametrize(
-    "camera",
+    ("camera", "views"),
     [
-        CAMERA,
-        pytest.param(FISHEYE, marks=pytest.mark.slow),
-        pytest.param(Camera("PINHOLE", 320, 240, (290, 290, 158, 121)), marks=pytest.mark.slow),
-        pytest.param(Camera("PINHOLE", 512, 512, (443, 443, 256, 256)), marks=pytest.mark.slow),
+        (CAMERA, 10),
+        pytest.param(FISHEYE, 20, marks=pytest.mark.slow),
+        pytest.param(Camera("PINHOLE", 320, 240, (290, 290, 158, 121)), 20, marks=pytest.mark.slow),
+        pytest.param(Camera("PINHOLE", 512, 512, (443, 443, 256, 256)), 20, marks=pytest.mark.slow),
     ],
     ids=str,
 )
-def test_opencv_recovers_the_camera(camera: Camera, tmp_path: Path) -> None:
+def test_opencv_recovers_the_camera(camera: Camera, views: int, tmp_path: Path) -> None:
     """The targets of the project, on cameras that nothing was tuned on."""
-    result = calibrate(camera, tmp_path, views=20, seed=3)
+    result = calibrate(camera, tmp_path, views, seed=3)
     print(result.text())
-    assert len(result.views) >= 18
+    assert len(result.views) >= 0.9 * views
     assert result.rms_px < 0.1
     # Corners lie where the true camera sees them: nothing is half a pixel off.
     assert result.truth_rms_px < 0.1
@@ -41,7 +41,7 @@ def test_opencv_recovers_the_camera(camera: Camera, tmp_path: Path) -> None:
     assert abs(result.estimated.distortion[0] - camera.distortion[0]) < 0.02
     assert result.rotation_deg.max() < 0.3
     assert (result.translation_m < 0.005 * result.distance_m).all()
-    assert len(list((tmp_path / "views").glob("*.png"))) == 20
+    assert len(list((tmp_path / "views").glob("*.png"))) == views
     assert (tmp_path / "corners.png").stat().st_size > 20_000
     table = result.text()
     assert "RMS" in table

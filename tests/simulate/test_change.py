@@ -1,4 +1,4 @@
-"""Declared change: only what is declared differs, and an id means one thing."""
+"""Changes of a place: only declared objects differ, and an id always means the same object."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from simulate.place.change import (
     list_objects,
 )
 from simulate.place.kerbs import PavementHeights
-from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, World
+from tests.simulate.towns import cached_town
 
-MUCH = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees=True)
+LARGE_CHANGE = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees=True)
 
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return TOWN.build(5, 120)
+    return cached_town(5, 120)
 
 
 def test_what_is_not_declared_stays(town: World) -> None:
-    changed = change_world(town, MUCH)
+    changed = change_world(town, LARGE_CHANGE)
     declared, before = changed.declared, {o.id: o for o in town.objects}
     after = {o.id: o for o in changed.world.objects}
     assert len(after) == len(changed.world.objects)
@@ -66,7 +66,7 @@ def test_shares_are_kept(town: World) -> None:
 
 
 def test_new_places_are_free_and_on_the_ground(town: World) -> None:
-    changed = change_world(town, MUCH)
+    changed = change_world(town, LARGE_CHANGE)
     items = changed.world.objects
     new = {*changed.declared.added, *(number for _, number in changed.declared.moved)}
     assert len(new) > 15
@@ -77,13 +77,13 @@ def test_new_places_are_free_and_on_the_ground(town: World) -> None:
             assert np.abs(box).max() <= 0.5 * town.area_m
             base = item.centre[2] - 0.5 * item.size[2]
             at = item.centre[:2]
-            assert base == pytest.approx(float(town.terrain.height(*at)) + rises.at(at))
+            assert base == pytest.approx(float(town.terrain.height(*at)) + rises.height_at(at))
             assert not any(overlap(box, o.footprint()) for o in items if o is not item)
 
 
 def test_an_id_means_one_object_in_every_session(town: World) -> None:
-    other = MUCH.model_copy(update={"seed": 1})
-    none, first, again, second = change_worlds(town, [Change(), MUCH, MUCH, other])
+    other = LARGE_CHANGE.model_copy(update={"seed": 1})
+    none, first, again, second = change_worlds(town, [Change(), LARGE_CHANGE, LARGE_CHANGE, other])
     assert first is again
     assert none.world.objects == town.objects
     new = [{o.id for o in w.world.objects} - {o.id for o in town.objects} for w in (first, second)]
@@ -100,7 +100,7 @@ def test_an_id_means_one_object_in_every_session(town: World) -> None:
 
 def test_too_many_objects_are_refused(town: World) -> None:
     with pytest.raises(InputError, match="more than 32767 objects: lower cars_moved"):
-        change_world(town, MUCH, MAX_OBJECT_ID)
+        change_world(town, LARGE_CHANGE, MAX_OBJECT_ID)
 
 
 def test_bare_trees_fill_the_box_of_the_tree() -> None:
@@ -148,7 +148,7 @@ def test_pixels_differ_only_where_the_manifest_declares_it(two_sessions: Scene) 
     assert {number for part in named.values() for number in part} <= set(ids)
     poses = [scene.frames(name).cam_from_world for name in (before, after)]
     assert np.array_equal(*poses)
-    with scene.dense(before) as a, scene.dense(after) as b:
+    with scene.layers(before) as a, scene.layers(after) as b:
         for k in range(len(poses[0])):
             was, now = a.read("instance", k), b.read("instance", k)
             assert not np.isin(now, named["gone"]).any()
@@ -178,7 +178,7 @@ def test_what_is_declared_is_all_that_was_rendered_elsewhere(two_sessions: Scene
     boxes = {item.id: item for item in scene.objects.objects}
     frames = scene.frames(session)
     checked = 0
-    with scene.dense(session) as dense:
+    with scene.layers(session) as dense:
         for k, pose in enumerate(frames.cam_from_world):
             instance, depth = dense.read("instance", k), dense.read("depth", k)
             fx, fy, cx, cy = frames.cameras[k].params
@@ -212,7 +212,7 @@ def test_a_session_in_words_declares_its_change() -> None:
     [
         ("cars_moved=2", "'sessions.1.change.cars_moved'"),
         ("cars_gone=0.2", "unknown key 'sessions.1.change.cars_gone'"),
-        ("cars_moved=0.2,bare_trees", "a change is written share=value"),
+        ("cars_moved=0.2,bare_trees", "a change is written NAME=VALUE"),
         ("cars_moved=much", "'sessions.1.change.cars_moved'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""``simulate``: whole scenes, the same after an interruption, and no half-written ones."""
+"""The command ``simulate``: complete scenes, equal after an interruption, and no partial files."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_annotations_fit_the_objects(rendered: Scene) -> None:
     classes = rendered.objects.classes
     for session in rendered.sessions:
         frames = rendered.frames(session)
-        with rendered.dense(session) as dense:
+        with rendered.layers(session) as dense:
             for k in range(len(frames)):
                 instance, semantic = dense.read("instance", k), dense.read("semantic", k)
                 assert set(np.unique(instance)) - {0} <= known
@@ -80,7 +80,7 @@ def test_pixels_are_recorded_apart_from_their_compression(rendered: Scene) -> No
     assert set(digest) == {"image", *LAYERS}
     rgb = read_rgb(rendered.images_root / frames.names[1], frames.cameras[1])
     assert digest["image"] == hashlib.sha256(rgb.tobytes()).hexdigest()
-    with rendered.dense(session) as dense:
+    with rendered.layers(session) as dense:
         depth = dense.read("depth", 1)
     assert digest["depth"] == hashlib.sha256(depth.tobytes()).hexdigest()
 
@@ -93,7 +93,7 @@ def test_map_and_query_flights_differ(rendered: Scene) -> None:
     assert abs(queries[:, 2].mean() - mapped[:, 2].mean()) > 5
 
 
-def start(out: Path, config: Path, *words: str) -> subprocess.Popen[bytes]:
+def start_simulate(out: Path, config: Path, *words: str) -> subprocess.Popen[bytes]:
     """The command line at work on RENDERED, in a process group of its own."""
     config.write_text(RENDERED.model_dump_json())  # JSON is YAML
     command = [sys.executable, "-m", "benchmark.cli", "simulate", "--config", str(config)]
@@ -108,7 +108,7 @@ def digests_without_map(scene: Scene) -> dict[str, str]:
 def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
     """kill -9 in the middle loses no finished frame, and the scene ends bit for bit the same."""
     out = tmp_path / "hamlet"
-    child = start(out, tmp_path / "config.yaml")
+    child = start_simulate(out, tmp_path / "config.yaml")
     try:
         deadline = time.monotonic() + 300
         while not list(out.rglob("000002.npz")):
@@ -134,7 +134,7 @@ def test_killed_at_ten_random_moments_is_the_same_scene(rendered: Scene, tmp_pat
     kills, finished = 0, 0
     out = tmp_path / "hamlet"
     while kills < 10:
-        child = start(out, tmp_path / "config.yaml", "--jobs", "2")
+        child = start_simulate(out, tmp_path / "config.yaml", "--jobs", "2")
         try:
             assert child.wait(timeout=rng.uniform(1.0, 14.0)) == 0
         except subprocess.TimeoutExpired:

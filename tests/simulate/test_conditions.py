@@ -1,4 +1,4 @@
-"""Conditions: named parts, light from the sun's real place, geometry that never moves."""
+"""Conditions: their names, light from the true position of the sun, and unchanged geometry."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.config import ObliqueFlight
+from simulate.flight.context import FlightContext
 from simulate.flight.flights import plan_oblique
-from simulate.flight.site import FlightSite
 from simulate.look import ground
-from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
+from simulate.look.conditions import DEFAULT_ORIGIN, LIGHTS, WEATHER, Light, condition
+from simulate.look.seasons import SEASONS
 from simulate.look.sun import sun_position
 from simulate.place.change import Change
-from simulate.place.town import TOWN
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.simulate.test_flights import pinhole
+from tests.simulate.towns import cached_town
 
 
 def test_every_combination_is_a_condition() -> None:
     names = [f"{s}-{t}-{w}" for s in SEASONS for t in LIGHTS for w in WEATHER]
     all_of_them = [condition(name) for name in names]
     assert len(
-        {(c.time, c.sun.watts, c.weather.visibility_m, c.weather.wet) for c in all_of_them}
+        {(c.time, c.luminary.watts, c.weather.visibility_m, c.weather.wet) for c in all_of_them}
     ) == len(names)
     for c in all_of_them:
-        assert sun_position(c.time, PLACE) == (c.sun.azimuth, c.sun.elevation)
-        assert c.sun.elevation > 5
+        assert sun_position(c.time, DEFAULT_ORIGIN) == (c.sun.azimuth, c.sun.elevation)
+        assert c.sun.elevation > 5 or (c.night is not None and c.sun.elevation < -11.8)
         assert set(c.season.ground) == set(condition("summer-noon").season.ground)
 
 
@@ -84,8 +85,42 @@ def test_a_polar_night_is_refused() -> None:
         SimulateConfig.load(None, {"origin": (78.0, 15.0, 0.0)})
 
 
+@pytest.mark.parametrize("latitude", [-90.0, -66.0, -35.0, 0.0, 47.0, 60.0, 78.0, 90.0])
+def test_every_latitude_has_nights(latitude: float) -> None:
+    """In white nights, on the nearest day with a night; in polar nights, lower than asked for."""
+    origin = Geodetic(latitude, 15.0, 0.0)
+    for season in ("summer", "winter"):
+        night = condition(f"{season}-night", origin)
+        assert night.sun.elevation < -11.8
+        assert night.sun.watts == 0
+        assert night.night is not None
+        assert sun_position(night.time, origin)[1] == night.sun.elevation
+    if abs(latitude) < 50:
+        assert condition("summer-night", origin).time.month == (7 if latitude >= 0 else 12)
+
+
+def test_a_light_that_never_comes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LIGHTS.built_in, "deepnight", Light(-50.0))
+    with pytest.raises(InputError, match="never sinks to -50 degrees at latitude 78: choose"):
+        condition("winter-deepnight", Geodetic(78.0, 15.0, 0.0))
+
+
+def test_nights_are_dark_and_more_windows_are_lit_in_the_evening() -> None:
+    summer, winter = (condition(f"{season}-night") for season in ("summer", "winter"))
+    assert summer.night is not None
+    assert winter.night is not None
+    assert summer.time.hour - winter.time.hour >= 3
+    assert 0.5 > winter.night.windows > summer.night.windows > 0.2
+    assert summer.luminary is summer.night.moon
+    # 12 stops: from 1/1600 s at ISO 100 to 1/30 s at ISO 7000.
+    assert 10 < winter.dimness < summer.dimness < 14
+    assert condition("summer-noon").dimness == 0
+    assert 1 < condition("autumn-noon-overcast").dimness < 3
+    assert condition("summer-night-overcast").night.moon.watts < 0.1 * summer.night.moon.watts
+
+
 def test_rain_darkens_everything_and_lies_on_sealed_ground() -> None:
-    town = TOWN.build(1, 120)
+    town = cached_town(1, 120)
     dry, wet = condition("autumn-noon"), condition("autumn-noon-wet")
     darker = ground.bake(town.ground, wet, 1).mean() / ground.bake(town.ground, dry, 1).mean()
     assert 0.6 < darker < 0.85  # of sRGB bytes
@@ -103,11 +138,11 @@ SEED, AREA = 5, 120.0
 CAMERA = PinholeCamera(width=96, height=72, f=80.0, cx=48.0, cy=36.0)
 
 
-def shoot(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
-    height = TOWN.build(SEED, AREA).terrain.height
-    site = FlightSite(AREA, height, pinhole(96, 72, 80.0))
+def render_frame(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
+    height = cached_town(SEED, AREA).terrain.height
+    context = FlightContext(AREA, height, pinhole(96, 72, 80.0))
     flight = ObliqueFlight(radius_m=50.0, altitude_m=45.0)
-    pose = plan_oblique(flight, site, 1, np.random.default_rng(0))[0]
+    pose = plan_oblique(flight, context, 1, np.random.default_rng(0))[0]
     job = RenderJob(
         seed=SEED, area_m=AREA, condition=name, change=Change(bare_trees=bare),
         camera=CAMERA, samples=1, poses={0: pose.tolist()},
@@ -117,7 +152,7 @@ def shoot(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
         return dict(arrays)
 
 
-def same_geometry(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+def has_same_geometry(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
     return all(np.array_equal(a[layer], b[layer]) for layer in a.keys() - {"rgb"})
 
 
@@ -128,10 +163,10 @@ def test_season_light_and_weather_move_nothing(tmp_path: Path) -> None:
     size = max(len(seasons), len(LIGHTS), len(WEATHER))
     names = ["-".join(list(part)[k % len(part)] for part in (seasons, LIGHTS, WEATHER))
              for k in range(size)]  # fmt: skip
-    shots = {name: shoot(name, tmp_path / name) for name in names}
+    shots = {name: render_frame(name, tmp_path / name) for name in names}
     first = shots[names[0]]
     for name in names[1:]:
-        assert same_geometry(first, shots[name]), name
+        assert has_same_geometry(first, shots[name]), name
         assert np.abs(first["rgb"].astype(int) - shots[name]["rgb"]).mean() > 8, name
     # Fog takes contrast, more of it farther away.
     fog = next(shot for name, shot in shots.items() if name.endswith("fog"))
@@ -152,6 +187,6 @@ def test_no_season_light_and_weather_together_move_anything(tmp_path: Path) -> N
         for i, light in enumerate(LIGHTS):
             name = f"{season}-{light}-{weather[(k + i) % len(weather)]}"
             bare = condition(name).season.bare
-            shot = shoot(name, tmp_path / name, bare)
-            assert same_geometry(shown.setdefault(bare, shot), shot), name
-    assert not same_geometry(shown[False], shown[True])
+            shot = render_frame(name, tmp_path / name, bare)
+            assert has_same_geometry(shown.setdefault(bare, shot), shot), name
+    assert not has_same_geometry(shown[False], shown[True])

@@ -1,3 +1,5 @@
+"""Surveys and orbits: poses, spacing, overlap, wind and impossible flights."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,9 +10,9 @@ from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from simulate.flight.config import NadirFlight, ObliqueFlight
+from simulate.flight.context import FlightContext, Wind
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.flight.gimbal import camera_centres
-from simulate.flight.site import FlightSite, Wind
 
 CAMERA = {"width": 512, "height": 384, "focal": 443.0}
 
@@ -39,8 +41,8 @@ def nadir(
 ):
     flight = load_config(NadirFlight, None, {"altitude_m": 60.0, **numbers})
     wind = Wind(position_jitter_m, attitude_jitter_deg)
-    site = FlightSite(area, ground, pinhole(**CAMERA), wind=wind)
-    return plan_nadir(flight, site, frames, np.random.default_rng(seed), alternate=alternate)
+    context = FlightContext(area, ground, pinhole(**CAMERA), wind=wind)
+    return plan_nadir(flight, context, frames, np.random.default_rng(seed), alternate=alternate)
 
 
 def assert_rigid(poses):
@@ -168,8 +170,8 @@ def test_oblique_orbits_and_looks_inwards(radius, altitude, pitch, frames, start
         centre=(10.0, -5.0),
         start_deg=start,
     )
-    site = FlightSite(200.0, hills, pinhole(**CAMERA))
-    poses = plan_oblique(flight, site, frames, np.random.default_rng(0))
+    context = FlightContext(200.0, hills, pinhole(**CAMERA))
+    poses = plan_oblique(flight, context, frames, np.random.default_rng(0))
     assert poses.shape == (frames, 4, 4)
     assert_rigid(poses)
     offset = camera_centres(poses) - [10.0, -5.0, hills(10.0, -5.0)]

@@ -154,7 +154,7 @@ class Flight:
             self.photograph(to, way)
 
 
-def spot(rng: np.random.Generator) -> Array:
+def draw_position(rng: np.random.Generator) -> Array:
     east, north = rng.uniform(-90, 90, 2)
     return np.array([east, north, hills(east, north) + rng.uniform(25, 90)])
 
@@ -174,7 +174,7 @@ def point_camera(flight: Flight) -> None:
             flight.say(1000, pitch, yaw, None, 0, [16, 80][int(rng.integers(2))])
             flight.aim = ("angles", pitch, yaw, True)
         case 3 | 4:
-            region = spot(rng) - [0, 0, 40]
+            region = draw_position(rng) - [0, 0, 40]
             place, frame, _ = flight.coordinates(region)
             if rng.random() < 0.5:
                 flight.say(195, 0, 0, 0, 0, *place, frame=frame)
@@ -220,7 +220,7 @@ def stop_camera(flight: Flight, kind: str) -> None:
 
 HARMLESS = (189, 200, 207, 530, 2500, 2501, 1001)
 # Commands that move the aircraft or the camera, and are not followed.
-STRANGE = (
+UNSUPPORTED = (
     *((17, (0, 0, 0, 0)), (30, (0,)), (34, (20, 5)), (113, (1,)), (186, (50,)), (192, (5,))),
     *((198, (1,)), (220, (1,)), (260, (10, 0, 0, 3, 20, -60)), (2800, (1,)), (42702, (1,))),
     *((12345, ()), (177, (2, -1)), (205, (0, 0, 0, 0, 0, 0, 3)), (1000, (0, 0, 0, 0, 2))),
@@ -240,7 +240,7 @@ def make_plan(seed: int) -> Flight:
     if rng.random() < 0.5:
         flight.speed = float(rng.uniform(4, 12))
         flight.say(178, int(rng.integers(2)), flight.speed, -1)
-    flight.fly(spot(rng), 0.0, None, ("waypoints" if kind == "waypoints" else "none", 0.0))
+    flight.fly(draw_position(rng), 0.0, None, ("waypoints" if kind == "waypoints" else "none", 0.0))
     odd = int(rng.integers(1, 4)) if rng.random() < 0.33 else None
     for row in range(int(rng.integers(1, 5))):
         if rng.random() < 0.6:
@@ -248,7 +248,7 @@ def make_plan(seed: int) -> Flight:
         if rng.random() < 0.3:
             flight.say(int(rng.choice(HARMLESS)))
         if row == odd:
-            number, params = STRANGE[int(rng.integers(len(STRANGE)))]
+            number, params = UNSUPPORTED[int(rng.integers(len(UNSUPPORTED)))]
             flight.truth.faults.add(number)
             flight.say(number, *params)
         elif rng.random() < 0.2:
@@ -256,14 +256,14 @@ def make_plan(seed: int) -> Flight:
         release = release_camera(flight, kind)
         yaw = float(rng.uniform(-180, 180)) if rng.random() < 0.3 else None
         hold_s = float(rng.uniform(0, 9)) if rng.random() < 0.4 else 0.0
-        flight.fly(spot(rng), hold_s, yaw, release)
+        flight.fly(draw_position(rng), hold_s, yaw, release)
         stop_camera(flight, kind)
     if rng.random() < 0.5:
         flight.say(20)
     return flight
 
 
-def write(flight: Flight, path: Path) -> Path:
+def write_plan(flight: Flight, path: Path) -> Path:
     latitude, longitude, _ = geodetic_from_enu(np.array([*flight.home[:2], 0.0]), ORIGIN)
     items = flight.truth.items
     if flight.rng.random() < 0.3:  # a survey that QGroundControl saved with its items
@@ -288,7 +288,7 @@ def test_the_truth_or_the_name_of_a_command(tmp_path: Path) -> None:
     found = refused = 0
     for seed in range(PLANS):
         flight = make_plan(seed)
-        truth, path = flight.truth, write(flight, tmp_path / "a.plan")
+        truth, path = flight.truth, write_plan(flight, tmp_path / "a.plan")
         try:
             aims = read_plan(path, ORIGIN, 200.0, hills, -90.0, GEOID_M)
         except InputError as error:
@@ -313,5 +313,5 @@ def test_a_wrong_truth_is_noticed(tmp_path: Path) -> None:
     flight = make_plan(0)
     flight.truth.items[0]["frame"] = 3 if flight.truth.items[0]["frame"] != 3 else 10
     with pytest.raises((AssertionError, InputError)):
-        aims = read_plan(write(flight, tmp_path / "a.plan"), ORIGIN, 200.0, hills, -90.0)
+        aims = read_plan(write_plan(flight, tmp_path / "a.plan"), ORIGIN, 200.0, hills, -90.0)
         assert_allclose(aims.centres, np.array([shot[0] for shot in flight.truth.shots]), atol=0.02)

@@ -1,4 +1,4 @@
-"""Commands of missions: what each does to where, when and whither photographs are taken."""
+"""Commands of missions: how each changes place, time and direction of the photographs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.simulate.test_qgroundcontrol import (
 )
 
 HOME_M = hills(0, 0)
-NO = item(206, 0)  # a trigger, so that waypoints are not photographed
+NO_TRIGGER = item(206, 0)  # a trigger, so that waypoints are not photographed
 
 
 def fly(tmp_path: Path, *items: Item, undulation_m: float | None = None, **mission: Any) -> Aims:
@@ -40,14 +40,16 @@ def fly(tmp_path: Path, *items: Item, undulation_m: float | None = None, **missi
     return read_plan(path, ORIGIN, AREA, hills, -90.0, undulation_m)
 
 
-def place(east: float, north: float) -> tuple[float, float]:
+def geodetic_of(east: float, north: float) -> tuple[float, float]:
     latitude, longitude, _ = geodetic_from_enu(np.array([east, north, 0.0]), ORIGIN)
     return latitude, longitude
 
 
-def at(number: int, east: float, north: float, height: float, *params: float | None) -> Item:
+def command_at(
+    number: int, east: float, north: float, height: float, *params: float | None
+) -> Item:
     first = [*params, *[0.0] * (4 - len(params))]
-    return item(number, *first, *place(east, north), height, frame=3)
+    return item(number, *first, *geodetic_of(east, north), height, frame=3)
 
 
 def looks_at(aims: Aims, row: int, target: tuple[float, float, float]) -> None:
@@ -64,15 +66,15 @@ SHOT = item(203, 0, 0, 0, 0, 1)
 @pytest.mark.parametrize(
     ("roi", "height", "autopilot"),
     [
-        (item(195, 0, 0, 0, 0, *place(0, 30), 0, frame=3), HOME_M, 12),
-        (item(195, 0, 0, 0, 0, *place(0, 30), 460, frame=0), 10, 12),
-        (item(195, 0, 0, 0, 0, *place(0, 30), 2, frame=10), hills(0, 30) + 2, 3),
-        (item(201, 3, 0, 0, 0, *place(0, 30), 5, frame=6), HOME_M + 5, 12),
-        (item(201, 0, 0, 0, 0, *place(0, 30), 5, frame=3), HOME_M + 5, 3),
-        (item(80, 3, 0, 0, 0, *place(0, 30), 0, frame=3), HOME_M, 12),
-        (item(205, 0, 0, 0, 5, *place(0, 30), 4, frame=2), HOME_M + 5, 3),
-        (item(205, 0, 0, 0, 455, *place(0, 30), 4, frame=2), 5, 12),
-        (item(205, 0, 0, 0, 5, *place(0, 30), 4, frame=3), HOME_M + 5, 0),
+        (item(195, 0, 0, 0, 0, *geodetic_of(0, 30), 0, frame=3), HOME_M, 12),
+        (item(195, 0, 0, 0, 0, *geodetic_of(0, 30), 460, frame=0), 10, 12),
+        (item(195, 0, 0, 0, 0, *geodetic_of(0, 30), 2, frame=10), hills(0, 30) + 2, 3),
+        (item(201, 3, 0, 0, 0, *geodetic_of(0, 30), 5, frame=6), HOME_M + 5, 12),
+        (item(201, 0, 0, 0, 0, *geodetic_of(0, 30), 5, frame=3), HOME_M + 5, 3),
+        (item(80, 3, 0, 0, 0, *geodetic_of(0, 30), 0, frame=3), HOME_M, 12),
+        (item(205, 0, 0, 0, 5, *geodetic_of(0, 30), 4, frame=2), HOME_M + 5, 3),
+        (item(205, 0, 0, 0, 455, *geodetic_of(0, 30), 4, frame=2), 5, 12),
+        (item(205, 0, 0, 0, 5, *geodetic_of(0, 30), 4, frame=3), HOME_M + 5, 0),
     ],
 )
 def test_the_camera_looks_at_a_region(
@@ -97,8 +99,8 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
     ("commands", "said"),
     [
         ([item(195, 0, 0, 0, 0, None, 8, 0, frame=3)], r"195, .*params\[4\]"),
-        ([item(195, 0, 0, 0, 0, *place(0, 9), 0, frame=2)], "195, .*MAV_FRAME 2"),
-        ([item(201, 2, 3, 0, 0, *place(0, 9), 0, frame=3)], "201, .*mode 2"),
+        ([item(195, 0, 0, 0, 0, *geodetic_of(0, 9), 0, frame=2)], "195, .*MAV_FRAME 2"),
+        ([item(201, 2, 3, 0, 0, *geodetic_of(0, 9), 0, frame=3)], "201, .*mode 2"),
         ([item(198, 1)], "198, DO_SET_ROI_SYSID"),
         ([item(196, 0, 0, 0, 0, 0, 5, 0)], r"196, .*params\[5\]"),
         ([item(205, -30, 10, 0, 0, 0, 0, 2)], r"205, .*params\[1\]"),
@@ -132,25 +134,25 @@ def test_the_camera_looks_towards_waypoints(tmp_path: Path) -> None:
         ([item(177, 99, 1)], "177, .*no commands"),
         ([item(601, 4, 1)], "601, .*no commands"),
         ([item(600, 4), item(600, 4), item(601, 4, 1)], "601, .*2 commands"),
-        ([at(17, 0, 0, 40)], "17, NAV_LOITER_UNLIM"),
-        ([at(18, 0, 0, 40, 2, 0, 20), SHOT], "203, .*circles"),
-        ([item(206, 9), at(18, 0, 0, 40, 2, 0, 20)], "18, .*206"),
-        ([item(206, 9), at(82, 0, 0, 40)], "82, .*206"),
+        ([command_at(17, 0, 0, 40)], "17, NAV_LOITER_UNLIM"),
+        ([command_at(18, 0, 0, 40, 2, 0, 20), SHOT], "203, .*circles"),
+        ([item(206, 9), command_at(18, 0, 0, 40, 2, 0, 20)], "18, .*206"),
+        ([item(206, 9), command_at(82, 0, 0, 40)], "82, .*206"),
         ([item(114, 500), SHOT, item(20)], "114, .*not met"),
         ([item(112, 500), SHOT, C], "112, .*not met"),
         ([item(214, 2000), waypoint(0, 0, 40, yaw=5) | {"AltitudeMode": 2}], "AltitudeMode"),
-        ([at(16, 0, 0, 40, 0, 0, 5)], r"16, .*params\[2\]"),
+        ([command_at(16, 0, 0, 40, 0, 0, 5)], r"16, .*params\[2\]"),
         ([item(186, 50)], "186, DO_CHANGE_ALTITUDE"),
         ([item(179, 1)], "179, DO_SET_HOME"),
         ([item(31010)], "31010, USER_1"),
         ([item(4242)], "4242, unknown command"),
-        ([{**at(16, 0, 0, 40), "frame": None}], "frame is missing"),
-        ([{**at(16, 0, 0, 40), "Altitude": 60, "AltitudeMode": 1}], "Altitude is 60"),
+        ([{**command_at(16, 0, 0, 40), "frame": None}], "frame is missing"),
+        ([{**command_at(16, 0, 0, 40), "Altitude": 60, "AltitudeMode": 1}], "Altitude is 60"),
     ],
 )
 def test_what_is_not_followed_is_named(tmp_path: Path, commands: list[Item], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
-        fly(tmp_path, A, NO, *commands, B)
+        fly(tmp_path, A, NO_TRIGGER, *commands, B)
     assert "\n" not in str(caught.value)
 
 
@@ -180,7 +182,7 @@ def test_photographs_are_counted(tmp_path: Path, commands: list[Item], count: in
 
 
 def test_photographs_go_on_while_the_aircraft_waits(tmp_path: Path) -> None:
-    stays = at(16, 50, 0, 40, 7, 0, 0, None)
+    stays = command_at(16, 50, 0, 40, 7, 0, 0, None)
     aims = fly(tmp_path, A, item(2000, 0, 5, 0), stays, item(93, 4), C, vehicleType=2)
     assert_allclose(aims.centres[5:8, :2], [[50, 0]] * 3, atol=0.01)  # at 25, 30 and 35 s
     assert_allclose(aims.centres[8, :2], [50, 16], atol=0.01)  # at 40 s, 36 s were on the way
@@ -188,8 +190,8 @@ def test_photographs_go_on_while_the_aircraft_waits(tmp_path: Path) -> None:
     assert_allclose(np.diff(plane.centres[:6, 0]), 20, atol=0.01)
     assert len(plane.centres) == 8
     with pytest.raises(InputError, match="19, NAV_LOITER_TIME.*2000"):
-        fly(tmp_path, A, item(2000, 0, 1, 0), at(19, 0, 9, 40, 5), C, vehicleType=1)
-    hovers = fly(tmp_path, A, item(2000, 0, 1, 0), at(19, -50, 0, 40, 5), item(2001), C)
+        fly(tmp_path, A, item(2000, 0, 1, 0), command_at(19, 0, 9, 40, 5), C, vehicleType=1)
+    hovers = fly(tmp_path, A, item(2000, 0, 1, 0), command_at(19, -50, 0, 40, 5), item(2001), C)
     assert len(hovers.centres) == 6
 
 
@@ -250,7 +252,7 @@ def test_mounts_turn_from_the_nose_or_from_north(tmp_path: Path) -> None:
 @pytest.mark.parametrize("turn_m", [0, 20])
 def test_gates_of_surveys_are_passed_in_flight(tmp_path: Path, turn_m: float) -> None:
     """QGroundControl writes gates, to which PX4 does not fly, where photographs begin and end."""
-    gate = [item(4501, 0, 1, 0, 0, *place(east, 3), 40, frame=3) for east in (-30, 30)]
+    gate = [item(4501, 0, 1, 0, 0, *geodetic_of(east, 3), 40, frame=3) for east in (-30, 30)]
     on, off = item(206, 20, 0, 1), item(206, 0, 0, 1)
     flown = [A, gate[0], on, gate[1], off, B] if turn_m else [A, on, B, off]
     aims = fly(tmp_path, survey(flown), item(20))
@@ -375,5 +377,5 @@ def test_heights_above_the_sea_are_not_those_above_the_ellipsoid(
 
 def test_heights_that_were_not_computed_are_above_the_ground(tmp_path: Path) -> None:
     told = {"AltitudeMode": 3, "Altitude": 40, "AMSLAltAboveTerrain": None}
-    item_of = item(16, 0, 0, 0, None, *place(30, 20), None, frame=0) | told
+    item_of = item(16, 0, 0, 0, None, *geodetic_of(30, 20), None, frame=0) | told
     assert fly(tmp_path, A, item_of).centres[-1, 2] == pytest.approx(hills(30, 20) + 40)

@@ -1,4 +1,4 @@
-"""What rendering processes know of themselves."""
+"""Rendering processes: each binds itself to a core of its own."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-CLAIM = (
+BIND_AND_PRINT = (
     "import os; from simulate.render.process import keep_to_one_core; keep_to_one_core();"
     "print(*sorted(os.sched_getaffinity(0)), flush=True); input()"
 )
@@ -19,7 +19,10 @@ def test_processes_keep_to_a_core_each_while_there_are_any():
 
     def another() -> tuple[subprocess.Popen, list[int]]:
         child = subprocess.Popen(
-            [sys.executable, "-c", CLAIM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", BIND_AND_PRINT],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert child.stdout is not None
         return child, [int(core) for core in child.stdout.readline().split()]
@@ -38,3 +41,28 @@ def test_processes_keep_to_a_core_each_while_there_are_any():
         for child, _ in children:
             child.kill()
             child.communicate()
+
+
+END_WITH_PARENT = """
+import os, subprocess, sys, time
+if len(sys.argv) == 1:
+    with subprocess.Popen([sys.executable, "-c", sys.orig_argv[2], str(os.getpid())]):
+        pass
+from simulate.render.process import end_with
+end_with(int(sys.argv[1]))
+print(os.getpid(), flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends processes with their parent")
+def test_a_process_ends_with_the_one_that_asked_for_it():
+    """However that one ends; the thorough part renders until then."""
+    words = [sys.executable, "-c", END_WITH_PARENT]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        os.kill(child, 0)
+        parent.kill()
+        # The pipe ends once nobody holds it: a minute later if the child goes on.
+        assert parent.communicate(timeout=20)[0] == ""

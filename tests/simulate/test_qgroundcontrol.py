@@ -1,4 +1,4 @@
-"""QGroundControl's mission plans: photographs where the plan takes them, hostile files refused."""
+"""Mission plans of QGroundControl: photographs where the plan takes them, broken files refused."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import Aims, camera_centres
 from simulate.flight.qgroundcontrol import read_plan
-from simulate.place.town import TOWN
 from simulate.planner import plan_session
 from tests.simulate.test_flights import hills
+from tests.simulate.towns import cached_town
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 AREA = 200.0
@@ -191,7 +191,7 @@ def test_survey_is_flown_by_its_items_or_its_transects(tmp_path: Path) -> None:
     assert_allclose(transects.centres[:, 2], hills(0, 0) + 50)
 
 
-def broken(**mission: Any) -> Item:
+def broken_plan(**mission: Any) -> Item:
     plan = copy.deepcopy(PLAN)
     plan["mission"] |= mission
     return plan
@@ -208,13 +208,16 @@ FAR = geodetic_from_enu(np.array([5000.0, 0.0, 0.0]), ORIGIN)
         ("[]", "mission plan|_Plan"),
         ({"fileType": "Plan"}, "missing key 'mission'"),
         (PLAN | {"fileType": "GeoFence"}, "fileType"),
-        (broken(items=3), "items"),
-        (broken(items=[]), "no waypoints"),
-        (broken(items=[{"type": "Loop"}]), "Loop"),
-        (broken(items=[{"type": "SimpleItem", "command": 16, "params": [1]}]), "params"),
-        (broken(items=[{"type": "ComplexItem", "complexItemType": "StructureScan"}]), "Structure"),
-        (broken(plannedHomePosition=[470, 8, 0]), "plannedHomePosition"),
-        (broken(hoverSpeed=0), "hoverSpeed"),
+        (broken_plan(items=3), "items"),
+        (broken_plan(items=[]), "no waypoints"),
+        (broken_plan(items=[{"type": "Loop"}]), "Loop"),
+        (broken_plan(items=[{"type": "SimpleItem", "command": 16, "params": [1]}]), "params"),
+        (
+            broken_plan(items=[{"type": "ComplexItem", "complexItemType": "StructureScan"}]),
+            "Structure",
+        ),
+        (broken_plan(plannedHomePosition=[470, 8, 0]), "plannedHomePosition"),
+        (broken_plan(hoverSpeed=0), "hoverSpeed"),
         (plan_of(waypoint(0, 0, 40, frame=8)), "MAV_FRAME 8"),
         (plan_of(item(16, 0, 0, 0, 0, 91, 8, 40, frame=3)), "latitude 91"),
         (plan_of(item(16, 0, 0, 0, 0, 47, 8, 1e30, frame=3)), "height 1e"),
@@ -232,6 +235,22 @@ def test_hostile_plans_are_one_line(tmp_path: Path, plan: Any, message: str) -> 
     assert "a.plan" in str(caught.value)
 
 
+def test_a_damaged_plan_is_refused_before_the_place_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simulate.command.base_place", None)
+    path = tmp_path / "a.plan"
+    path.write_text(json.dumps(PLAN))
+    config = SimulateConfig.load(None, {"sessions": [f"summer-noon:plan={path}"], "area": 160})
+    path.write_text(json.dumps(plan_of(waypoint(0, 0, 40))))
+    with pytest.raises(InputError, match="has changed since"):
+        simulate(config, tmp_path / "scene")
+    path.write_text("{}")
+    config = SimulateConfig.load(None, {"sessions": [f"summer-noon:plan={path}"], "area": 160})
+    with pytest.raises(InputError, match=r"missing key 'fileType' in .*a\.plan"):
+        simulate(config, tmp_path / "scene")
+
+
 def test_a_plan_is_a_session(tmp_path: Path) -> None:
     path = tmp_path / "odd:name.plan"
     path.write_text(json.dumps(PLAN))
@@ -241,7 +260,7 @@ def test_a_plan_is_a_session(tmp_path: Path) -> None:
     assert config.session_names() == ("summer-noon-plan-map", "winter-dusk-plan-query")
     again = SimulateConfig.model_validate_json(config.model_dump_json())
     assert again == config
-    world = TOWN.build(0, 160)
+    world = cached_town(0, 160)
     rng = np.random.default_rng(0)
     poses = plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     aims = read_plan(path, ORIGIN, 160, world.terrain.height, -90)

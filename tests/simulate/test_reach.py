@@ -1,4 +1,4 @@
-"""What of a wide place is left out of a picture cannot be seen in it."""
+"""Objects that a frame leaves out cannot be seen in it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from simulate.camera.pinhole import PinholeCamera
-from simulate.place.town import TOWN
 from simulate.place.world import World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from simulate.render.reach import Reach
+from tests.simulate.towns import cached_town
 
 AREA = 500.0
-MANY = 720.0  # has 5,963 objects, of which those out of reach leave the scene
+LARGE_AREA = 720.0  # has 5,963 objects, of which those out of reach leave the scene
 CAMERA = PinholeCamera(width=64, height=48, f=50.0, cx=32.0, cy=24.0)
 
 
@@ -35,7 +35,7 @@ CORNERS = corners(220)
 
 @pytest.fixture(scope="module")
 def town() -> World:
-    return TOWN.build(3, AREA)
+    return cached_town(3, AREA)
 
 
 def test_objects_in_view_are_needed_and_those_far_away_are_not(town: World) -> None:
@@ -59,7 +59,7 @@ def test_shadows_of_a_low_sun_reach_farther(town: World) -> None:
     ("area", "away"),
     [
         pytest.param(300.0, 130.0, id="they-move", marks=pytest.mark.thorough),
-        pytest.param(MANY, 300.0, id="they-leave", marks=pytest.mark.thorough),
+        pytest.param(LARGE_AREA, 300.0, id="they-leave", marks=pytest.mark.thorough),
     ],
 )
 def test_a_picture_is_the_same_whatever_was_rendered_before_it(

@@ -1,4 +1,4 @@
-"""Flights that were flown before: the photographs of a scene are repeated where they were taken."""
+"""The flight ``flown`` repeats the poses of a finished scene's photographs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.testing import assert_array_equal
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
-from simulate.place.town import TOWN
 from simulate.planner import plan_session
+from tests.simulate.towns import cached_town
 
 
-def plan(config: SimulateConfig) -> Any:
-    world, rng = TOWN.build(0, 160), np.random.default_rng(0)
+def plan_poses(config: SimulateConfig) -> Any:
+    world, rng = cached_town(0, 160), np.random.default_rng(0)
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
@@ -33,13 +33,13 @@ def configure(scene: Path, **fields: Any) -> SimulateConfig:
 def test_photographs_are_repeated_without_wind(rendered: Scene) -> None:
     names = [name for session in rendered.sessions for name in rendered.frames(session).names]
     poses = [rendered.frames(session).cam_from_world for session in rendered.sessions]
-    assert_array_equal(plan(configure(rendered.path)), np.concatenate(poses))
+    assert_array_equal(plan_poses(configure(rendered.path)), np.concatenate(poses))
     of_map = [name in rendered.splits.map for name in names]
     assert 0 < sum(of_map) < len(names)
     chosen = configure(rendered.path, photographs="map")
-    assert_array_equal(plan(chosen), np.concatenate(poses)[of_map])
+    assert_array_equal(plan_poses(chosen), np.concatenate(poses)[of_map])
     others = configure(rendered.path, photographs="queries")
-    assert_array_equal(plan(others), np.concatenate(poses)[np.logical_not(of_map)])
+    assert_array_equal(plan_poses(others), np.concatenate(poses)[np.logical_not(of_map)])
     again = SimulateConfig.model_validate_json(others.model_dump_json())
     assert again == others
 
@@ -48,7 +48,7 @@ def test_a_flown_flight_is_a_word_of_the_command_line(rendered: Scene) -> None:
     words = [f"summer-noon:flown={rendered.path}", f"snow-dusk:flown={rendered.path}:query"]
     config = SimulateConfig.load(None, {"sessions": words})
     assert config.session_names() == ("summer-noon-flown-map", "snow-dusk-flown-query")
-    assert len(plan(config)) == sum(len(rendered.frames(s)) for s in rendered.sessions)
+    assert len(plan_poses(config)) == sum(len(rendered.frames(s)) for s in rendered.sessions)
 
 
 def test_what_cannot_be_repeated_is_refused(rendered_copy: Path, tmp_path: Path) -> None:
@@ -61,8 +61,8 @@ def test_what_cannot_be_repeated_is_refused(rendered_copy: Path, tmp_path: Path)
         update={"origin": config.origin._replace(latitude=config.origin.latitude + 1e-3)}
     )
     with pytest.raises(InputError, match="has another origin"):
-        plan(elsewhere)
+        plan_poses(elsewhere)
     manifest = rendered_copy / "scene.json"
     manifest.write_text(manifest.read_text() + "\n")
     with pytest.raises(InputError, match="has changed since the flight"):
-        plan(config)
+        plan_poses(config)

@@ -1,4 +1,4 @@
-"""Real renders, as small as they can be and still show that the truth is exact."""
+"""Small renders, whose layers must agree with the geometry of the place."""
 
 import os
 import subprocess
@@ -18,28 +18,28 @@ from objconnect.scene.bundle.labels import CLASSES
 from objconnect.scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.config import NadirFlight, ObliqueFlight
+from simulate.flight.context import FlightContext, Wind
 from simulate.flight.flights import plan_nadir, plan_oblique
-from simulate.flight.site import FlightSite, Wind
-from simulate.place.town import TOWN
 from simulate.place.world import MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
-from tests.simulate.blender_says import check_rays
-from tests.simulate.made_ground import ground_error
+from tests.simulate.blender_checks import check_rays
+from tests.simulate.ground_error import ground_error
 from tests.simulate.test_flights import pinhole
+from tests.simulate.towns import cached_town
 
 SEED, AREA = 5, 120.0
 # Off-centre and not square, so that a mistaken principal point or axis shows.
 CAMERA = PinholeCamera(width=112, height=96, f=90.0, cx=52.5, cy=50.25)
 
 
-def job(condition: str) -> RenderJob:
-    town = TOWN.build(SEED, AREA)
+def make_job(condition: str) -> RenderJob:
+    town = cached_town(SEED, AREA)
     rng = np.random.default_rng(0)
-    site = FlightSite(AREA, town.terrain.height, pinhole(112, 96, 90.0))
-    windy = replace(site, wind=Wind(attitude_jitter_deg=3.0))
+    context = FlightContext(AREA, town.terrain.height, pinhole(112, 96, 90.0))
+    windy = replace(context, wind=Wind(attitude_jitter_deg=3.0))
     down = plan_nadir(NadirFlight(altitude_m=50.0), windy, 2, rng)
-    oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), site, 1, rng)
+    oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), context, 1, rng)
     poses = np.concatenate([down, oblique])
     return RenderJob(
         preset="town", seed=SEED, area_m=AREA, condition=condition, camera=CAMERA, samples=1,
@@ -61,14 +61,14 @@ def summer(tmp_path_factory: pytest.TempPathFactory) -> Path:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render(job("summer-noon"), out, on_frame=interrupt)
+        render(make_job("summer-noon"), out, on_frame=interrupt)
     assert frame_path(out, 0).exists()
     assert not frame_path(out, 2).exists()
-    render(job("summer-noon"), out)
+    render(make_job("summer-noon"), out)
     return out
 
 
-def points(arrays: dict[str, np.ndarray], pose: list[list[float]]) -> np.ndarray:
+def world_points(arrays: dict[str, np.ndarray], pose: list[list[float]]) -> np.ndarray:
     """World points (H, W, 3) of the pixels' centres."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
     rays = np.stack([(u - CAMERA.cx) / CAMERA.f, (v - CAMERA.cy) / CAMERA.f, np.ones_like(u)], -1)
@@ -92,15 +92,16 @@ def test_a_frame_holds_what_is_promised(summer):
     assert sorted(p.name for p in summer.iterdir()) == [f"{i:06d}.npz" for i in range(3)]
 
 
-def rendered_with(folder: Path, **changed: object) -> dict[str, np.ndarray]:
+def render_with(folder: Path, **changed: object) -> dict[str, np.ndarray]:
     """The first frame with other settings."""
-    few = job("summer-noon")
+    few = make_job("summer-noon")
     render(few.model_copy(update={"poses": {0: few.poses[0]}} | changed), folder)
     return load(folder, 0)
 
 
+@pytest.mark.thorough
 def test_denoising_changes_the_picture_alone(summer, tmp_path):
-    fast, high = load(summer, 0), rendered_with(tmp_path, denoising="high")
+    fast, high = load(summer, 0), render_with(tmp_path, denoising="high")
     for layer in set(fast) - {"rgb"}:
         assert np.array_equal(fast[layer], high[layer]), layer
     assert not np.array_equal(fast["rgb"], high["rgb"])
@@ -109,8 +110,8 @@ def test_denoising_changes_the_picture_alone(summer, tmp_path):
 @pytest.mark.thorough
 def test_a_fast_denoiser_is_nearly_as_near_to_a_picture_of_many_samples(summer, tmp_path):
     """Of one sample a pixel both are some 7 grey levels off."""
-    many = rendered_with(tmp_path / "many", samples=256)["rgb"].astype(float)
-    high = rendered_with(tmp_path / "high", denoising="high")["rgb"]
+    many = render_with(tmp_path / "many", samples=256)["rgb"].astype(float)
+    high = render_with(tmp_path / "high", denoising="high")["rgb"]
     fast_off, high_off = (
         np.sqrt(((rgb - many) ** 2).mean()) for rgb in (load(summer, 0)["rgb"], high)
     )
@@ -120,16 +121,16 @@ def test_a_fast_denoiser_is_nearly_as_near_to_a_picture_of_many_samples(summer, 
 def test_depth_is_what_rays_meet(summer, tmp_path):
     """Against Blender's own ray casts through pixel centres, edges of objects included."""
     frames = [load(summer, frame) for frame in range(3)]
-    check_rays(job("summer-noon"), frames, tmp_path)
+    check_rays(make_job("summer-noon"), frames, tmp_path)
 
 
 @pytest.mark.thorough
 def test_ground_points_lie_on_the_terrain(summer):
-    town, poses = TOWN.build(SEED, AREA), job("summer-noon").poses
+    town, poses = cached_town(SEED, AREA), make_job("summer-noon").poses
     for frame in poses:
         arrays = load(summer, frame)
         on_ground = (arrays["instance"] == 0) & (arrays["depth"] > 0)
-        x, y, z = points(arrays, poses[frame])[on_ground].T
+        x, y, z = world_points(arrays, poses[frame])[on_ground].T
         inside = np.maximum(np.abs(x), np.abs(y)) < 0.5 * AREA
         error = ground_error(town, x, y, z)[inside]
         # Half a pixel off would be some 0.2 m in the oblique frame; what is left is the
@@ -139,12 +140,12 @@ def test_ground_points_lie_on_the_terrain(summer):
 
 
 def test_object_points_lie_in_their_boxes_and_reach_their_tops(summer):
-    town, poses = TOWN.build(SEED, AREA), job("summer-noon").poses
+    town, poses = cached_town(SEED, AREA), make_job("summer-noon").poses
     by_id = {o.id: o for o in town.objects}
     tops = []
     for frame in poses:
         arrays = load(summer, frame)
-        world = points(arrays, poses[frame])
+        world = world_points(arrays, poses[frame])
         for number in np.unique(arrays["instance"]):
             if number == 0:
                 continue
@@ -165,9 +166,9 @@ def test_object_points_lie_in_their_boxes_and_reach_their_tops(summer):
 
 def test_frames_see_the_same_surface(summer):
     """Depth and poses carry pixels of one frame onto the surface another frame sees."""
-    poses = job("summer-noon").poses
+    poses = make_job("summer-noon").poses
     arrays = [load(summer, i) for i in poses]
-    world = points(arrays[0], poses[0])
+    world = world_points(arrays[0], poses[0])
     pose = np.array(poses[2])
     local = world @ pose[:3, :3].T + pose[:3, 3]
     u = CAMERA.f * local[..., 0] / local[..., 2] + CAMERA.cx
@@ -180,7 +181,7 @@ def test_frames_see_the_same_surface(summer):
 
 
 def test_labels_are_consistent(summer):
-    town = TOWN.build(SEED, AREA)
+    town = cached_town(SEED, AREA)
     table = class_lookup(town.objects)
     for frame in range(3):
         arrays = load(summer, frame)
@@ -202,10 +203,10 @@ def test_labels_are_consistent(summer):
 
 @pytest.mark.thorough
 def test_conditions_share_their_geometry(summer, tmp_path):
-    winter_job = job("winter-dusk")
+    winter_job = make_job("winter-dusk")
     winter_job.poses = {i: winter_job.poses[i] for i in (0, 2)}
     seen = []
-    render(winter_job, tmp_path, jobs=2, on_frame=seen.append)
+    render(winter_job, tmp_path, processes=2, on_frame=seen.append)
     assert sorted(seen) == [0, 2]
     for frame in (0, 2):
         a, b = load(summer, frame), load(tmp_path, frame)
@@ -221,7 +222,7 @@ def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
     kept = frame_path(summer, 0).stat().st_mtime_ns
     frame_path(summer, 1).unlink()
     seen: list[int] = []
-    render(job("summer-noon"), summer, on_frame=seen.append)
+    render(make_job("summer-noon"), summer, on_frame=seen.append)
     assert seen == [1]
     assert frame_path(summer, 0).stat().st_mtime_ns == kept
     after = load(summer, 1)
@@ -243,7 +244,7 @@ def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monk
             started.append(self.pid)
 
     monkeypatch.setattr(subprocess, "Popen", Counted)
-    wanted = job("summer-noon")
+    wanted = make_job("summer-noon")
     wanted.poses = {i: wanted.poses[i] for i in (0, 1)}
     seen: list[int] = []
     render(wanted, tmp_path, on_frame=seen.append)
@@ -254,6 +255,7 @@ def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monk
             assert np.array_equal(array, load(tmp_path, frame)[name]), name
 
 
+@pytest.mark.thorough
 def test_no_process_outlives_a_killed_run(tmp_path):
     """kill -9 of the parent alone: nothing goes on writing where the next run will write."""
     script = tmp_path / "run.py"
@@ -262,7 +264,7 @@ def test_no_process_outlives_a_killed_run(tmp_path):
         "job = RenderJob.model_validate_json(Path(sys.argv[1]).read_text())\n"
         "render(job, Path(sys.argv[2]), on_frame=lambda frame: print(frame, flush=True))\n"
     )
-    many = job("summer-noon")
+    many = make_job("summer-noon")
     many.poses = {k: many.poses[k % 3] for k in range(500)}
     (tmp_path / "job.json").write_text(many.model_dump_json())
     words = [sys.executable, str(script), str(tmp_path / "job.json"), str(tmp_path / "out")]
@@ -281,10 +283,10 @@ def test_no_process_outlives_a_killed_run(tmp_path):
 
 def test_nothing_missing_starts_no_process(summer, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/nowhere")
-    render(job("summer-noon"), summer)
+    render(make_job("summer-noon"), summer)
 
 
-def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+def replace_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
     """Replace the interpreter children run by a shell script."""
     path = tmp_path / "python"
     path.write_text(f"#!/bin/sh\n{script}\n")
@@ -293,36 +295,38 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> No
 
 
 def test_a_dying_child_is_one_clear_line(tmp_path, monkeypatch):
-    stand_in(tmp_path, monkeypatch, "echo noise >&2; echo MemoryError: no room >&2; exit 3")
+    replace_interpreter(
+        tmp_path, monkeypatch, "echo noise >&2; echo MemoryError: no room >&2; exit 3"
+    )
     with pytest.raises(RenderError, match=r"^[^\n]*exit code 3: MemoryError: no room$"):
-        render(job("summer-noon"), tmp_path / "out")
+        render(make_job("summer-noon"), tmp_path / "out")
 
 
 def test_a_killed_child_names_its_signal(tmp_path, monkeypatch):
-    stand_in(tmp_path, monkeypatch, "kill -9 $$")
+    replace_interpreter(tmp_path, monkeypatch, "kill -9 $$")
     with pytest.raises(RenderError, match="signal 9"):
-        render(job("summer-noon"), tmp_path / "out")
+        render(make_job("summer-noon"), tmp_path / "out")
 
 
 def test_a_missing_library_names_the_packages(tmp_path, monkeypatch):
     line = "ImportError: libXi.so.6: cannot open shared object file: No such file or directory"
-    stand_in(tmp_path, monkeypatch, f"echo '{line}' >&2; exit 1")
+    replace_interpreter(tmp_path, monkeypatch, f"echo '{line}' >&2; exit 1")
     with pytest.raises(RenderError, match=r"libXi\.so\.6.*apt-get install .*libxi6"):
-        render(job("summer-noon"), tmp_path / "out")
+        render(make_job("summer-noon"), tmp_path / "out")
 
 
 def test_a_child_that_stops_early_is_an_error(tmp_path, monkeypatch):
-    stand_in(tmp_path, monkeypatch, "exit 0")
+    replace_interpreter(tmp_path, monkeypatch, "exit 0")
     with pytest.raises(RenderError, match="3 frames missing"):
-        render(job("summer-noon"), tmp_path / "out")
+        render(make_job("summer-noon"), tmp_path / "out")
 
 
 def test_bad_jobs_are_refused(tmp_path):
     with pytest.raises(InputError, match="unknown condition"):
-        render(job("summer-noon").model_copy(update={"condition": "x"}), tmp_path)
+        render(make_job("summer-noon").model_copy(update={"condition": "x"}), tmp_path)
     with pytest.raises(InputError, match="unknown preset"):
-        render(job("summer-noon").model_copy(update={"preset": "x"}), tmp_path)
-    values = job("summer-noon").model_dump()
+        render(make_job("summer-noon").model_copy(update={"preset": "x"}), tmp_path)
+    values = make_job("summer-noon").model_dump()
     with pytest.raises(ValidationError, match="extra"):
         RenderJob(**values, colour="red")
     with pytest.raises(ValidationError, match="4 x 4"):

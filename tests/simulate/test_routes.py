@@ -1,4 +1,4 @@
-"""Grid, corridor, street and free flights, and how they are written."""
+"""Grid, corridor, street and free flights, and how configurations state them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.clearance import check_flight, is_free
 from simulate.flight.config import CorridorFlight, FreeFlight
+from simulate.flight.context import FlightContext
 from simulate.flight.gimbal import camera_centres
 from simulate.flight.routes import corridor_aims, free_aims, offset_line
-from simulate.flight.site import FlightSite
 from simulate.place.town import TOWN
 from simulate.place.world import World
 from simulate.planner import plan_session
@@ -51,7 +51,7 @@ def fly(world: World, flight: object, role: str = "map", **fields: Any) -> Array
     return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
-def still(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
+def fly_without_wind(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
     return fly(world, flight, role, position_jitter_m=0, attitude_jitter_deg=0, **fields)
 
 
@@ -76,7 +76,7 @@ def test_one_word_is_a_flight(town: World, kind: str, role: str) -> None:
 
 @pytest.mark.parametrize("kind", ["nadir", "grid", "oblique", "corridor", "street"])
 def test_map_and_query_fly_differently(town: World, kind: str) -> None:
-    mapped, query = still(town, kind, "map"), still(town, kind, "query")
+    mapped, query = fly_without_wind(town, kind, "map"), fly_without_wind(town, kind, "query")
     gaps = np.linalg.norm(camera_centres(mapped)[:, None] - camera_centres(query), axis=-1)
     assert np.median(gaps.min(0)) > 2
 
@@ -93,7 +93,7 @@ def test_seed_zero_is_a_seed(town: World, kind: object) -> None:
 @given(gsd=st.floats(5, 25), fov=st.floats(20, 100), size=st.integers(64, 2000))
 def test_gsd_is_what_was_asked(town: World, gsd: float, fov: float, size: int) -> None:
     flight = {"kind": "nadir", "gsd_cm": gsd}
-    poses = still(town, flight, fov_deg=fov, size=size)
+    poses = fly_without_wind(town, flight, fov_deg=fov, size=size)
     focal = configure(flight, fov_deg=fov, size=size).photo_camera().focal[0]
     x, y, z = camera_centres(poses).T
     assert_allclose(100 * (z - town.terrain.height(x, y)) / focal, gsd, rtol=1e-9)
@@ -102,15 +102,18 @@ def test_gsd_is_what_was_asked(town: World, gsd: float, fov: float, size: int) -
 @pytest.mark.parametrize("kind", ["nadir", "grid", "corridor"])
 def test_without_terrain_following_flights_are_level(town: World, kind: str) -> None:
     flight = {"kind": kind, "altitude_m": 60}
-    x, y, z = camera_centres(still(town, flight)).T
+    x, y, z = camera_centres(fly_without_wind(town, flight)).T
     assert_allclose(z - town.terrain.height(x, y), 60, atol=1e-9)
-    assert np.ptp(camera_centres(still(town, flight | {"terrain_following": False}))[:, 2]) < 1e-9
+    assert (
+        np.ptp(camera_centres(fly_without_wind(town, flight | {"terrain_following": False}))[:, 2])
+        < 1e-9
+    )
 
 
 @given(forward=st.floats(0.3, 0.85), altitude=st.floats(40, 120))
 def test_overlap_counts_the_photographs(town: World, forward: float, altitude: float) -> None:
     flight = {"kind": "nadir", "forward_overlap": forward, "altitude_m": altitude}
-    xy = camera_centres(still(town, flight))[:, :2]
+    xy = camera_centres(fly_without_wind(town, flight))[:, :2]
     side_m = 2 * altitude * np.tan(np.radians(30))
     for line in np.unique(xy[:, 0].round(6)):
         steps = np.diff(np.sort(xy[np.abs(xy[:, 0] - line) < 1e-5, 1]))
@@ -121,7 +124,7 @@ def test_overlap_counts_the_photographs(town: World, forward: float, altitude: f
 @given(heading=st.floats(-180, 180), frames=st.integers(2, 60))
 def test_grid_is_perpendicular(town: World, heading: float, frames: int) -> None:
     flight = {"kind": "grid", "heading_deg": heading, "pitch_deg": -75}
-    poses = still(town, flight, frames=frames)
+    poses = fly_without_wind(town, flight, frames=frames)
     assert len(poses) == frames
     first, second = np.split(poses, [(frames + 1) // 2])
     assert_allclose(first[:, 0, :3] @ second[:, 0, :3].T, 0, atol=1e-9)
@@ -145,8 +148,8 @@ def test_corridor_stays_in_its_width(
         forward_overlap=0.7,
         side_overlap=0.6,
     )
-    site = FlightSite(AREA, hills, pinhole(1150, 900, 1000.0))
-    aims = corridor_aims(flight, site, frames)
+    context = FlightContext(AREA, hills, pinhole(1150, 900, 1000.0))
+    aims = corridor_aims(flight, context, frames)
     x, y, z = aims.centres.T
     assert frames is None or len(x) == frames
     assert distance(aims.centres[:, :2], BENT).max() <= 0.5 * width + 1e-9
@@ -161,9 +164,9 @@ def test_corridor_overlaps_as_asked() -> None:
         forward_overlap=0.8,
         side_overlap=0.5,
     )
-    site = FlightSite(AREA, level, pinhole(800, 600, 1000.0))
-    assert site.footprint_m(50) == (40, 30)
-    aims = corridor_aims(flight, site, None)
+    context = FlightContext(AREA, level, pinhole(800, 600, 1000.0))
+    assert context.footprint_m(50) == (40, 30)
+    aims = corridor_aims(flight, context, None)
     lines = np.unique(aims.centres[:, 1].round(6))
     assert len(lines) > 2
     assert np.diff(lines).max() <= 0.5 * 40
@@ -187,8 +190,8 @@ def test_routes_that_turn_back_or_lead_nowhere_are_refused() -> None:
 @given(seed=st.integers(0, 10_000), frames=st.integers(1, 100))
 def test_free_flight_stays_in_its_ranges_and_is_smooth(seed: int, frames: int) -> None:
     flight = FreeFlight(altitude_m=(40, 90), pitch_deg=(-85, -50))
-    site = FlightSite(200.0, hills, pinhole(**CAMERA))
-    aims = free_aims(flight, site, frames, np.random.default_rng(seed))
+    context = FlightContext(200.0, hills, pinhole(**CAMERA))
+    aims = free_aims(flight, context, frames, np.random.default_rng(seed))
     x, y, z = aims.centres.T
     assert np.abs(aims.centres[:, :2]).max() <= 100
     agl = z - hills(x, y)
@@ -202,7 +205,7 @@ def test_free_flight_stays_in_its_ranges_and_is_smooth(seed: int, frames: int) -
 
 
 def test_street_keeps_to_the_right_and_looks_to_both_sides(town: World) -> None:
-    poses = still(town, "street", frames=60)
+    poses = fly_without_wind(town, "street", frames=60)
     centres = camera_centres(poses)
     assert_allclose(centres[::2], centres[1::2], atol=1e-9)
     assert_allclose(centres[:, 2] - town.terrain.height(*centres[:, :2].T), 1.7, atol=1e-9)

@@ -38,7 +38,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, np.ndarra
     return [dict(np.load(frame_path(out, k))) for k in range(4)]
 
 
-def expect(travel: tuple[float, ...]) -> np.ndarray:
+def project_corners(travel: tuple[float, ...]) -> np.ndarray:
     """Inner corners (rows, columns, 2), each from where the camera is at the corner's own row."""
     y, x = 0.1 * np.mgrid[: BOARD.rows, : BOARD.columns]
     v = np.full(x.shape, CAMERA.cy)
@@ -59,7 +59,7 @@ def find_points(picture: np.ndarray, near: np.ndarray) -> np.ndarray:
 def test_edges_lean_as_the_camera_moves(frames) -> None:
     """A camera that moves to the right sees vertical edges lean to the left, by what it travels in
     the readout, velocity x time, from the top to the bottom of the picture."""
-    corners = find_points(frames[1]["rgb"], expect(TRAVEL[1]))
+    corners = find_points(frames[1]["rgb"], project_corners(TRAVEL[1]))
     lean = np.polyfit(corners[:, 4, 1], corners[:, 4, 0], 1)[0] * CAMERA.height
     print(f"an edge leans by {lean:.3f} px, expected {-CAMERA.f * 0.04 / DISTANCE:.3f} px")
     assert lean == pytest.approx(-CAMERA.f * 0.04 / DISTANCE, abs=0.1)
@@ -68,7 +68,7 @@ def test_edges_lean_as_the_camera_moves(frames) -> None:
 @pytest.mark.parametrize("frame", range(4))
 def test_the_pose_is_that_of_the_middle(frames, frame: int) -> None:
     """Corners are where the camera of their row sees them, and not half a row late."""
-    want = expect(TRAVEL.get(frame, (0.0, 0.0, 0.0)))
+    want = project_corners(TRAVEL.get(frame, (0.0, 0.0, 0.0)))
     error = find_points(frames[frame]["rgb"], want) - want
     print(f"frame {frame}: bias {error.mean((0, 1))}, rms {np.sqrt((error**2).sum(-1).mean())} px")
     assert np.abs(error.mean((0, 1))).max() < 0.02

@@ -1,4 +1,4 @@
-"""The street preset: its surroundings and its kerbs."""
+"""The preset street: its surroundings, its kerbs and its default sessions."""
 
 import json
 from itertools import pairwise
@@ -18,7 +18,7 @@ from simulate.config import SimulateConfig
 from simulate.flight.gimbal import camera_centres
 from simulate.look.conditions import condition
 from simulate.look.terrain import ground_mesh, kerbs_mesh
-from simulate.place.kerbs import KERB_M, PavementHeights
+from simulate.place.kerbs import KERB_HEIGHT_M, PavementHeights
 from simulate.place.presets import preset
 from simulate.place.world import MIRRORED_M, World
 from simulate.planner import plan_session
@@ -31,7 +31,7 @@ def street(request: pytest.FixtureRequest) -> World:
     return preset("street")(request.param, AREA)
 
 
-def within(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
+def lies_inside(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
     line = outline.astype(np.float32)
     return np.array([cv2.pointPolygonTest(line, (x, y), False) >= 0 for x, y in points.tolist()])
 
@@ -39,14 +39,14 @@ def within(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
 def test_surroundings_cover_the_place_once(street: World) -> None:
     assert [part.name for part in street.surroundings] == ["urban", "suburban", "park"]
     points = np.random.default_rng(0).uniform(-0.5 * AREA, 0.5 * AREA, (2000, 2))
-    inside = np.array([within(part.outline, points) for part in street.surroundings])
+    inside = np.array([lies_inside(part.outline, points) for part in street.surroundings])
     assert (inside.sum(0) == 1).all()
     assert (inside.mean(1) > 0.15).all()
 
 
 def test_each_surroundings_hold_what_their_name_says(street: World) -> None:
     urban, suburban, park = (
-        [o for o in street.objects if within(part.outline, o.centre[None, :2])[0]]
+        [o for o in street.objects if lies_inside(part.outline, o.centre[None, :2])[0]]
         for part in street.surroundings
     )
     fronts, houses = ([o.shape for o in part].count for part in (urban, suburban))
@@ -62,14 +62,14 @@ def test_each_surroundings_hold_what_their_name_says(street: World) -> None:
 def test_one_road_leads_through_all_surroundings(street: World) -> None:
     """So that one drive sees them all."""
     through = [
-        all(within(part.outline, road.line).any() for part in street.surroundings)
+        all(lies_inside(part.outline, road.line).any() for part in street.surroundings)
         for road in street.roads
     ]
     assert sum(through) >= 2
 
 
 def test_pavements_stand_above_the_carriageways(street: World) -> None:
-    assert 0.10 <= KERB_M <= 0.15
+    assert 0.10 <= KERB_HEIGHT_M <= 0.15
     rises = PavementHeights(street.kerbs)
     on_road = raised = total = 0
     rng = np.random.default_rng(0)
@@ -80,12 +80,12 @@ def test_pavements_stand_above_the_carriageways(street: World) -> None:
                 continue
             across = np.array([-along[1], along[0]])
             lane = middle + rng.uniform(-0.4, 0.4) * road.width_m * across
-            on_road += rises.at(lane) > 0
+            on_road += rises.height_at(lane) > 0
             for side in (-1, 1):
                 foot = middle + side * (0.5 * road.width_m + 0.8) * across
                 if street.ground.label(*foot) == CLASSES["pavement"]:
                     total += 1
-                    raised += rises.at(foot) > 0.9 * KERB_M
+                    raised += rises.height_at(foot) > 0.9 * KERB_HEIGHT_M
     assert total > 200
     assert on_road == 0
     assert raised > 0.75 * total  # the rest are corners and dropped kerbs
@@ -95,7 +95,7 @@ def test_the_kerbs_mesh_stands_on_the_ground(street: World) -> None:
     mesh = kerbs_mesh(street)
     assert mesh is not None
     above = mesh.vertices[:, 2] - street.terrain.height(*mesh.vertices[:, :2].astype(float).T)
-    assert above.max() == pytest.approx(KERB_M, abs=1e-4)
+    assert above.max() == pytest.approx(KERB_HEIGHT_M, abs=1e-4)
     assert above.min() < -0.02
     faces = mesh.vertices[mesh.corners.reshape(-1, 4)].astype(float)
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
@@ -122,19 +122,19 @@ def test_a_place_without_parts_names_none() -> None:
 
 
 @pytest.fixture(scope="module")
-def usual() -> SimulateConfig:
+def defaults() -> SimulateConfig:
     return SimulateConfig.load(None, {"preset": "street", "seed": 1, "size": 256})
 
 
-def test_the_usual_sessions_are_drives_with_two_cameras(usual: SimulateConfig) -> None:
-    assert {session.flight.kind for session in usual.sessions} == {"street"}
-    left, right = (usual.photo_camera(session) for session in usual.sessions[:2])
-    assert {usual.photo_camera(session) for session in usual.sessions} == {left, right}
+def test_the_usual_sessions_are_drives_with_two_cameras(defaults: SimulateConfig) -> None:
+    assert {session.flight.kind for session in defaults.sessions} == {"street"}
+    left, right = (defaults.photo_camera(session) for session in defaults.sessions[:2])
+    assert {defaults.photo_camera(session) for session in defaults.sessions} == {left, right}
     assert (left.model, right.model) == ("OPENCV", "OPENCV")
     assert left.params != right.params
-    seasons = {s.condition.split("-")[0] for s in usual.sessions if s.role == "query"}
+    seasons = {s.condition.split("-")[0] for s in defaults.sessions if s.role == "query"}
     assert seasons == {"summer", "winter"}
-    assert SimulateConfig.model_validate_json(usual.model_dump_json()) == usual
+    assert SimulateConfig.model_validate_json(defaults.model_dump_json()) == defaults
 
 
 def test_what_is_said_wins_over_the_usual() -> None:
@@ -147,22 +147,22 @@ def test_what_is_said_wins_over_the_usual() -> None:
 
 
 def test_drives_see_all_surroundings_from_tracks_of_their_own(
-    usual: SimulateConfig,
+    defaults: SimulateConfig,
 ) -> None:
-    world = preset("street")(usual.seed, usual.area)
+    world = preset("street")(defaults.seed, defaults.area)
     rng = np.random.default_rng(0)
     map_left, map_right, query_left, _, winter_left, _ = (
-        plan_session(session, usual, usual.photo_camera(session), world, rng)
-        for session in usual.sessions
+        plan_session(session, defaults, defaults.photo_camera(session), world, rng)
+        for session in defaults.sessions
     )
     assert_allclose(camera_centres(map_left), camera_centres(map_right))
     looks = (map_left[:, 2, :3] * map_right[:, 2, :3]).sum(1)
     assert_allclose(looks, 0, atol=1e-9)  # a right angle between the cameras
     for poses in (map_left, query_left, winter_left):
         at = camera_centres(poses)
-        seen = [within(part.outline, at[:, :2]).mean() for part in world.surroundings]
+        seen = [lies_inside(part.outline, at[:, :2]).mean() for part in world.surroundings]
         assert min(seen) > 0.12
-        assert np.abs(at[:, :2]).max() <= 0.5 * usual.area - 25
+        assert np.abs(at[:, :2]).max() <= 0.5 * defaults.area - 25
         height = at[:, 2] - world.terrain.height(*at[:, :2].T)
         assert 1.5 <= height.min() <= height.max() <= 2.5
     # Each query has a map photograph that looks where it looks, in a track beside its own.

@@ -1,4 +1,4 @@
-"""Structure scans of QGroundControl: rounds that look inwards, and fields that tell no flight."""
+"""Structure scans of QGroundControl: layers that look inwards, and fields that define no flight."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from simulate.flight.qgroundcontrol import read_plan
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 
 
-def place(east: float, north: float) -> list[float]:
+def geodetic_of(east: float, north: float) -> list[float]:
     latitude, longitude, _ = geodetic_from_enu(np.array([east, north, 0.0]), ORIGIN)
     return [latitude, longitude]
 
 
 # Clockwise, 20 m a side.
-HOUSE = [place(-10, -10), place(-10, 10), place(10, 10), place(10, -10)]
+HOUSE = [geodetic_of(-10, -10), geodetic_of(-10, 10), geodetic_of(10, 10), geodetic_of(10, -10)]
 CAMERA = {
     "version": 2,
     "DistanceToSurface": 15,
@@ -82,9 +82,10 @@ def test_each_round_looks_at_the_structure(tmp_path: Path, from_top: bool) -> No
     [
         ({"version": 2}, "version 2"),
         ({"polygon": HOUSE[::-1]}, "clockwise"),
+        ({"polygon": [HOUSE[0], *HOUSE]}, "a corner twice"),
         ({"polygon": HOUSE[:2]}, "2 corners"),
         ({"polygon": [[99.0, 8.0], *HOUSE[1:]]}, "not on earth"),
-        ({"polygon": [HOUSE[0], place(-10, 0), *HOUSE[1:]]}, "corner on a straight side"),
+        ({"polygon": [HOUSE[0], geodetic_of(-10, 0), *HOUSE[1:]]}, "corner on a straight side"),
         ({"Layers": 0}, "0 Layers"),
         ({"Layers": 4}, "4 Layers, but StructureHeight"),
         ({"StructureHeight": None}, "'StructureHeight'"),

@@ -1,4 +1,4 @@
-"""The sun against published positions."""
+"""The computed position of the sun against published positions."""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+"""The preset town: ids, boxes, objects on the ground, meshes and the baked ground."""
+
 import dataclasses
 
 import numpy as np
@@ -91,7 +93,7 @@ def test_objects_stand_on_the_ground(town):
         if item.class_name in ("building", "hedge", "fence"):
             assert base <= ground_z.min() + 1e-9
         else:
-            assert base == pytest.approx(ground_z[-1] + rises.at(item.centre[:2]))
+            assert base == pytest.approx(ground_z[-1] + rises.height_at(item.centre[:2]))
 
 
 def test_only_vehicles_and_lamps_stand_on_carriageways(town):

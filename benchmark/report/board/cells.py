@@ -1,8 +1,15 @@
 """The cells of a track: the groups of queries that one figure pools.
 
-A cell is a season and a part of the track. The seasons are "same" (the map's own condition, and
-nothing moved), "changed" (all others), and each condition. The parts are "all" and each part of the
-track, such as a kind of place; a single condition is pooled over all parts only.
+A cell is one season and one part of the track. The seasons are:
+
+- "same": queries under the map's own condition, where nothing moved;
+- "changed": all other queries;
+- of a track that holds conditions or presets out of training, the changed queries that are "seen",
+  of an "unseen-condition", of an "unseen-place" or "unseen-both";
+- each condition.
+
+The parts are "all" and each part of the track, such as a kind of place. Only the seasons "same" and
+"changed" are divided into parts.
 """
 
 from __future__ import annotations
@@ -16,14 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.report.board.runs import BoardQuery
-from benchmark.scoring.score import Interval, Threshold, is_correct, wilson
-from benchmark.scoring.uncertainty import Predicted, doubt
-from benchmark.tracks.queries import CHANGED, SAME
+from benchmark.scoring.intervals import Interval, share
+from benchmark.scoring.score import Threshold, is_correct
+from benchmark.scoring.uncertainty import PredictedOutcome, doubt
+from benchmark.tracks.queries import CHANGED, SAME, SEEN, UNSEEN
 from objconnect.scene.bundle.manifest import ALL_CONDITIONS
 
 ALL: Final = ALL_CONDITIONS
-# Recall at which the width of a cell's intervals is stated.
-_RECALL: Final = 0.9
 RISK: Final = 0.01
 """Upper bound of the share of wrong answers in ``recall_at_risk``."""
 
@@ -33,7 +39,7 @@ class Cell:
     """The queries of one cell.
 
     Attributes:
-        season: "same", "changed" or a condition.
+        season: "same", "changed", "seen", one of ``UNSEEN`` or a condition.
         part: "all" or a part of the track.
         rows: (K,) indices of the queries in the list of the track.
     """
@@ -42,28 +48,27 @@ class Cell:
     part: str
     rows: NDArray[np.int64]
 
-    @property
-    def half_width(self) -> float:
-        """Half the width of a 95 % interval at a recall of 90 %, in percentage points."""
-        low, high = wilson(round(_RECALL * len(self.rows)), len(self.rows))
-        return 50 * (high - low)
-
 
 def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
-    """Yield the cells with queries: both seasons of all and of each part, then the conditions."""
+    """Yield the cells that have queries: "changed" and "same", each for all parts and for each
+    part; then "seen" and the unseen ones; then the conditions."""
     for season in (CHANGED, SAME):
         chosen = [k for k, query in enumerate(queries) if query.same == (season == SAME)]
         for part in (ALL, *parts(queries)):
             rows = [k for k in chosen if part in (ALL, queries[k].row.part)]
             if rows:
                 yield Cell(season, part, np.array(rows))
+    for novelty in (SEEN, *UNSEEN):
+        rows = [k for k, query in enumerate(queries) if query.novelty == novelty and not query.same]
+        if rows:
+            yield Cell(novelty, ALL, np.array(rows))
     for condition in conditions(queries):
         rows = [k for k, query in enumerate(queries) if query.row.condition == condition]
         yield Cell(condition, ALL, np.array(rows))
 
 
 def parts(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
-    """Return the parts of a track in the order of its sites."""
+    """Return the parts of a track in the order of its places."""
     return tuple(dict.fromkeys(query.row.part for query in queries))
 
 
@@ -72,7 +77,7 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(query.row.condition for query in queries))
 
 
-def recall_at_risk(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
+def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -> Interval | None:
     """Return the recall of the most certain answers, of which fewer than 1 % are wrong.
 
     Answers are accepted in the order of ``uncertainty.doubt``, as long as the share of wrong poses
@@ -83,15 +88,17 @@ def recall_at_risk(outcomes: Sequence[Predicted], threshold: Threshold) -> Inter
         The share of all queries that are accepted and correct, in percent; None if no answer has a
         probability or a standard deviation.
     """
-    stated = sorted((o for o in outcomes if min(doubt(o)) < np.inf), key=doubt)
-    if not stated:
+    ranked = sorted(outcomes, key=doubt)
+    # Answers with a probability or a standard deviation come first in the order of doubt.
+    certain = [o for o in ranked if min(doubt(o)) < np.inf]
+    if not certain:
         return None
-    correct = np.cumsum([is_correct(o, threshold) for o in stated])
-    accepted = np.arange(1, len(stated) + 1)
+    right = np.array([is_correct(o, threshold) for o in ranked])
+    correct = np.cumsum(right[: len(certain)])
+    accepted = np.arange(1, len(certain) + 1)
     # A set of accepted answers may end only at the last of several ties.
-    doubts = [doubt(o) for o in stated]
+    doubts = [doubt(o) for o in certain]
     closed = np.array([a != b for a, b in pairwise([*doubts, None])])
     allowed = np.flatnonzero(closed & (accepted - correct < RISK * accepted))
-    count = int(correct[allowed[-1]]) if len(allowed) else 0
-    low, high = wilson(count, len(outcomes))
-    return Interval(100 * count / len(outcomes), 100 * low, 100 * high)
+    right[allowed[-1] + 1 if len(allowed) else 0 :] = False
+    return share(right, [o.cluster for o in ranked])

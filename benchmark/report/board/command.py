@@ -10,7 +10,7 @@ from benchmark.report.board.page import board_page
 from benchmark.report.board.runs import TrackBoard, read_boards
 from benchmark.report.board.text import HeadlineRow, board_markdown, headline
 from benchmark.report.leaderboard import MARKS
-from benchmark.tracks.description import BOARD
+from benchmark.tracks.description import TRACKS_FOLDER
 from objconnect.scene.storage.atomic import write_text
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
@@ -45,7 +45,7 @@ class BoardReport:
         }
 
 
-def board(folder: Path = BOARD, out: Path | None = None) -> BoardReport:
+def board(folder: Path = TRACKS_FOLDER, out: Path | None = None) -> BoardReport:
     """Compare the stored results of all tracks.
 
     Args:

@@ -1,7 +1,8 @@
 """Recall against what makes a query difficult: overlap, scale, view angle and time of year.
 
 The difficulty of a query is stated by its track, from the reference poses and the map alone, so
-that it is the same for every method; see ``benchmark.tracks.difficulty``.
+that it is the same for every method; see ``benchmark.tracks.difficulty``. A query is compared with
+its best map photograph, which sees most of its surface.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.scoring.score import Interval, wilson
+from benchmark.scoring.intervals import Interval, number_clusters, share_of_counts
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,11 @@ class Axis:
 
     def bins(self, values: Sequence[float | None]) -> NDArray[np.int64]:
         """Return the bin of each value; -1 where it is unknown or outside the edges."""
-        known = np.array([np.nan if value is None else value for value in values], np.float64)
-        found = np.searchsorted(self.edges, known, side="right") - 1
-        found[known == self.edges[-1]] = len(self.labels) - 1
-        outside = ~((known >= self.edges[0]) & (known <= self.edges[-1]))
-        return np.where(outside, -1, found)
+        array = np.array([np.nan if value is None else value for value in values], np.float64)
+        bins = np.searchsorted(self.edges, array, side="right") - 1
+        bins[array == self.edges[-1]] = len(self.labels) - 1
+        inside = (array >= self.edges[0]) & (array <= self.edges[-1])
+        return np.where(inside, bins, -1)
 
 
 AXES: Final = (
@@ -53,7 +54,7 @@ AXES: Final = (
         "overlap",
         "overlap",
         "overlap",
-        "Share of the query that the map photograph sees too.",
+        "Share of the query that is also in its best map photograph, the one that sees most of it.",
         "%",
         (0, 0.2, 0.4, 0.6, 0.8, 1),
         ("0–20", "20–40", "40–60", "60–80", "80–100"),
@@ -62,25 +63,25 @@ AXES: Final = (
         "scale",
         "scale",
         "scale",
-        "Size of the query's pixels on the ground over that of the map photograph's.",
+        "Size of the query's pixels on the ground over that of its best map photograph's.",
         "ratio",
         (0, 0.5, 0.71, 1, 1.41, 2, np.inf),
-        ("< 0.5", "0.5–0.71", "0.71–1", "1–1.41", "1.41–2", "> 2"),
+        ("< 0.5", "0.5–0.71", "0.71–1", "1–1.41", "1.41–2", "≥ 2"),
     ),
     Axis(
         "angle_deg",
         "view angle",
         "view °",
-        "Angle between the lines of sight from both to the same ground.",
+        "Angle between the lines of sight from both photographs to the same ground.",
         "degrees",
         (0, 10, 20, 30, 45, 60, 180),
-        ("0–10", "10–20", "20–30", "30–45", "45–60", "> 60"),
+        ("0–10", "10–20", "20–30", "30–45", "45–60", "≥ 60"),
     ),
     Axis(
         "days",
         "time of year",
         "days",
-        "Days of the year between the map photograph and the query.",
+        "Days of the year between the query and its best map photograph.",
         "days",
         (0, 30, 60, 90, 120, 150, 182),
         ("0–30", "30–60", "60–90", "90–120", "120–150", "150–182"),
@@ -95,22 +96,24 @@ class Bin(NamedTuple):
     recall: Interval | None
 
 
-def bin_recall(bins: NDArray[np.int64], correct: NDArray[np.bool_], count: int) -> list[Bin]:
+def bin_recall(
+    bins: NDArray[np.int64], correct: NDArray[np.bool_], courses: Sequence[str], count: int
+) -> list[Bin]:
     """Return the recall of each of ``count`` bins.
 
     Args:
         bins: (N,) bin of each query, -1 for none.
         correct: (N,) whether it is correct.
+        courses: course of each.
         count: number of bins.
     """
+    course = number_clusters(courses)
+    shape = count, int(course.max(initial=-1)) + 1
     kept = bins >= 0
-    total = np.bincount(bins[kept], minlength=count)
-    right = np.bincount(bins[kept & correct], minlength=count)
-    return [Bin(int(n), _share(int(k), int(n))) for n, k in zip(total, right, strict=True)]
-
-
-def _share(right: int, total: int) -> Interval | None:
-    if not total:
-        return None
-    low, high = wilson(right, total)
-    return Interval(100 * right / total, 100 * low, 100 * high)
+    cell = np.ravel_multi_index((bins[kept], course[kept]), shape)
+    total = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape)
+    right = np.bincount(cell, correct[kept], shape[0] * shape[1]).reshape(shape)
+    return [
+        Bin(int(n.sum()), share_of_counts(k[n > 0], n[n > 0]) if n.any() else None)
+        for n, k in zip(total, right, strict=True)
+    ]

@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 
 from benchmark.report.board.cells import Cell, cells, conditions, parts, recall_at_risk
 from benchmark.report.board.difficulty import AXES, Axis, Bin, bin_recall
+from benchmark.report.board.pairing import reason_against
 from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.page import compare_paired, figures_of, nees_of, round_figure
 from benchmark.report.tables import start_in_words
 from benchmark.results.query_result import QueryResult
-from benchmark.scoring.score import THRESHOLDS, Interval
+from benchmark.scoring.intervals import Interval
+from benchmark.scoring.score import THRESHOLDS
 from benchmark.scoring.summary import summarize
 from benchmark.scoring.uncertainty import risk_coverage
 from objconnect.scene.localizer import Status
 
 # Points of a risk-coverage curve on the page.
 _POINTS: Final = 50
+# Numbers of the statuses in the data of the page; ``board.js`` lists them in the same order.
 _STATUS: Final = {Status.OK: 0, Status.FALLBACK: 1, Status.FAILED: 2}
 
 
@@ -34,6 +37,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
         "conditions": conditions(board.queries),
         "methods": board.track.methods,
         "missing": board.missing,
+        "cards": [card.model_dump(mode="json") for card in board.cards],
         "datasets": [[place.dataset, ", ".join(place.renders)] for place in board.track.places],
         "queries": _list_queries(board),
         "starts": [
@@ -59,6 +63,7 @@ def _list_queries(board: TrackBoard) -> dict[str, Any]:
         "part": [part_names.index(query.row.part) for query in board.queries],
         "condition": [condition_names.index(query.row.condition) for query in board.queries],
         "same": [int(query.same) for query in board.queries],
+        "novelty": [query.novelty for query in board.queries],
         **{
             axis.key: [
                 round_figure(getattr(query.row.difficulty, axis.key)) for query in board.queries
@@ -70,18 +75,19 @@ def _list_queries(board: TrackBoard) -> dict[str, Any]:
 
 def _answers(board: TrackBoard, run: BoardRun) -> dict[str, Any]:
     """Return the errors of every query by column; None for queries without results."""
-    known = run.answers
+    answers = run.answers
     return {
         "method": board.track.methods.index(run.method),
         "label": run.label,
-        "t": [None if a is None else _short(a.t_err_m) for a in known],
-        "r": [None if a is None else _short(a.r_err_deg) for a in known],
-        "sigma": [None if a is None else _short(a.sigma_t_m) for a in known],
-        "status": [None if a is None else _STATUS[a.status] for a in known],
+        "t": [None if a is None else _round(a.t_err_m) for a in answers],
+        "r": [None if a is None else _round(a.r_err_deg) for a in answers],
+        "sigma": [None if a is None else _round(a.sigma_t_m) for a in answers],
+        "status": [None if a is None else _STATUS[a.status] for a in answers],
     }
 
 
-def _short(value: float | None) -> float | None:
+def _round(value: float | None) -> float | None:
+    """Round a figure to three significant digits, because there are thousands of queries."""
     return None if value is None else float(f"{value:.3g}")
 
 
@@ -90,8 +96,7 @@ def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, 
         "season": cell.season,
         "part": cell.part,
         "queries": len(cell.rows),
-        "flights": len(np.unique(board.flights[cell.rows])),
-        "half": round_figure(cell.half_width),
+        "courses": len(np.unique(board.courses[cell.rows])),
         "runs": [_run(board, cell, run) for run in runs],
         "pairs": [list(_pairs(board, cell, runs, number)) for number in range(len(THRESHOLDS))],
     }
@@ -100,30 +105,37 @@ def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, 
 def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
     """Return the figures of a run in a cell; None if it has no results there."""
     rows = cell.rows[run.has[cell.rows]]
-    answers = run.of(rows)
+    answers = run.answers_at(rows)
     if not answers:
         return None
-    summary = summarize(answers, 0.0, None)
-    bounded = [recall_at_risk(answers, threshold) for threshold in THRESHOLDS]
+    unjudged = run.unjudged(board.datasets_at(rows))
+    summary = summarize(answers, unjudged=unjudged)
+    judged = [str(threshold) not in unjudged for threshold in THRESHOLDS]
+    bounded = [
+        recall_at_risk(answers, threshold) if is_judged else None
+        for threshold, is_judged in zip(THRESHOLDS, judged, strict=True)
+    ]
     return {
         "summary": figures_of(summary),
         "nees": nees_of(summary.uncertainty),
         "bounded": [None if share is None else _interval(share) for share in bounded],
-        "surest": [_surest(answers, number) for number in range(len(THRESHOLDS))],
+        "surest": [
+            _surest(answers, k) if is_judged else None for k, is_judged in enumerate(judged)
+        ],
         "difficulty": [
-            [_bin(bins) for bins in zip(*_curves(board, rows, run, axis), strict=True)]
+            [_bin(bins, judged) for bins in zip(*_curves(board, rows, run, axis), strict=True)]
             for axis in AXES
         ],
     }
 
 
-def _interval(interval: Interval) -> list[float]:
-    return [round(value, 2) for value in interval]
+def _interval(interval: Interval) -> list[float | None]:
+    return [None if value is None else round(value, 2) for value in interval]
 
 
-def _surest(answers: Sequence[QueryResult], number: int) -> list[list[float]]:
+def _surest(answers: Sequence[QueryResult], threshold_number: int) -> list[list[float]]:
     """Return points (coverage, share of correct poses) in percent, most certain queries first."""
-    curve = risk_coverage(answers, THRESHOLDS[number])
+    curve = risk_coverage(answers, THRESHOLDS[threshold_number])
     chosen = np.unique(np.linspace(0, len(curve) - 1, _POINTS).round().astype(int))
     return [[round(curve[k][0], 1), round(100 - curve[k][1], 1)] for k in chosen]
 
@@ -132,25 +144,37 @@ def _curves(
     board: TrackBoard, rows: NDArray[np.int64], run: BoardRun, axis: Axis
 ) -> Iterator[list[Bin]]:
     """Yield the bins of an axis at every threshold."""
-    of = axis.bins([getattr(board.queries[row].row.difficulty, axis.key) for row in rows])
-    for right in run.correct:
-        yield bin_recall(of, right[rows], len(axis.labels))
+    bins = axis.bins([getattr(board.queries[row].row.difficulty, axis.key) for row in rows])
+    for correct in run.correct:
+        yield bin_recall(bins, correct[rows], board.courses[rows].tolist(), len(axis.labels))
 
 
-def _bin(thresholds: Sequence[Bin]) -> list[Any]:
-    """Return the queries of a bin, then its recall at every threshold."""
-    recalls = (found.recall for found in thresholds)
-    return [thresholds[0].queries, *(r if r is None else _interval(r) for r in recalls)]
+def _bin(thresholds: Sequence[Bin], judged: Sequence[bool]) -> list[Any]:
+    """Return the queries of a bin, then its recall at every threshold that is judged, or None."""
+    recalls = [
+        found.recall if is_judged else None
+        for found, is_judged in zip(thresholds, judged, strict=True)
+    ]
+    return [thresholds[0].queries, *(None if r is None else _interval(r) for r in recalls)]
 
 
 def _pairs(
-    board: TrackBoard, cell: Cell, runs: Sequence[BoardRun], number: int
+    board: TrackBoard, cell: Cell, runs: Sequence[BoardRun], threshold_number: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield the comparison of every two runs on the queries of the cell that both have."""
+    """Yield the comparison of every two runs on the queries of both, or why there is none."""
     for (a, first), (b, second) in combinations(enumerate(runs), 2):
         both = cell.rows[first.has[cell.rows] & second.has[cell.rows]]
-        if len(both):
-            before, after = first.correct[number, both], second.correct[number, both]
-            flights = board.flights[both].tolist()
-            change = compare_paired(before.tolist(), after.tolist(), flights)
-            yield {"a": a, "b": b, "flights": len(set(flights))} | change
+        datasets = dict.fromkeys(board.queries[row].dataset for row in both)
+        reason = reason_against(board.track.controls, first, second, datasets)
+        if (name := str(THRESHOLDS[threshold_number])) in first.unjudged(datasets):
+            reason = f"the reference poses are too inexact to judge {name}"
+        if reason:
+            yield {"a": a, "b": b, "reason": reason}
+        elif len(both):
+            before, after = (
+                first.correct[threshold_number, both],
+                second.correct[threshold_number, both],
+            )
+            courses = board.courses[both].tolist()
+            change = compare_paired(before.tolist(), after.tolist(), courses)
+            yield {"a": a, "b": b} | change

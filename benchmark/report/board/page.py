@@ -25,7 +25,7 @@ def board_page(boards: Sequence[TrackBoard]) -> str:
     pictures = Pictures()
     with progress_bar("tracks", len(boards)) as advance:
         for done, board in enumerate(boards, 1):
-            tracks.append(track_figures(board) | {"pictures": pictures.of(board)})
+            tracks.append(track_figures(board) | {"pictures": pictures.add_track(board)})
             advance(done)
     data = {
         "thresholds": [{"key": t.key, "text": str(t)} for t in THRESHOLDS],

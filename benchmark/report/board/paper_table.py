@@ -7,11 +7,11 @@ from typing import Final
 
 from benchmark.report.board.cells import ALL, cells
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.paper import Cell, Line, paper_lines, pool, source_text
+from benchmark.report.paper import Line, TableCell, paper_lines, pool, source_text
 from benchmark.tracks.queries import CHANGED
 
-# Each column of the paper with our track and part beside it, in the order of ``paper.columns``.
-_BESIDE: Final = {
+# The headings of the columns, in the order of the paper's, with our track and part of each.
+_COLUMNS: Final = {
     "urban: CMU / street-seasons": ("street-seasons", "urban"),
     "suburban: CMU / street-seasons": ("street-seasons", "suburban"),
     "park: CMU / street-seasons": ("street-seasons", "park"),
@@ -21,14 +21,14 @@ _BESIDE: Final = {
 
 def columns() -> tuple[str, ...]:
     """Return the headings: the data of the paper, then our track."""
-    return tuple(_BESIDE)
+    return tuple(_COLUMNS)
 
 
 def note() -> str:
     """Return what a reader has to know before comparing."""
     return (
         "Recall in % at 0.5 m 5°. The upper lines are the paper's own figures on its own data; "
-        "this project has not measured them. The lower lines are ours on simulated sites of the "
+        "this project has not measured them. The lower lines are ours on simulated places of the "
         "same kind, under changed conditions. The data differ, so do not compare across the two "
         "halves."
     )
@@ -37,19 +37,26 @@ def note() -> str:
 def lines(boards: Sequence[TrackBoard]) -> list[Line]:
     """Return the lines of the paper, then one for each of our methods and starts."""
     runs = dict.fromkeys(
-        (run.start, run.method, run.declared) for board in boards for run in board.runs
+        (run.start, run.method, run.declared)
+        for board in boards
+        for run in board.runs
+        if run.authors is None
     )
     ours = (
-        Line(method, source_text(start, declared), False, tuple(_cells(boards, start, method)))
+        Line(
+            method, source_text(start, declared), False, tuple(_table_cells(boards, start, method))
+        )
         for start, method, declared in runs
     )
     return paper_lines() + list(ours)
 
 
-def _cells(boards: Sequence[TrackBoard], start: str, method: str) -> Iterator[Cell | None]:
-    for track, part in _BESIDE.values():
+def _table_cells(
+    boards: Sequence[TrackBoard], start: str, method: str
+) -> Iterator[TableCell | None]:
+    for track, part in _COLUMNS.values():
         found = [
-            _pool(board, run, part)
+            _pool_changed(board, run, part)
             for board in boards
             for run in board.runs
             if (board.track.name, run.start, run.method) == (track, start, method)
@@ -57,9 +64,10 @@ def _cells(boards: Sequence[TrackBoard], start: str, method: str) -> Iterator[Ce
         yield found[0] if found else None
 
 
-def _pool(board: TrackBoard, run: BoardRun, part: str) -> Cell | None:
+def _pool_changed(board: TrackBoard, run: BoardRun, part: str) -> TableCell | None:
+    """Return the recall of a run on the changed queries of a part; None without results."""
     for cell in cells(board.queries):
         if (cell.season, cell.part) == (CHANGED, part):
-            answers = run.of(cell.rows)
+            answers = run.answers_at(cell.rows)
             return pool(answers) if answers else None
     return None

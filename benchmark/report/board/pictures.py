@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from benchmark.report.album import ALBUM, Album, read_album, write_album
 from benchmark.report.board.runs import TrackBoard, read_board
-from benchmark.report.page import PICTURE_BYTES, shrunk
+from benchmark.report.page import PICTURE_BYTES, shrink
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.outputs import check_outputs
 
@@ -39,12 +39,13 @@ class Pictures:
 
     def __init__(self) -> None:
         self.encoded: list[str] = []
-        self._left = PICTURE_BYTES
+        self._bytes_left = PICTURE_BYTES
 
-    def of(self, board: TrackBoard) -> dict[int, list[int | None]]:
-        """Return the indices of the photographs of query and map, by the index of the query.
+    def add_track(self, board: TrackBoard) -> dict[int, list[int | None]]:
+        """Add the stored photographs of a track, and return their indices in ``encoded``.
 
-        A photograph that no longer fits is None.
+        The indices are those of the photographs of query and map, by the index of the query. A
+        photograph that no longer fits is None.
 
         Raises:
             InputError: an album is damaged.
@@ -64,9 +65,9 @@ class Pictures:
 
     def _add(self, photograph: bytes) -> int | None:
         text = "data:image/webp;base64," + base64.b64encode(photograph).decode()
-        if len(text) > self._left:
+        if len(text) > self._bytes_left:
             return None
-        self._left -= len(text)
+        self._bytes_left -= len(text)
         self.encoded.append(text)
         return len(self.encoded) - 1
 
@@ -90,16 +91,17 @@ def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
     for place in board.track.places:
         names = _hardest(board, place.dataset)
         for folder in results if names else ():
-            whole = read_album(folder / place.dataset / ALBUM, *place.renders)
-            if whole:
+            album = read_album(folder / place.dataset / ALBUM, *place.renders)
+            if album:
                 target = track / _FOLDER / f"{place.dataset}.h5"
                 check_outputs([target], results, within=track)
-                write_album(target, _small(whole, names))
+                write_album(target, _shrink_album(album, names))
                 written.append(target)
                 break
     if not written:
         raise InputError(
-            f"no {ALBUM} in {', '.join(map(str, results))} belongs to the data of {track}"
+            f"no {ALBUM} in {', '.join(map(str, results))} belongs to the data of {track}: give "
+            "folders that evaluate wrote on these data sets"
         )
     return written
 
@@ -116,16 +118,16 @@ def _hardest(board: TrackBoard, dataset: str) -> list[str]:
     return sorted((name for name in wrong if wrong[name]), key=lambda name: -wrong[name])[:_QUERIES]
 
 
-def _small(album: Album, names: Sequence[str]) -> Album:
-    """Return the album of a few queries, with small photographs and without points."""
+def _shrink_album(album: Album, names: Sequence[str]) -> Album:
+    """Return the album of these queries alone, with small photographs and without points."""
     kept = {name: album.entries[name] for name in names if name in album.entries}
-    beside = {entry.neighbour for entry in kept.values() if entry.neighbour is not None}
+    neighbours = {entry.neighbour for entry in kept.values() if entry.neighbour is not None}
     return Album(
         album.sha256,
         {
             name: replace(
                 entry,
-                photograph=shrunk(entry.photograph, _SIDE),
+                photograph=shrink(entry.photograph, _SIDE),
                 world=entry.world[:0],
                 truth=entry.truth[:0],
                 seen=entry.seen[:0],
@@ -134,9 +136,9 @@ def _small(album: Album, names: Sequence[str]) -> Album:
         },
         {
             name: replace(
-                album.neighbours[name], photograph=shrunk(album.neighbours[name].photograph, _SIDE)
+                album.neighbours[name], photograph=shrink(album.neighbours[name].photograph, _SIDE)
             )
-            for name in sorted(beside)
+            for name in sorted(neighbours)
         },
     )
 
@@ -146,9 +148,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Keep small photographs of the hardest queries.")
     parser.add_argument("--track", type=Path, required=True)
     parser.add_argument("results", type=Path, nargs="+")
-    given: Any = parser.parse_args(words)
+    arguments: Any = parser.parse_args(words)
     try:
-        for path in keep_pictures(given.results, given.track):
+        for path in keep_pictures(arguments.results, arguments.track):
             print(path)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results import Results
 from benchmark.results.results_files import load
-from benchmark.scoring.score import THRESHOLDS, is_correct
+from benchmark.scoring.score import THRESHOLDS, is_correct, list_unjudged
+from benchmark.submissions.scoring import read_submissions
+from benchmark.submissions.submission import Card
 from benchmark.tracks.compact import RESULTS
+from benchmark.tracks.courses import track_courses
 from benchmark.tracks.description import DESCRIPTION, Track, TrackPlace, load_track
 from benchmark.tracks.difficulty import QueryRow
-from benchmark.tracks.queries import read_queries
+from benchmark.tracks.queries import SEEN, UNSEEN, read_queries
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.progress import progress_bar
 
@@ -30,7 +33,7 @@ log = logging.getLogger(__name__)
 _Key = tuple[str, str, str]
 
 # The track with which the page opens.
-OPENING: Final = "uav-seasons"
+FIRST_TRACK: Final = "uav-seasons"
 
 _ENDINGS: Final = (".json.xz", ".json")
 
@@ -42,13 +45,18 @@ class BoardQuery:
     Attributes:
         dataset: name of its data set.
         row: what the track says of it.
+        course: course that it was flown on, see ``benchmark.tracks.courses``.
         same: whether its results say that its condition is the map's. Sessions of a track in which
             something moved are under other conditions.
+        novelty: "seen", or one of ``UNSEEN`` if its track holds its condition or its preset out of
+            training; None if the track holds out nothing.
     """
 
     dataset: str
     row: QueryRow
+    course: str
     same: bool
+    novelty: str | None = None
 
 
 @dataclass(frozen=True)
@@ -59,27 +67,41 @@ class BoardRun:
         start: name of the starting information.
         method: name of the method.
         answers: answer to each query of the track; None in a data set without results.
-        declared: whether the start is one that somebody declared, and nothing verifies.
+        declared: whether a user declared the start to ``score``, which nothing verifies.
+        authors: who submitted the poses; None for runs of the track's owners.
+        results: the results by data set.
     """
 
     start: str
     method: str
     answers: tuple[QueryResult | None, ...]
     declared: bool = False
+    authors: str | None = None
+    results: Mapping[str, Results] = field(default_factory=dict, repr=False)
 
     @property
     def label(self) -> str:
-        """Return the name of the method, which says where its start is declared."""
+        """Return the name of the method, with its authors, or a note if its start is declared."""
+        if self.authors is not None:
+            return f"{self.method} (submitted by {self.authors})"
         return f"{self.method} (start as declared)" if self.declared else self.method
 
     @cached_property
     def has(self) -> NDArray[np.bool_]:
-        """Return (N,) whether each query has an answer, be it a failure."""
+        """Return (N,) whether each query has an answer; a failure is one too."""
         return np.array([answer is not None for answer in self.answers], np.bool_)
 
-    def of(self, rows: NDArray[np.int64]) -> list[QueryResult]:
-        """Return the answers to some queries, without those that have none."""
+    def answers_at(self, rows: NDArray[np.int64]) -> list[QueryResult]:
+        """Return the answers to the queries of these rows (K,), without those that have none."""
         return [answer for row in rows if (answer := self.answers[row]) is not None]
+
+    def unjudged(self, datasets: Collection[str]) -> tuple[str, ...]:
+        """Return the thresholds that the reference poses of any of these data sets do not judge.
+
+        Data sets without results of this run are ignored.
+        """
+        found = (self.results[name] for name in datasets if name in self.results)
+        return tuple(dict.fromkeys(text for run in found for text in run.dataset.unjudged))
 
     @cached_property
     def correct(self) -> NDArray[np.bool_]:
@@ -99,7 +121,9 @@ class TrackBoard:
         track: description of the track.
         queries: queries of all data sets that have results.
         runs: runs in the order of the track's starts and methods.
-        missing: what has no results, one sentence each.
+        missing: sentences that say which start, method and data set have no results, and which
+            submissions are left out.
+        cards: what the authors of submissions state.
     """
 
     folder: Path
@@ -107,43 +131,49 @@ class TrackBoard:
     queries: tuple[BoardQuery, ...]
     runs: tuple[BoardRun, ...]
     missing: tuple[str, ...]
+    cards: tuple[Card, ...] = ()
 
     @cached_property
-    def flights(self) -> NDArray[np.str_]:
-        """Return (N,) the flight of each query, with its data set."""
-        return np.array([f"{query.dataset}/{query.row.flight}" for query in self.queries])
+    def courses(self) -> NDArray[np.str_]:
+        """Return (N,) the course of each query."""
+        return np.array([query.course for query in self.queries])
+
+    def datasets_at(self, rows: NDArray[np.int64]) -> tuple[str, ...]:
+        """Return the data sets of the queries of these rows (K,)."""
+        return tuple(dict.fromkeys(self.queries[row].dataset for row in rows))
 
 
 def read_boards(folder: Path) -> list[TrackBoard]:
     """Read all tracks of a folder, ``FOLDER/<track>/track.yaml`` and what lies beside it.
 
-    Tracks with results come first, among them the one of aircraft, with which the page opens; the
-    others follow in the order of their names.
+    Tracks with results come before those without, ``FIRST_TRACK`` before the others, and these in
+    the order of their names.
 
     Raises:
         InputError: there is no track, a file is damaged, or results are not of the track's data.
     """
     if not folder.is_dir():
-        raise InputError(f"board {folder} does not exist, or is no folder")
+        raise InputError(f"{folder} is not a folder: give the folder of the tracks with --board")
     names = sorted(path.parent.name for path in folder.glob(f"*/{DESCRIPTION}"))
     if not names:
-        raise InputError(f"board {folder} holds no track (<track>/{DESCRIPTION})")
+        raise InputError(f"folder of tracks {folder} holds no track (<track>/{DESCRIPTION})")
     boards = [read_board(name, folder) for name in names]
-    return sorted(boards, key=lambda board: (not board.runs, board.track.name != OPENING))
+    return sorted(boards, key=lambda board: (not board.runs, board.track.name != FIRST_TRACK))
 
 
-def read_board(name: str, board: Path) -> TrackBoard:
+def read_board(name: str, tracks_folder: Path) -> TrackBoard:
     """Read one track.
 
-    A start without any results of a method is one that the method cannot take. A method that has
-    results of some data sets only is shown with the queries it has, and is listed as missing.
+    Combinations of start, method and data set without results are listed as missing. A method that
+    has results of only a few data sets is shown with the queries of these. A submission that is
+    damaged is left out, and listed there too.
 
     Raises:
         InputError: a file is damaged, results are of other data than the track names, or a query is
             in the results and not in the track's list, or the other way round.
     """
-    track = load_track(name, board)
-    folder = board / name
+    track = load_track(name, tracks_folder)
+    folder = tracks_folder / name
     paths = {
         (start, place.dataset, method): _results_path(
             folder / RESULTS / start / place.dataset, method
@@ -156,10 +186,19 @@ def read_board(name: str, board: Path) -> TrackBoard:
     loaded = _load(track, {key: path for key, path in paths.items() if path is not None})
     if not loaded:
         missing = ["no results yet"]
+    submissions, left_out = read_submissions(track, tracks_folder)
+    missing += left_out
+    cards = tuple(scored.submission.card for scored in submissions)
+    authors = {card.method: card.authors for card in cards}
+    for card, scored in zip(cards, submissions, strict=True):
+        for dataset, results in scored.results.items():
+            loaded[card.start, dataset, card.method] = results
+    track = track.model_copy(update={"methods": (*track.methods, *authors)})
     queries = tuple(_queries(folder, track, loaded))
     for line in missing:
         log.warning("%s: %s", track.name, line)
-    return TrackBoard(folder, track, queries, tuple(_runs(track, queries, loaded)), tuple(missing))
+    runs = tuple(_runs(track, queries, loaded, authors))
+    return TrackBoard(folder, track, queries, runs, tuple(missing), cards)
 
 
 def _missing(track: Track, paths: Mapping[_Key, Path | None]) -> Iterator[str]:
@@ -185,11 +224,16 @@ def _load(track: Track, paths: Mapping[_Key, Path]) -> dict[_Key, Results]:
 
 def _results_path(folder: Path, method: str) -> Path | None:
     paths = (folder / f"{method}{ending}" for ending in _ENDINGS)
-    # lexists: a broken link is refused by the reader, not reported as missing.
+    # lexists is true of a broken link, so that the reader refuses it and it is not called missing.
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
 def _read(path: Path, start: str, place: TrackPlace) -> Results:
+    """Read results and refuse those of another render or start.
+
+    They get the error of the reference poses that the track states. Their own summaries are not
+    computed again, because the page pools queries.
+    """
     results = load(path)
     if place.renders and results.dataset.sha256 not in place.renders:
         raise InputError(
@@ -197,11 +241,19 @@ def _read(path: Path, start: str, place: TrackPlace) -> Results:
             f"{place.dataset} is {place.renders[0][:12]}: evaluate again on the track's data"
         )
     if results.start != start:
-        raise InputError(f"results {path} are from start {results.start}, not {start}")
-    return results
+        raise InputError(
+            f"results {path} are from start {results.start}, not {start}: store them with "
+            "'objconnect leaderboard --store', which chooses the folder"
+        )
+    if place.reference_error is None:
+        return results
+    unjudged = {"unjudged": list_unjudged(place.reference_error)}
+    return results.model_copy(update={"dataset": results.dataset.model_copy(update=unjudged)})
 
 
 def _queries(folder: Path, track: Track, loaded: Mapping[_Key, Results]) -> Iterator[BoardQuery]:
+    """Yield the queries of all places that have results."""
+    course_of = track_courses(folder, track)
     for place in track.places:
         runs = {key: run for key, run in loaded.items() if key[1] == place.dataset}
         if not runs:
@@ -214,7 +266,21 @@ def _queries(folder: Path, track: Track, loaded: Mapping[_Key, Results]) -> Iter
         condition = {query.name: query.condition for query in run.queries}
         for row in rows.values():
             same = condition[row.name] in run.dataset.map_conditions
-            yield BoardQuery(place.dataset, row, same)
+            flight = f"{place.dataset}/{row.flight}"
+            course = course_of.get(flight, flight)
+            yield BoardQuery(place.dataset, row, course, same, _novelty(track, place, row))
+
+
+def _novelty(track: Track, place: TrackPlace, row: QueryRow) -> str | None:
+    """Return "seen", or whether the track holds out the condition, the preset or both."""
+    if track.held_out is None:
+        return None
+    condition = track.held_out.has_condition(row.condition)
+    preset = place.preset in track.held_out.presets
+    unseen_condition, unseen_place, unseen_both = UNSEEN
+    if condition and preset:
+        return unseen_both
+    return unseen_condition if condition else unseen_place if preset else SEEN
 
 
 def _check_queries(path: Path, rows: Mapping[str, QueryRow], what: str, run: Results) -> None:
@@ -222,7 +288,10 @@ def _check_queries(path: Path, rows: Mapping[str, QueryRow], what: str, run: Res
     answered = {query.name: None for query in run.queries}
     for name in answered:
         if name not in rows:
-            raise InputError(f"{path} has no row for {name}, which is in the results of {what}")
+            raise InputError(
+                f"{path} has no row for {name}, which is in the results of {what}: record the "
+                "queries again with 'objconnect track --update'"
+            )
     lost = [name for name in rows if name not in answered]
     if lost:
         raise InputError(
@@ -235,24 +304,30 @@ def _runs(
     track: Track,
     queries: Sequence[BoardQuery],
     loaded: Mapping[_Key, Results],
+    authors: Mapping[str, str],
 ) -> Iterator[BoardRun]:
+    """Yield the runs of all starts and methods that have results."""
     for start in track.starts:
         for method in track.methods:
-            answers = {
-                (dataset, answer.name): answer
+            results = {
+                dataset: run
                 for (its_start, dataset, its_method), run in loaded.items()
                 if (its_start, its_method) == (start, method)
+            }
+            answers = {
+                (dataset, answer.name): answer
+                for dataset, run in results.items()
                 for answer in run.queries
             }
             if answers:
-                listed = (answers.get((query.dataset, query.row.name)) for query in queries)
-                yield BoardRun(start, method, tuple(listed), _is_declared(start, method, loaded))
+                listed = tuple(_on_course(answers, query) for query in queries)
+                declared = any(run.method.is_external for run in results.values())
+                yield BoardRun(start, method, listed, declared, authors.get(method), results)
 
 
-def _is_declared(start: str, method: str, loaded: Mapping[_Key, Results]) -> bool:
-    """Return whether somebody declared the start of a method to ``score``."""
-    return any(
-        run.method.is_external
-        for (its_start, _, its_method), run in loaded.items()
-        if (its_start, its_method) == (start, method)
-    )
+def _on_course(
+    answers: Mapping[tuple[str, str], QueryResult], query: BoardQuery
+) -> QueryResult | None:
+    """Return the answer to a query, with its course within the track."""
+    answer = answers.get((query.dataset, query.row.name))
+    return answer and answer.model_copy(update={"course": query.course})

@@ -8,11 +8,22 @@ from dataclasses import dataclass
 from benchmark.report.board import paper_table
 from benchmark.report.board.cells import RISK, Cell, cells, recall_at_risk
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.markdown import escape, line, nees_text, number, paper_markdown, recall_text
+from benchmark.report.markdown import (
+    BY_COURSE,
+    INTEGRITY,
+    INTEGRITY_COLUMNS,
+    escape,
+    line,
+    nees_with_interval,
+    number,
+    paper_markdown,
+    share_text,
+)
 from benchmark.report.tables import start_in_words
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS
 from benchmark.scoring.summary import Recall, Summary, summarize
+from benchmark.submissions.submission import Card
 
 
 @dataclass(frozen=True)
@@ -21,13 +32,12 @@ class HeadlineRow:
 
     Attributes:
         start: name of the starting information.
-        season: "changed", "same" or a condition.
+        season: season of the cell, see ``Cell``.
         part: "all" or a part of the track.
         method: label of the method.
-        cell_queries: queries of the cell, of which a method may have answered a part.
-        half_width: half the width of the cell's 95 % interval at a recall of 90 %, points.
-        surest: recall at 0.5 m 5° at bounded risk, see ``benchmark.report.board.cells``; None where
-            the method predicts no sigma.
+        cell_queries: number of queries of the cell; the method may have results of only a part.
+        surest: recall at 0.5 m 5° at bounded risk, see ``cells.recall_at_risk``; None if no answer
+            has a probability or a sigma, or the reference poses do not judge 0.5 m.
         summary: figures of the queries.
     """
 
@@ -36,7 +46,6 @@ class HeadlineRow:
     part: str
     method: str
     cell_queries: int
-    half_width: float
     surest: Recall | None
     summary: Summary
 
@@ -47,21 +56,22 @@ def headline(board: TrackBoard) -> Iterator[HeadlineRow]:
         for cell in cells(board.queries):
             for run in board.runs:
                 if run.start == start and run.has[cell.rows].any():
-                    yield _row(cell, run)
+                    yield _row(board, cell, run)
 
 
-def _row(cell: Cell, run: BoardRun) -> HeadlineRow:
-    answers = run.of(cell.rows)
-    surest = recall_at_risk(answers, THRESHOLDS[1])
+def _row(board: TrackBoard, cell: Cell, run: BoardRun) -> HeadlineRow:
+    answers = run.answers_at(cell.rows)
+    unjudged = run.unjudged(board.datasets_at(cell.rows))
+    is_judged = str(THRESHOLDS[1]) not in unjudged
+    surest = recall_at_risk(answers, THRESHOLDS[1]) if is_judged else None
     return HeadlineRow(
         start=run.start,
         season=cell.season,
         part=cell.part,
         method=run.label,
         cell_queries=len(cell.rows),
-        half_width=cell.half_width,
         surest=None if surest is None else Recall(**surest._asdict()),
-        summary=summarize(answers, 0.0, None),
+        summary=summarize(answers, unjudged=unjudged),
     )
 
 
@@ -76,12 +86,11 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "# Leaderboard",
         "",
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
-        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. ± is "
-        "half the width of that interval at a recall of 90 %. False fixes are poses that a method "
-        "calls right and that are wrong by more than 5 m or 10°. The surest are the share of all "
-        "queries that are believed and right at 0.5 m 5° when answers are believed in the order of "
-        "their predicted probability, else of their sigma, as long as fewer than "
-        f"{RISK:.0%} of those are wrong.",
+        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
+        f"{INTEGRITY} Surest: "
+        "answers are accepted from the most certain on, by their predicted probability or else "
+        f"their sigma, as long as fewer than {RISK:.0%} of those accepted are wrong at 0.5 m 5°; "
+        "the column is the share of all queries that are accepted and right.",
     ]
     for board, figures in zip(boards, rows, strict=True):
         lines += ["", f"## {escape(board.track.name)}: {escape(board.track.title)}"]
@@ -90,6 +99,7 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
             lines += _table([row for row in figures if row.start == start])
         if not figures:
             lines += ["", "Nothing is measured yet."]
+        lines += ["", *map(_card_line, board.cards)]
         lines += ["", *(f"- Missing: {escape(sentence)}." for sentence in board.missing)]
     text = "\n".join(lines).rstrip() + "\n"
     return text + paper_markdown(
@@ -97,31 +107,46 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
     )
 
 
+def _card_line(card: Card) -> str:
+    """Return what the authors of a submission state of it."""
+    sentences = [
+        f"{card.method} (submitted by {card.authors}), start {card.start}: {card.description}",
+        f"Trained on: {card.trained_on}",
+        *([] if card.hardware is None else [f"Hardware: {card.hardware}"]),
+        *([] if card.url is None else [card.url]),
+    ]
+    return f"- {escape('. '.join(sentences))}"
+
+
 def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
-    header = ["season", "part", "method", "queries", "±", *recalls, "surest (%)"]
-    header += ["false fixes (%)", "NEES", "median m", "s/query"]
+    header = ["season", "part", "method", "queries", "courses", *recalls, "surest (%)"]
+    header += [*INTEGRITY_COLUMNS, "NEES", "in the ellipsoid (%)", "median m", "s/query"]
     yield line(header)
     yield line(["---", "---", "---", *["--:"] * (len(header) - 3)])
     for row in rows:
-        summary, consistent = row.summary, row.summary.uncertainty
+        summary, uncertainty = row.summary, row.summary.uncertainty
         yield line(
             [
                 escape(row.season),
                 escape(row.part),
                 escape(row.method),
                 _count_asked(summary.queries, row.cell_queries),
-                f"{row.half_width:.1f}",
-                *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
-                "–" if row.surest is None else recall_text(row.surest),
-                "–" if summary.false_fixes is None else recall_text(summary.false_fixes),
-                "–" if consistent is None else nees_text(consistent.nees_mean),
+                str(summary.courses),
+                *(share_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
+                share_text(row.surest),
+                *(share_text(share) for share in summary.integrity()),
+                "–" if uncertainty is None else nees_with_interval(uncertainty),
+                "–" if uncertainty is None else uncertainty.within_95.text(),
                 number(summary.median_t_m),
                 number(summary.seconds.per_query.get(TOTAL)),
             ]
         )
 
 
-def _count_asked(asked: int, of: int) -> str:
-    """Return how many queries of a cell a method was asked; a part of them is no equal footing."""
-    return str(asked) if asked == of else f"{asked} of {of}"
+def _count_asked(asked: int, listed: int) -> str:
+    """Return how many of the listed queries a method was asked.
+
+    Methods that were asked different queries cannot be compared.
+    """
+    return str(asked) if asked == listed else f"{asked} of {listed}"

@@ -1,5 +1,5 @@
 (() => {
-  const SAME = "same", CHANGED = "changed";
+  const SAME = "same", CHANGED = "changed", NOVELTIES = ["seen", "unseen-condition", "unseen-place", "unseen-both"];
   const STATUS = ["ok", "fallback", "failed"];
   const PAGE = 10;
   const state = { track: 0, start: 0, season: CHANGED, part: ALL, threshold: Math.min(1, data.thresholds.length - 1),
@@ -11,7 +11,7 @@
   const everyRun = () => start().runs.map((_, run) => run);
   const cellOf = (season, part) => start().cells.find((c) => c.season === season && c.part === part);
   const cell = () => cellOf(state.season, state.part);
-  const seasonName = (season) => ({ [SAME]: "same season", [CHANGED]: "changed" }[season] || season);
+  const seasonName = (season) => ({ [SAME]: "same season", [CHANGED]: "changed" }[season] || (NOVELTIES.includes(season) ? season.replace("-", " ") : season));
   const partName = (part) => (part === ALL ? "all places" : part);
   const where = () => `${seasonName(state.season)}, ${partName(state.part)}`;
   const withFigures = () => everyRun().filter((run) => cell().runs[run]);
@@ -36,22 +36,24 @@
   const columns = () => [
     { name: "method", word: true, key: (row) => row.label.toLowerCase() },
     { name: "queries", key: (row) => row.s.queries },
-    ...data.thresholds.map((t, k) => ({ name: `${t.text} %`, key: (row) => row.s.recall[k][0], best: "descending" })),
-    { name: `surest at ${threshold()} %`, key: (row) => (row.bounded ? row.bounded[0] : null), best: "descending" },
-    { name: "false fixes %", key: (row) => row.s.wrong[0] },
+    { name: "courses", key: (row) => row.s.courses },
+    ...data.thresholds.map((t, k) => ({ name: `${t.text} %`, key: (row) => valueOf(row.s.recall[k]), best: "descending" })),
+    { name: `surest at ${threshold()} %`, key: (row) => valueOf(row.bounded), best: "descending" },
+    ...integrityColumns(" %"),
     { name: "median m", key: (row) => row.s.t },
     { name: "median °", key: (row) => row.s.r },
     { name: "failed + fallback", key: (row) => row.s.failed + row.s.fallback },
     { name: "s/query", key: (row) => row.s.seconds },
   ];
-  const plainCell = (value) => el("td", {}, value ? [percent(value), el("small", {}, interval(value))] : "–");
+  const courses = (count) => `${count} ${count === 1 ? "course" : "courses"}`;
   const headline = () => {
     const rows = withFigures().map((run) => ({ run, label: labelOf(run), s: cell().runs[run].summary, bounded: cell().runs[run].bounded[state.threshold] }));
     return sortedTable("Results of the cell", columns(), ["look at"], rows, (row) => el("tr", {},
       el("th", { scope: "row", class: "word" }, swatch(row.run), row.label),
       el("td", {}, row.s.queries === cell().queries ? String(row.s.queries) : [String(row.s.queries), el("small", {}, `of ${cell().queries}`)]),
+      el("td", {}, String(row.s.courses)),
       row.s.recall.map((value) => recallCell(row.run, value)),
-      plainCell(row.bounded), plainCell(row.s.wrong),
+      shareCell(row.bounded), row.s.integrity.map(shareCell),
       [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
       el("td", {}, `${row.s.failed} + ${row.s.fallback}`),
       el("td", {}, digits(row.s.seconds)),
@@ -65,18 +67,21 @@
   const overview = () => {
     const { cells } = start(), seasons = [...new Set(cells.map((c) => c.season))];
     const broad = seasons.filter((season) => [CHANGED, SAME].includes(season));
-    const single = cells.filter((c) => !broad.includes(c.season));
-    const inOrder = [...broad.flatMap((season) => cells.filter((c) => c.season === season)), ...single];
+    const novel = cells.filter((c) => NOVELTIES.includes(c.season));
+    const single = cells.filter((c) => !broad.includes(c.season) && !novel.includes(c));
+    const inOrder = [...broad.flatMap((season) => cells.filter((c) => c.season === season)), ...novel, ...single];
     return scroll("Recall of every method in every cell", el("table", { class: "heat" },
       el("thead", {},
         el("tr", {}, el("td", {}), broad.map((season) => el("th", { scope: "colgroup", colspan: cells.filter((c) => c.season === season).length }, seasonName(season))),
+          novel.length ? el("th", { scope: "colgroup", colspan: novel.length }, "changed, by what training may use") : null,
           single.length ? el("th", { scope: "colgroup", colspan: single.length }, "one condition, all places") : null),
         el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), inOrder.map((c) => el("th", { scope: "col" },
-          broad.includes(c.season) ? partName(c.part) : c.season, el("small", {}, `${c.queries}, ±${c.half.toFixed(1)}`))))),
+          broad.includes(c.season) ? partName(c.part) : seasonName(c.season), el("small", {}, `${c.queries} of ${courses(c.courses)}`))))),
       el("tbody", {}, everyRun().map((run) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(run), labelOf(run)),
         inOrder.map((c) => {
           const figures = c.runs[run];
           if (!figures) return el("td", { class: "cell" }, "–");
+          if (!figures.summary.recall[state.threshold]) return el("td", { class: "cell" }, "–");
           const value = figures.summary.recall[state.threshold], part = figures.summary.queries;
           return el("td", { class: "cell", "aria-current": String(c === cell()), css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * value[0] / 100).toFixed(3)})` } },
             el("button", { type: "button", title: `${labelOf(run)}, ${seasonName(c.season)}, ${partName(c.part)}: ${percent(value)} % ${interval(value)} of ${figures.summary.queries}; shows the cell`,
@@ -95,7 +100,7 @@
     runs.forEach((run, k) => {
       const shift = (k - (runs.length - 1) / 2) * step;
       const bins = cell().runs[run].difficulty[number];
-      const known = bins.map((_, bin) => bin).filter((bin) => bins[bin][0]);
+      const known = bins.map((_, bin) => bin).filter((bin) => bins[bin][1 + state.threshold]);
       const value = (bin) => bins[bin][1 + state.threshold];
       if (known.length > 1) f.root.append(svg("path", { d: `M${known.map((bin) => `${f.x(bin) + shift} ${f.y(value(bin)[0])}`).join("L")}`,
         fill: "none", "stroke-width": 1.8, "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } }));
@@ -111,7 +116,7 @@
     el("tbody", {}, data.axes.flatMap((axis, number) => axis.labels.map((label, bin) => {
       const bins = runs.map((run) => cell().runs[run].difficulty[number][bin]);
       return el("tr", {}, el("th", { scope: "row", class: "word" }, axis.short), el("td", { class: "word" }, `${label} ${axis.unit}`),
-        el("td", {}, String(Math.max(...bins.map(([queries]) => queries)))), bins.map((found) => plainCell(found[1 + state.threshold])));
+        el("td", {}, String(Math.max(...bins.map(([queries]) => queries)))), bins.map((found) => shareCell(found[1 + state.threshold])));
     })))));
 
   // ---- integrity
@@ -123,18 +128,20 @@
         cells.map((c) => el("th", { scope: "col" }, seasonName(c.season))))),
       el("tbody", {}, everyRun().flatMap((run) => {
         const line = (name, text, first) => el("tr", {},
-          first ? el("th", { scope: "rowgroup", class: "word", rowspan: 4 }, swatch(run), labelOf(run)) : null,
+          first ? el("th", { scope: "rowgroup", class: "word", rowspan: 6 }, swatch(run), labelOf(run)) : null,
           el("th", { scope: "row", class: "word" }, name),
           cells.map((c) => {
-            const [value, right] = c.runs[run] ? text(c.runs[run]) : ["–", false];
-            return el("td", { class: right ? "right" : null }, value);
+            const [value, right, ends] = c.runs[run] ? text(c.runs[run]) : ["–", false];
+            return el("td", { class: right ? "right" : null }, value, ends ? el("small", {}, ends) : null);
           }));
         const nees = (figure) => (r) => (r.nees ? figure(r.nees) : ["–", false]);
+        const share = (value, right) => [`${percent(value)} %`, right, interval(value)];
+        const rare = (k) => (r) => (r.summary.integrity[k] ? share(r.summary.integrity[k], r.summary.integrity[k][0] <= 1) : ["–", false]);
         return [
-          line("NEES, mean", nees((n) => [neesText(n.mean), n.mean >= 4.5 && n.mean <= 8]), true),
+          line("NEES, mean", nees((n) => [neesText(n.mean[0]), n.mean[0] >= 4.5 && n.mean[0] <= 8, neesInterval(n.mean)]), true),
           line("NEES, median", nees((n) => [neesText(n.median), false])),
-          line("in the 95 % ellipsoid", nees((n) => [`${percent(n.within)} %`, n.within[0] >= 93 && n.within[0] <= 97])),
-          line("false fixes", (r) => [`${percent(r.summary.wrong)} %`, r.summary.wrong[0] <= 1]),
+          line("in the 95 % ellipsoid", nees((n) => share(n.within, n.within[0] >= 93 && n.within[0] <= 97))),
+          ...INTEGRITY.map((name, k) => line(name, rare(k))),
         ];
       }))));
   };
@@ -144,7 +151,8 @@
   const inCell = () => {
     const q = track().queries, { conditions, parts } = track();
     return q.name.map((_, k) => k).filter((k) => (state.part === ALL || parts[q.part[k]] === state.part)
-      && (state.season === SAME ? q.same[k] : state.season === CHANGED ? !q.same[k] : conditions[q.condition[k]] === state.season));
+      && (state.season === SAME ? q.same[k] : state.season === CHANGED ? !q.same[k]
+        : NOVELTIES.includes(state.season) ? !q.same[k] && q.novelty[k] === state.season : conditions[q.condition[k]] === state.season));
   };
   // Worst first: wrong answers that were called right, the farthest off first; then fallbacks, then failures.
   const worstOf = (run) => {
@@ -193,10 +201,10 @@
 
   // ---- the page
 
-  // Two methods may share fewer flights than the cell has.
-  const pairedFlights = (pairs) => {
-    const counts = pairs.map((p) => p.flights), least = Math.min(...counts), most = Math.max(...counts);
-    return least === most ? `${least}` : `${least} to ${most}`;
+  // Two methods may share fewer courses than the cell has.
+  const pairedCourses = (pairs) => {
+    const counts = pairs.filter((p) => !p.reason).map((p) => p.courses), least = Math.min(...counts), most = Math.max(...counts);
+    return least === most ? courses(least) : `${least} to ${courses(most)}`;
   };
   const paintCell = () => {
     const main = document.getElementById("cell"), c = cell(), runs = withFigures(), pairs = c.pairs[state.threshold];
@@ -206,15 +214,16 @@
     const legendOf = (lines) => legend(labelOf, runs, lines);
     main.replaceChildren(
       el("section", { class: "card" }, el("h2", { id: "where" }, `${track().name}: ${where()}`),
-        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${c.flights} flights. At a recall of 90 % the 95 % interval is ±${c.half.toFixed(1)} points.`),
+        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${courses(c.courses)}, by which intervals and p are computed. [–]: of one course, the interval is unknown.`),
         headline(),
         el("p", { class: "quiet" }, `Surest: accept answers from the highest predicted probability down (or from the smallest sigma up) while fewer than 1 % of them are wrong at ${threshold()}. The figure is the share of all queries that are accepted and right.`)),
       el("div", { class: "grid" },
-        card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the number of queries, and half the width of the 95 % interval at a recall of 90 %. Click a figure to show its cell above.`, overview()),
+        card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the numbers of queries and courses. Scroll sideways for single conditions. Click a figure to show its cell above.`, overview()),
         runs.length > 1 ? el("section", { class: "card", id: "pairs" }, el("h3", {}, "Paired comparison"),
           el("p", { class: "quiet" }, `Change of recall in points at ${threshold()}, ${where()}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. `
-            + (pairs.length && pairs.every((p) => p.clustered) ? `Intervals are from a bootstrap over whole flights (${pairedFlights(pairs)} here), and p is from a permutation test over flights.` : "With fewer than five flights, intervals are Bonett and Price's and p is McNemar's. Both assume independent queries, so the true intervals are wider and the true p is larger.")),
-          pairedTable(everyRun().map(labelOf), (a, b) => pairs.find((p) => p.a === a && p.b === b))) : null,
+            + (pairs.some((p) => !p.reason) ? `Intervals are by course (${pairedCourses(pairs)} here); p is from a permutation test that exchanges the methods course by course, and is at least 2 / 2^k with k courses.` : "")),
+          pairedTable(everyRun().map(labelOf), (a, b) => pairs.find((p) => p.a === a && p.b === b)),
+          pairs.filter((p) => p.reason).map((p) => el("p", { class: "quiet" }, `${labelOf(p.a)} and ${labelOf(p.b)} are not compared: ${p.reason}.`))) : null,
         el("section", { class: "card", id: "difficulty" }, el("h3", {}, "Difficulty"),
           el("p", { class: "quiet" }, `Recall (%) at ${threshold()}, ${where()}, with its interval. Overlap, scale and angle are of the map photograph that sees most of the query; n counts queries.`),
           el("div", { class: "grid" }, data.axes.map((axis, k) => el("div", {}, el("h4", {}, axis.short), el("p", { class: "quiet" }, axis.title), difficulty(k)))), legendOf(true),
@@ -223,8 +232,8 @@
           surestChart(labelOf, sure, (run) => c.runs[run].surest[state.threshold]), legend(labelOf, sure, true)),
         card("bounded", "Recall at bounded risk", `Percent of all queries accepted and right at each threshold, while fewer than 1 % of the accepted answers are wrong; ${where()}.`, scroll("Recall at bounded risk", el("table", {},
           el("thead", {}, el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), data.thresholds.map((t) => el("th", { scope: "col" }, t.text)))),
-          el("tbody", {}, runs.map((run) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(run), labelOf(run)), c.runs[run].bounded.map(plainCell))))))),
-        card("consistency", "Integrity", "NEES (squared error normalized by the covariance: 6 in the mean and 5.35 in the median if covariances are right), errors inside the 95 % ellipsoid, and false fixes, over all places. Coloured: a mean from 4.5 to 8, 93 to 97 % inside, at most 1 % false fixes.", consistency()),
+          el("tbody", {}, runs.map((run) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(run), labelOf(run)), c.runs[run].bounded.map(shareCell))))))),
+        card("consistency", "Integrity", "NEES (squared error normalized by the covariance: 6 in the mean and 5.35 in the median if covariances are right), errors inside the 95 % ellipsoid, false fixes, answers wrong by more than 1 m, and answers worse than the prior that they started from, over all places. Coloured: a mean from 4.5 to 8, 93 to 97 % inside, at most 1 % false or wrong. Intervals are by course.", consistency()),
         card("worst", "Worst queries", `${where()}. First answers with status ok, the largest error on top; then fallback poses, then failures. The last columns show the errors of the other methods.`, el("div", { id: "worst-queries" }))));
     paintWorst();
   };
@@ -257,6 +266,10 @@
       el("p", { class: "lede" }, t.title),
       t.starts.length ? el("div", { class: "controls", id: "controls" }) : el("p", { class: "note" }, "Nothing is measured on this track yet."),
       el("div", { id: "cell" }),
+      t.cards.length ? el("details", {}, el("summary", {}, `What the authors of submissions state: ${t.cards.length}`), scroll("What the authors of submissions state", el("table", {},
+        el("thead", {}, el("tr", {}, ["method", "authors", "start", "description", "trained on", "hardware", "code or paper", "data sets"].map((name) => el("th", {}, name)))),
+        el("tbody", {}, t.cards.map((c) => el("tr", {}, [c.method, c.authors, c.start, c.description, c.trained_on, c.hardware || "–",
+          c.url ? el("a", { href: c.url, rel: "noopener nofollow" }, c.url) : "–", Object.keys(c.datasets).join(", ")].map((cell) => el("td", {}, cell)))))))) : null,
       t.missing.length ? el("details", {}, el("summary", {}, `Missing results: ${t.missing.length}`), el("ul", {}, t.missing.map((text) => el("li", {}, text)))) : null,
       el("details", {}, el("summary", {}, "Data sets and the SHA-256 digests of their files"), el("pre", {}, t.datasets.map(([name, digest]) => `${name} ${digest || "not rendered yet"}`).join("\n"))),
     ].filter(Boolean));

@@ -1,5 +1,5 @@
 
-// ---- the forecast; the tools above are those of all pages
+// ---- the forecast; shared.js, with the tools of all pages, stands above
 
 const names = data.seasons.map((season) => season.name);
 let chosen = names[0];
@@ -33,7 +33,7 @@ function verdicts() {
   row("fix at a waypoint", share(season.share)),
   row("longest way between fixes", `${season.longest_gap_m.toFixed(0)} m`),
   row("false fixes", rare(season.false_risk)),
-  row("sigma across, up, within the map", season.sigma_across_m === null ? "–" : `${season.sigma_across_m.toFixed(2)}, ${season.sigma_up_m.toFixed(2)} m`))));
+  row("horizontal, vertical sigma within the map", season.sigma_across_m === null ? "–" : `${season.sigma_across_m.toFixed(2)}, ${season.sigma_up_m.toFixed(2)} m`))));
 }
 
 function map() {
@@ -69,7 +69,7 @@ function facts() {
     el("dl", { class: "facts" },
       fact("probability of a fix", share(outlook.probability)),
       fact("false fix", rare(outlook.false_risk)),
-      fact("sigma across", sigma(outlook.sigma_across_m)),
+      fact("horizontal sigma", sigma(outlook.sigma_across_m)),
       fact("sigma up", sigma(outlook.sigma_up_m)),
       fact("map points in view", looked.points.toFixed(0)),
       fact("views found", `${outlook.found} of ${outlook.views}`),
@@ -107,14 +107,14 @@ function weakStretches() {
 }
 
 function photographs() {
-  if (!data.photographs.length) return el("p", { class: "quiet" }, `Nowhere on this flight: where a fix is unlikely, at least ${data.config.few_points} points of the map are in view. More photographs in the same season would not help.`);
+  if (!data.photographs.length) return el("p", { class: "quiet" }, `Nowhere on this flight: where a fix is unlikely, at least ${data.few_points} points of the map are in view. More photographs in the same season would not help.`);
   return rows([["waypoints", true], ["points in view"], ["fixes lost"], ["around", true]], data.photographs.map((part) => el("tr", {},
     el("td", { class: "word" }, from(part)), el("td", {}, part.points.toFixed(0)), el("td", {}, digits(part.lost)),
     el("td", { class: "word" }, `${part.latitude.toFixed(6)}, ${part.longitude.toFixed(6)}`))));
 }
 
 function everyWaypoint() {
-  return rows([["waypoint"], ["probability"], ["false fix"], ["sigma across"], ["sigma up"], ["map points"], ["views found"]], data.waypoints.map((w) => {
+  return rows([["waypoint"], ["probability"], ["false fix"], ["horizontal sigma"], ["vertical sigma"], ["map points"], ["views found"]], data.waypoints.map((w) => {
     const outlook = w.seasons[chosen];
     return el("tr", {}, [w.number, share(outlook.probability), rare(outlook.false_risk), sigma(outlook.sigma_across_m), sigma(outlook.sigma_up_m), w.points.toFixed(0), `${outlook.found} of ${outlook.views}`].map((cell) => el("td", {}, String(cell))));
   }));
@@ -127,7 +127,7 @@ function paint() {
   const config = data.config, calibration = data.calibration;
   const calibrated = calibration.queries
     ? `Calibrated on ${calibration.queries} true queries of ${calibration.source}.`
-    : "Not calibrated for this method: the smoothed share of views that were found.";
+    : "Not calibrated for this method: the smoothed share of views with a fix.";
   document.getElementById("forecast").replaceChildren(
     verdicts(),
     section("map", `The route, ${chosen}`, "Choose a season above, and a waypoint here.", el("div", { class: "map" }, map(), facts()), profile()),
@@ -135,7 +135,7 @@ function paint() {
     section("photographs", "Where more map photographs would help", "Over all seasons, the most first.", photographs()),
     section("every", "Every waypoint", null, el("details", {}, el("summary", {}, `${data.waypoints.length} waypoints in ${chosen}`), everyWaypoint())),
     section("how", "How to read this", null,
-      el("p", { class: "quiet" }, `A fix is right within ${config.fix_m} m and ${config.fix_deg}°; a false fix is reported as found and wrong by more than 5 m or 10°. Each waypoint is rendered ${config.views === 1 ? "once" : `${config.views} times`} a season in a twin of the site and localized in its map from the start ${config.start}; neighbours within some ${config.pool_m} m count, too. ${calibrated}`),
+      el("p", { class: "quiet" }, `A fix is right within ${config.fix_m} m and ${config.fix_deg}°; a false fix is reported as found and wrong by more than 5 m or 10°. Each waypoint is rendered ${config.views === 1 ? "once" : `${config.views} times`} a season in a twin of the site and localized in its map from the start ${config.start}; views of neighbours within about ${data.pool_m} m count, too. ${calibrated}`),
       data.notes.length ? el("p", { class: "note" }, data.notes.join("\n")) : null));
   if (focus) document.querySelector(`[data-season="${focus}"]`).focus();
 }

@@ -35,7 +35,7 @@
   };
 
   const speed = (b) => {
-    const points = everyRun(b).map((run) => [run, summary(b, run)]).filter(([, s]) => s && s.seconds);
+    const points = everyRun(b).map((run) => [run, summary(b, run)]).filter(([, s]) => s && s.seconds && s.recall[state.threshold]);
     const seconds = points.map(([, s]) => s.seconds);
     const low = 10 ** Math.floor(Math.log10(Math.min(...seconds, 0.1) * 0.8));
     const high = 10 ** Math.ceil(Math.log10(Math.max(...seconds, 0.2) * 1.25));
@@ -63,9 +63,9 @@
         (from, to) => linear(-0.4, sizes.length - 0.6, from, to), sizes.map((s, k) => [k, `${plain(s.t)} m`, `${plain(s.r)}°`]));
       runs.forEach((run, k) => {
         const shift = (k - (runs.length - 1) / 2) * 5;
-        const levels = [...b.runs[run].basin].sort((a, c) => place(a) - place(c));
+        const levels = b.runs[run].basin.filter((level) => level.recall[state.threshold]).sort((a, c) => place(a) - place(c));
         const points = levels.map((level) => `${f.x(place(level)) + shift} ${f.y(level.recall[state.threshold][0])}`);
-        f.root.append(svg("path", { d: `M${points.join("L")}`, fill: "none", "stroke-width": 2, "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } }));
+        if (points.length) f.root.append(svg("path", { d: `M${points.join("L")}`, fill: "none", "stroke-width": 2, "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } }));
         for (const level of levels) {
           const recall = level.recall[state.threshold];
           f.root.append(...whisker(f, run, f.x(place(level)) + shift, recall,
@@ -78,12 +78,12 @@
 
   const surest = (b) => surestChart(labelOf(b), everyRun(b), (run) => {
     const right = b.runs[run].surest[state.threshold];
-    return right.map((share, k) => [(100 * (k + 1)) / right.length, share]);
+    return right && right.map((share, k) => [(100 * (k + 1)) / right.length, share]);
   });
   // Text between backticks is code.
   const coded = (text) => text.split("`").map((part, k) => (k % 2 ? el("code", {}, part) : part));
   const honesty = (run) => `${run.label}: ${run.nees
-    ? `${neesText(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
+    ? `${neesText(run.nees.mean[0])} ${neesInterval(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
     : "no covariance"}`;
 
   // ---- tables
@@ -92,10 +92,11 @@
     { name: "method", word: true, key: (row) => row.label.toLowerCase() },
     { name: "condition", word: true, broad: true, key: (row) => (row.condition === ALL ? "" : row.condition.toLowerCase()) },
     { name: "queries", key: (row) => row.s.queries },
-    ...data.thresholds.map((t, k) => ({ name: t.text, unit: "%", key: (row) => row.s.recall[k][0], best: "descending" })),
+    { name: "courses", key: (row) => row.s.courses },
+    ...data.thresholds.map((t, k) => ({ name: t.text, unit: "%", key: (row) => valueOf(row.s.recall[k]), best: "descending" })),
     { name: "median m", key: (row) => row.s.t },
     { name: "median °", key: (row) => row.s.r },
-    { name: "false fixes", key: (row) => (row.s.wrong ? row.s.wrong[0] : null) },
+    ...integrityColumns(""),
     { name: "failed + fallback", key: (row) => row.s.failed + row.s.fallback },
     { name: "s/query", key: (row) => row.s.seconds },
   ];
@@ -110,9 +111,10 @@
       el("th", { scope: "row", class: "word" }, swatch(row.run), row.label, el("small", { class: "narrow" }, row.condition)),
       el("td", { class: "word broad" }, row.condition),
       el("td", {}, String(row.s.queries)),
+      el("td", {}, String(row.s.courses)),
       row.s.recall.map((recall) => recallCell(row.run, recall)),
       [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
-      el("td", {}, row.s.wrong ? [percent(row.s.wrong), el("small", {}, interval(row.s.wrong))] : "–"),
+      row.s.integrity.map(shareCell),
       el("td", {}, `${row.s.failed} + ${row.s.fallback}`),
       el("td", {}, digits(row.s.seconds)),
       el("td", { class: "acts" }, ["worst", "best"].map((end) => el("button", {
@@ -127,6 +129,7 @@
         const s = run.summaries[condition];
         if (!s) return el("td", { class: "cell" }, "–");
         const recall = s.recall[state.threshold];
+        if (!recall) return el("td", { class: "cell" }, "–");
         return el("td", { class: "cell", css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * recall[0] / 100).toFixed(3)})` } },
           el("button", { type: "button", title: `${run.label}, ${condition}: ${percent(recall)} % ${interval(recall)} of ${s.queries}; opens its worst query`,
             onclick: () => open(k, condition, "worst") }, percent(recall)));
@@ -187,7 +190,7 @@
     return el("div", { class: "sides" },
       el("figure", { id: "query-picture" }, left, el("figcaption", {}, "Query. ", el("span", { class: "key ring" }, "○"), " map points at the true pose, ",
         el("span", { class: "key cross" }, "×"), q && q.t !== null ? " the same points at the estimated pose." : " no estimate to draw.")),
-      el("figure", { id: "map-picture" }, right, el("figcaption", {}, "Nearest map photograph", beside ? `, ${beside.name}. ` : ". ", el("span", { class: "key ring" }, "○"), " the same points as the map saw them.")));
+      el("figure", { id: "map-picture" }, right, el("figcaption", {}, "Nearest map photograph", beside ? `, ${beside.name}. ` : ". ", el("span", { class: "key ring" }, "○"), " the same points, as observed in it.")));
   };
 
   const strip = (b, ranked) => chart((width) => {

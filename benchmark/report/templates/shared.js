@@ -19,7 +19,8 @@ const fill = (node, attributes, children) => {
 const el = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
 const svg = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
-const LARGEST_NEES = 1000; // beyond it, a covariance is wrong however much
+const LARGEST_NEES = 1000; // larger values are shown as "> 1000"; markdown.py has the same number
+const neesInterval = ([, low, high]) => (low === null ? "[–]" : `[${neesText(low)}, ${neesText(high)}]`);
 const neesText = (value) => (value > LARGEST_NEES ? `> ${LARGEST_NEES}` : digits(value));
 const digits = (value) => {
   if (value === null || value === undefined) return "–";
@@ -32,13 +33,14 @@ const tenths = (value) => {
   return (Math.abs((4 * value) % 2) === 1 ? (below + Math.abs(below % 2)) / 10 : value).toFixed(1);
 };
 const percent = (recall) => tenths(recall[0]);
-const interval = (recall) => `[${tenths(recall[1])}, ${tenths(recall[2])}]`;
+// The ends of an interval are null where all queries are of one course.
+const interval = (recall) => (recall[1] === null ? "[–]" : `[${tenths(recall[1])}, ${tenths(recall[2])}]`);
 const signed = (value) => (value > 0 ? "+" : value < 0 ? "−" : "±") + tenths(Math.abs(value));
-const probability = (p) => (p < 0.001 ? "p < 0.001" : `p = ${p.toFixed(p < 0.1 ? 3 : 2)}`);
+const probability = (p) => (p === null ? "p unknown" : p < 0.001 ? "p < 0.001" : `p = ${p.toFixed(p < 0.1 ? 3 : 2)}`);
 
 const colour = (run) => `var(--m${run % 8})`;
 const dashes = ["", "7 3", "2 3", "9 3 2 3", "5 5", "1 4", "12 4", "4 2 1 2"];
-// Told apart by shape as well as by colour.
+// Runs differ in the shape of their marks as well as in colour.
 const marker = (run, x, y, size, attributes) => {
   const s = size;
   const shapes = [
@@ -51,7 +53,7 @@ const marker = (run, x, y, size, attributes) => {
 };
 const swatch = (run) => svg("svg", { class: "swatch", viewBox: "-6 -6 12 12", "aria-hidden": "true" },
   marker(run, 0, 0, 4.4, { css: { fill: colour(run) } }));
-// label(run) answers the name of a run.
+// label(run) returns the name of a run.
 const legend = (label, runs, lines) => el("ul", { class: "legend" },
   runs.map((run) => el("li", {}, lines ? line(run) : null, swatch(run), label(run))));
 const line = (run) => svg("svg", { class: "line", viewBox: "0 0 30 10", "aria-hidden": "true" },
@@ -66,7 +68,7 @@ const watcher = new ResizeObserver((entries) => entries.forEach((entry) => {
   // Not at once: a chart that changes its height while sizes are being reported would be reported again.
   if (chart && width && width !== chart.width) { chart.width = width; requestAnimationFrame(chart.paint); }
 }));
-// draw(width) answers an svg; it is called again whenever the width changes.
+// draw(width) returns an svg; it is called again whenever the width changes.
 const chart = (draw) => {
   const holder = el("div", {});
   const own = { width: 0, paint: () => holder.replaceChildren(draw(own.width)) };
@@ -114,15 +116,15 @@ const frame = (width, title, label, x, ticks, marks) => {
   return { root, x: scaleX, y };
 };
 const whisker = (f, run, x, recall, text) => [
-  svg("line", { x1: x, x2: x, y1: f.y(recall[1]), y2: f.y(recall[2]), "stroke-width": 2, css: { stroke: colour(run), opacity: .55 } }),
+  ...(recall[1] === null ? [] : [svg("line", { x1: x, x2: x, y1: f.y(recall[1]), y2: f.y(recall[2]), "stroke-width": 2, css: { stroke: colour(run), opacity: .55 } })]),
   marker(run, x, f.y(recall[0]), 4.6, { css: { fill: colour(run) } }).appendChild(svg("title", {}, text)).parentNode,
 ];
 
-// The surest queries first: points [coverage, share right] of each run.
+// The surest queries first: points [coverage, share right] of each run, or null.
 const surestChart = (label, runs, points) => chart((width) => {
   const f = frame(width, "Share right among the surest queries", "surest queries, percent of all",
     (from, to) => linear(0, 100, from, to), [0, 25, 50, 75, 100].map((v) => [v, String(v)]));
-  for (const run of runs) {
+  for (const run of runs.filter(points)) {
     const drawn = points(run).map(([coverage, share]) => `${f.x(coverage).toFixed(1)} ${f.y(share).toFixed(1)}`);
     f.root.append(svg("path", { d: `M${drawn.join("L")}`, fill: "none", "stroke-width": 2.2, "stroke-linejoin": "round",
       "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } },
@@ -136,10 +138,10 @@ const surestChart = (label, runs, points) => chart((width) => {
 const scroll = (label, ...children) => el("div", { class: "scroll", role: "region", "aria-label": label, tabindex: "0" }, ...children);
 const bar = (run, recall) => svg("svg", { class: "bar", viewBox: "0 0 100 8", preserveAspectRatio: "none", "aria-hidden": "true" },
   svg("rect", { x: 0, y: 3, width: 100, height: 2, css: { fill: "var(--line)" } }),
-  svg("rect", { x: recall[1], y: 1.5, width: Math.max(recall[2] - recall[1], 1), height: 5, css: { fill: colour(run), opacity: .4 } }),
+  recall[1] === null ? null : svg("rect", { x: recall[1], y: 1.5, width: Math.max(recall[2] - recall[1], 1), height: 5, css: { fill: colour(run), opacity: .4 } }),
   svg("rect", { x: Math.min(Math.max(recall[0] - 1, 0), 98), y: 0, width: 2, height: 8, css: { fill: colour(run) } }));
 
-// A table whose headings sort it. columns: { name, word, broad, key(row), best }; line(row) answers a row; more are
+// A table whose headings sort it. columns: { name, word, broad, key(row), best }; line(row) returns a row; more are
 // headings that do not sort. keeper.sort is { column, direction }, or null for the order of the rows.
 const sortedTable = (label, columns, more, rows, line, keeper) => {
   const body = el("tbody", { id: "rows" });
@@ -170,20 +172,26 @@ const sortedTable = (label, columns, more, rows, line, keeper) => {
   return scroll(label, el("table", { id: "results" },
     el("thead", {}, el("tr", {}, heads, more.map((name) => el("th", { scope: "col" }, name)))), body));
 };
-const recallCell = (run, recall) => el("td", {}, percent(recall), el("small", {}, interval(recall)), bar(run, recall));
+// A figure is null where it is unknown, or where the reference poses are too inexact to judge it.
+const shareCell = (share) => el("td", {}, share ? [percent(share), el("small", {}, interval(share))] : "–");
+const recallCell = (run, recall) => (recall ? el("td", {}, percent(recall), el("small", {}, interval(recall)), bar(run, recall)) : shareCell(recall));
+const valueOf = (share) => (share ? share[0] : null);
+const INTEGRITY = ["false fixes", "> 1 m", "worse than prior"];
+const integrityColumns = (unit) => INTEGRITY.map((name, k) => ({ name: `${name}${unit}`, key: (row) => valueOf(row.s.integrity[k]) }));
 
-// find(a, b) answers the comparison of runs a < b, or undefined.
+// find(a, b) returns the comparison of runs a < b, or undefined.
 const pairedTable = (labels, find) => scroll("Paired comparison", el("table", { class: "pairs" },
   el("thead", {}, el("tr", {}, el("th", { scope: "col", class: "word" }, "row minus column"), labels.map((label) => el("th", { scope: "col" }, label)))),
   el("tbody", {}, labels.map((label, row) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(row), label),
     labels.map((_, column) => {
       const pair = find(Math.min(row, column), Math.max(row, column));
       if (!pair) return el("td", {}, "");
+      if (pair.reason) return el("td", { title: `not compared: ${pair.reason}` }, "–", el("small", {}, "not compared"));
       const sign = row > column ? 1 : -1;
-      const [low, high] = sign > 0 ? [pair.low, pair.high] : [-pair.high, -pair.low];
+      const ends = pair.low === null ? "[–]" : sign > 0 ? `[${signed(pair.low)}, ${signed(pair.high)}]` : `[${signed(-pair.high)}, ${signed(-pair.low)}]`;
       const [won, lost] = sign > 0 ? [pair.won, pair.lost] : [pair.lost, pair.won];
-      return el("td", { class: pair.p < 0.05 ? "real" : null, title: `right where the other is wrong: ${won}; wrong where it is right: ${lost}` },
-        signed(sign * pair.change), el("small", {}, `[${signed(low)}, ${signed(high)}]`), el("small", {}, probability(pair.p)));
+      return el("td", { class: pair.p !== null && pair.p < 0.05 ? "real" : null, title: `right where the other is wrong: ${won}; wrong where it is right: ${lost}` },
+        signed(sign * pair.change), el("small", {}, ends), el("small", {}, probability(pair.p)));
     }))))));
 
 const paper = () => {

@@ -12,12 +12,11 @@ const ADDED = [255, 60, 230];
 const ERRORS = [[0.25, "#37e05b", "less than 0.25 m off"], [0.5, "#a6e22e", "less than 0.5 m off"],
   [5, "#ffb340", "less than 5 m off"], [Infinity, "#ff453a", "5 m off or more"]];
 const NO_POSE = "#8e8e93";
-const FOCAL = 1.1; // of the screen's shorter side
-const NEAR = 0.2;
-const TURN = 0.006;
-const CLICK = 14;
-const SPARSE = 150000; // numbers, three a point
-
+const FOCAL = 1.1; // focal length over the shorter side of the screen
+const NEAR = 0.2; // smallest distance from the eye that is drawn, metres
+const TURN = 0.006; // radians per pixel of dragging
+const CLICK = 14; // largest distance of a click from a camera, pixels
+const SPARSE = 150000; // a cloud with fewer coordinates (three per point) is drawn with larger dots
 
 const scale = Math.min(2, window.devicePixelRatio || 1);
 
@@ -157,7 +156,7 @@ function drawCameras(v, cameras, colour) {
   });
 }
 
-/* The way the camera took, and from each true place to where the method saw it. */
+/* The path of the camera, and a line from each true camera centre to the estimated one. */
 function drawQueries(v) {
   stroke(COLOURS.truth, 1, () => {
     for (const way of data.ways) for (let k = 1; k < way.length; k++) line(v, way[k - 1], way[k]);

@@ -14,12 +14,12 @@ from objconnect.scene.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 
-# More views than this need another altitude.
-_MOST_VIEWS = 20_000
+# Maximum number of views.
+_MAX_VIEWS = 20_000
 # Field of view of a wide lens of a drone, similar to that of queries.
 _FOV_DEG: Final = 60.0
 # Headings of the oblique views from one position, degrees clockwise from north.
-_SIDES = (0.0, 90.0, 180.0, 270.0)
+_HEADINGS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 
 def camera_of(options: ViewOptions) -> Camera:
@@ -45,8 +45,8 @@ def lay_grid(low: Array, high: Array, altitude: float, options: ViewOptions) -> 
     # The outer quarter of the outermost views lies beyond the edge of the ground.
     low, high = low + side / 4, high - side / 4
     counts = np.ceil(np.maximum(high - low, 0) / (side * (1 - options.overlap))).astype(int) + 1
-    views = int(counts.prod()) * (1 + len(_SIDES) * (options.tilt > 0))
-    if views > _MOST_VIEWS:
+    views = int(counts.prod()) * (1 + len(_HEADINGS_DEG) * (options.tilt > 0))
+    if views > _MAX_VIEWS:
         raise InputError(
             f"{views} views from {altitude:g} m above the ground are too many: choose a larger "
             "--altitude or a smaller orthophoto"
@@ -83,5 +83,5 @@ def view_pose(centre: Array, heading_deg: float, tilt_deg: float) -> Array:
 
 def list_directions(options: ViewOptions) -> list[tuple[float, float]]:
     """Return heading and tilt of the views from one position, degrees."""
-    oblique = [(side, options.tilt) for side in _SIDES] if options.tilt else []
+    oblique = [(heading, options.tilt) for heading in _HEADINGS_DEG] if options.tilt else []
     return [(0.0, 0.0), *oblique]

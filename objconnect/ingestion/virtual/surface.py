@@ -25,12 +25,13 @@ Array = NDArray[np.float64]
 
 # Bisections of the step in which a ray enters the surface.
 _BISECTIONS = 6
-# Side (px) of the cells whose highest points bound how far a ray can skip ahead.
+# Side (px) of the cells of which the highest point is stored: a ray that stays above it skips the
+# cell.
 _CELL = 8
 # Margins of rays beyond the heights of the surface, metres and share of the length.
-_MARGIN_M, _MARGIN = 1.0, 0.01
+_MARGIN_M, _MARGIN_SHARE = 1.0, 0.01
 # Rays that fall less than this per metre of depth are taken to miss the ground.
-_LEAST_FALL = 0.05
+_MIN_FALL = 0.05
 
 
 class View(NamedTuple):
@@ -65,24 +66,26 @@ class _Rays(NamedTuple):
     first: Array
     last: Array
 
-    def between(self, above: float, lowest: float, highest: float, farthest: float) -> _Rays:
-        """Return the same rays between two heights; the camera stands at height ``above``."""
+    def limit_heights(
+        self, camera_height: float, lowest: float, highest: float, farthest: float
+    ) -> _Rays:
+        """Return the same rays between two heights; the camera is at ``camera_height``."""
         fall = -self.directions[:, 2]
-        down = np.maximum(fall, _LEAST_FALL)
-        begins = (above - highest) * (1 - _MARGIN) - _MARGIN_M
-        ends = (above - lowest) * (1 + _MARGIN) + _MARGIN_M
-        last = np.where(fall > _LEAST_FALL, np.minimum(ends / down, farthest), 0.0)
+        down = np.maximum(fall, _MIN_FALL)
+        begins = (camera_height - highest) * (1 - _MARGIN_SHARE) - _MARGIN_M
+        ends = (camera_height - lowest) * (1 + _MARGIN_SHARE) + _MARGIN_M
+        last = np.where(fall > _MIN_FALL, np.minimum(ends / down, farthest), 0.0)
         return self._replace(first=np.maximum(begins / down, 0.0), last=last)
 
     @property
-    def meet(self) -> NDArray[np.bool_]:
+    def may_hit(self) -> NDArray[np.bool_]:
         """Return which rays may meet the surface, (N,)."""
         return self.last > self.first
 
     def ends(self) -> Array:
         """Return both ends of the intervals that may meet the surface, (M, 3) world metres."""
-        rays = self.directions[self.meet]
-        depths = (self.first[self.meet], self.last[self.meet])
+        rays = self.directions[self.may_hit]
+        depths = (self.first[self.may_hit], self.last[self.may_hit])
         return np.concatenate([self.start + depth[:, None] * rays for depth in depths])
 
 
@@ -121,50 +124,73 @@ class Surface:
         local, _ = camera.unproject(camera.pixel_grid().reshape(-1, 2))
         nothing = np.zeros(len(local))
         rays = _Rays(start, local.numpy() @ cam_from_world[:3, :3], nothing, nothing)
-        at = geodetic_from_enu(start, self.origin)
-        above = float(self.heights.grid.projection.from_geodetic(at)[2])
-        rays = rays.between(above, self.low, self.high, farthest)
-        depth = self._depth(camera, rays, above, farthest) if rays.meet.any() else nothing
+        geodetic = geodetic_from_enu(start, self.origin)
+        camera_height = float(self.heights.grid.projection.from_geodetic(geodetic)[2])
+        rays = rays.limit_heights(camera_height, self.low, self.high, farthest)
+        depth = (
+            self._depth(camera, rays, camera_height, farthest) if rays.may_hit.any() else nothing
+        )
         rgb = self._paint(camera, rays, depth)
         shape = (camera.height, camera.width)
         return View(rgb.reshape(*shape, 3), depth.reshape(shape).astype(np.float32))
 
-    def _depth(self, camera: Camera, rays: _Rays, above: float, farthest: float) -> Array:
+    def _depth(self, camera: Camera, rays: _Rays, camera_height: float, farthest: float) -> Array:
         """Return the depth at which rays meet the surface, (N,), 0 where they do not."""
-        local, box = self._around(self.heights, rays.ends())
-        sharpest = float(np.median(rays.last[rays.meet])) / camera.focal[0]
-        patch = self.heights.patch(box, sharpest)
+        local, box = _fit_projection(self.heights, self.origin, rays.ends())
+        pixel = float(np.median(rays.last[rays.may_hit])) / camera.focal[0]
+        patch = self.heights.patch(box, pixel)
         heights = patch.values[np.isfinite(patch.values)] + self.undulation
         if not heights.size:
             return np.zeros(len(rays.first))
-        rays = rays.between(above, float(heights.min()), float(heights.max()), farthest)
+        rays = rays.limit_heights(
+            camera_height, float(heights.min()), float(heights.max()), farthest
+        )
         return _march(rays, local, patch, self.undulation)
 
     def _paint(self, camera: Camera, rays: _Rays, depth: Array) -> NDArray[np.uint8]:
-        """Return colours (N, 3) where rays meet the surface; zero depth where colour is unknown."""
+        """Return colours (N, 3) where rays meet the surface; set depths without a colour to 0."""
         colours = np.full((len(depth), 3), np.nan)
-        seen = depth > 0
-        if seen.any():
-            points = rays.start + depth[seen, None] * rays.directions[seen]
-            local, box = self._around(self.colours, points)
-            patch = self.colours.patch(box, float(np.median(depth[seen])) / camera.focal[0])
-            at = local.coordinates(points)
-            image = _Image(patch)
-            x, y = (torch.from_numpy(z).float() for z in image.normal(at[:, 0], at[:, 1]))
-            sampled = image.sample(x, y, "bicubic")
-            colours[seen] = np.broadcast_to(sampled.numpy().T, (len(points), 3))
+        is_hit = depth > 0
+        if is_hit.any():
+            points = rays.start + depth[is_hit, None] * rays.directions[is_hit]
+            pixel = float(np.median(depth[is_hit])) / camera.focal[0]
+            colours[is_hit] = sample_colours(self.colours, self.origin, points, pixel)
         known = np.isfinite(colours).all(1)
         depth[~known] = 0
         colours[~known] = colours[known].mean(0) if known.any() else 0
         return np.asarray(np.rint(np.clip(colours, 0, 255)), np.uint8)
 
-    def _around(self, raster: Raster, points: Array) -> tuple[LocalProjection, Box]:
-        """Return the projection to a raster around points (N, 3), and their bounding box there."""
-        low, high = points.min(0) - _MARGIN_M, points.max(0) + _MARGIN_M
-        local = LocalProjection.fit(raster.grid.projection, self.origin, low, high)
-        at = local.coordinates(points)
-        (left, bottom, _), (right, top, _) = at.min(0).tolist(), at.max(0).tolist()
-        return local, Box(left, bottom, right, top)
+
+def sample_colours(orthophoto: Raster, origin: Geodetic, points: Array, pixel: float) -> Array:
+    """Return the colours of an orthophoto at points of the world.
+
+    Args:
+        orthophoto: orthophoto in any reference system.
+        origin: origin of the world.
+        points: (N, 3) world metres; at least one.
+        pixel: distance of neighbouring points on the ground, metres.
+
+    Returns:
+        (N, 3) colours in 0..255; NaN where there is no data.
+
+    Raises:
+        InputError: the orthophoto is damaged.
+    """
+    local, box = _fit_projection(orthophoto, origin, points)
+    image = _Image(orthophoto.patch(box, pixel))
+    at = local.coordinates(points)
+    x, y = (torch.from_numpy(z).float() for z in image.normalise(at[:, 0], at[:, 1]))
+    sampled = image.sample(x, y, "bicubic").numpy().T
+    return np.array(np.broadcast_to(sampled, (len(points), 3)), np.float64)
+
+
+def _fit_projection(raster: Raster, origin: Geodetic, points: Array) -> tuple[LocalProjection, Box]:
+    """Return the projection to a raster around points (N, 3), and their bounding box there."""
+    low, high = points.min(0) - _MARGIN_M, points.max(0) + _MARGIN_M
+    local = LocalProjection.fit(raster.grid.projection, origin, low, high)
+    at = local.coordinates(points)
+    (left, bottom, _), (right, top, _) = at.min(0).tolist(), at.max(0).tolist()
+    return local, Box(left, bottom, right, top)
 
 
 class _Image:
@@ -180,7 +206,7 @@ class _Image:
         padded = np.pad(patch.values, ((0, 0), *padding), constant_values=np.nan)
         self.values = torch.from_numpy(padded)[None]
 
-    def normal(self, east: Array, north: Array) -> tuple[Array, Array]:
+    def normalise(self, east: Array, north: Array) -> tuple[Array, Array]:
         """Return normalised coordinates as ``grid_sample`` takes them, -1 to 1 between edges."""
         columns, rows = self._grid.columns_rows(east, north)
         height, width = self.values.shape[2:]
@@ -220,9 +246,9 @@ class _Parabolas(NamedTuple):
         """Convert rays to parabolas."""
         a, b, c = local.along(rays.start, rays.directions)
         # Normalised coordinates are linear in east and north.
-        x, y = image.normal(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+        x, y = image.normalise(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
         scale = np.array([x[1] - x[0], y[1] - y[0], 1.0])
-        first = np.array([*(z.item() for z in image.normal(a[0], a[1])), a[2] - zero])
+        first = np.array([*(z.item() for z in image.normalise(a[0], a[1])), a[2] - zero])
         constant = np.repeat(first[:, None], len(b), 1)
         parts = (constant, (b * scale).T, (c * scale).T)
         return _Parabolas(*(torch.from_numpy(part.astype(np.float32)) for part in parts))
@@ -242,32 +268,32 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     A ray that leaves a hole of the surface model below the surface has no intersection.
     """
     image = _Image(patch)
-    which = np.flatnonzero(rays.meet)
+    which = np.flatnonzero(rays.may_hit)
     zero = undulation + float(np.nanmin(patch.values))
     image.values -= zero - undulation
-    lines = _Parabolas.of(rays, local, image, zero).select(torch.from_numpy(which))
+    parabolas = _Parabolas.of(rays, local, image, zero).select(torch.from_numpy(which))
     first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
     across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
-    # Depth in which a ray crosses a pixel, bounded for steep rays.
+    # Depth (m) over which a ray crosses a pixel, bounded for steep rays.
     step = min(patch.grid.ground_pixel) / across.clamp_min(0.2)
-    first = _skip_free_space(lines, image.ceiling(), first, last, step)
-    shallow, deep = _bracket_entry(lines, image, first, last, step)
+    first = _skip_free_space(parabolas, image.ceiling(), first, last, step)
+    shallow, deep = _bracket_entry(parabolas, image, first, last, step)
     hit = torch.nonzero(deep > 0)[:, 0]
     depth = np.zeros(len(rays.first))
     if len(hit):
-        entry = _refine_entry(lines.select(hit), image, shallow[hit], deep[hit])
+        entry = _refine_entry(parabolas.select(hit), image, shallow[hit], deep[hit])
         depth[which[hit.numpy()]] = entry.double().numpy()
     return depth
 
 
-def _clearance(lines: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
+def _clearance(parabolas: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
     """Return the height of rays above the surface at a depth, (N,) metres."""
-    at = lines.at(depth)
+    at = parabolas.at(depth)
     return at[2] - image.sample(at[0], at[1])[0]
 
 
 def _skip_free_space(
-    lines: _Parabolas, ceiling: Tensor, first: Tensor, last: Tensor, step: Tensor
+    parabolas: _Parabolas, ceiling: Tensor, first: Tensor, last: Tensor, step: Tensor
 ) -> Tensor:
     """Return depths (N,) up to which rays are certainly above the surface.
 
@@ -277,9 +303,9 @@ def _skip_free_space(
     stride = (_CELL - 1) * step
     active = torch.nonzero(depth < last)[:, 0]
     while len(active):
-        now = lines.select(active)
-        x, y, _ = now.at(depth[active])
-        below = now.at(depth[active] + stride[active])[2]
+        active_parabolas = parabolas.select(active)
+        x, y, _ = active_parabolas.at(depth[active])
+        below = active_parabolas.at(depth[active] + stride[active])[2]
         free = below > _sample(ceiling, x, y, "nearest")[0]
         active = active[free]
         depth[active] += stride[active]
@@ -288,30 +314,30 @@ def _skip_free_space(
 
 
 def _bracket_entry(
-    lines: _Parabolas, image: _Image, first: Tensor, last: Tensor, step: Tensor
+    parabolas: _Parabolas, image: _Image, first: Tensor, last: Tensor, step: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return the depths (N,) before and after the step in which a ray enters the surface, or 0."""
     shallow, deep = torch.zeros_like(first), torch.zeros_like(first)
     active = torch.nonzero(first < last)[:, 0]
-    now, depth = lines.select(active), first[active]
+    active_parabolas, depth = parabolas.select(active), first[active]
     before = torch.full_like(depth, math.nan)
     while len(active):
-        clear = _clearance(now, image, depth)
+        clear = _clearance(active_parabolas, image, depth)
         entered = (clear <= 0) & (before > 0)
-        met = active[entered]
-        deep[met], shallow[met] = depth[entered], (depth - step[active])[entered]
+        entering = active[entered]
+        deep[entering], shallow[entering] = depth[entered], (depth - step[active])[entered]
         kept = ~(clear <= 0) & (depth < last[active])
-        active, before, now = active[kept], clear[kept], now.select(kept)
+        active, before, active_parabolas = active[kept], clear[kept], active_parabolas.select(kept)
         depth = depth[kept] + step[active]
     return shallow, deep
 
 
-def _refine_entry(lines: _Parabolas, image: _Image, shallow: Tensor, deep: Tensor) -> Tensor:
+def _refine_entry(parabolas: _Parabolas, image: _Image, shallow: Tensor, deep: Tensor) -> Tensor:
     """Return the depth (N,) of the surface between two depths, by bisection and one secant step."""
     for _ in range(_BISECTIONS):
         middle = (shallow + deep) / 2
-        below = _clearance(lines, image, middle) <= 0
+        below = _clearance(parabolas, image, middle) <= 0
         deep, shallow = torch.where(below, middle, deep), torch.where(below, shallow, middle)
-    above, beneath = (_clearance(lines, image, depth) for depth in (shallow, deep))
+    above, beneath = (_clearance(parabolas, image, depth) for depth in (shallow, deep))
     share = (above / (above - beneath).clamp_min(1e-9)).clamp(0, 1)
     return shallow + torch.nan_to_num(share, nan=1.0) * (deep - shallow)

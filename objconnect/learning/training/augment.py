@@ -1,4 +1,4 @@
-"""Photometric augmentation: changes of images by weather, sensor and hour."""
+"""Photometric augmentation: changes of images as by weather, sensor and hour of the day."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def photometric(
     Args:
         image: (H, W, 3) uint8 RGB.
         rng: random generator.
-        strength: 0 changes nothing; 1 changes as much as a season, with bright ground turned white.
+        strength: 0 changes nothing; 1 changes about as much as another season does.
     """
     if strength == 0:
         return image
@@ -23,13 +23,13 @@ def photometric(
     x = image.astype(np.float32) / 255
     x = np.clip(x, 1e-3, 1) ** np.float32(np.exp(rng.normal(0, 0.35 * strength)))
     if rng.uniform() < 0.3 * strength:
-        # Snow turns bright or green ground white. Dark and steep surfaces stay.
-        cover = x.max(2, keepdims=True)
+        # As under snow, bright and green ground turns white, and dark surfaces stay.
+        brightness = x.max(2, keepdims=True)
         threshold = rng.uniform(0.2, 0.5)
-        white = np.clip((cover - threshold) / 0.15, 0, 1) * np.float32(rng.uniform(0.4, 1))
-        x = x * (1 - white) + np.float32(rng.uniform(0.7, 0.95)) * white
+        snow = np.clip((brightness - threshold) / 0.15, 0, 1) * np.float32(rng.uniform(0.4, 1))
+        x = x * (1 - snow) + np.float32(rng.uniform(0.7, 0.95)) * snow
     if rng.uniform() < 0.5:
-        # Shade and clouds are a smooth field over the image.
+        # Shade of clouds is a smooth factor over the image.
         coarse = rng.normal(0, 0.35 * strength, (4, 4)).astype(np.float32)
         x = (
             x

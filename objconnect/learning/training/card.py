@@ -15,8 +15,9 @@ from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import read_text
 
 CARD: Final = "card.md"
+"""Name of the card in the folder of a run."""
 RESIDUAL: Final = "residual "
-"""Prefix of the log's values of ``ObjectBlocks.residuals``."""
+"""Prefix of the names of ``ObjectBlocks.residuals`` in the log."""
 
 
 def write_card(
@@ -33,8 +34,8 @@ def write_card(
             into it.
         method: name of the method.
         config: configuration of the run.
-        scenes: scenes of the training.
-        validation: scenes of the validation.
+        scenes: scenes that the network was trained on.
+        validation: scenes that the network was validated on.
     """
     weights = run / WEIGHTS
     rows = [json.loads(line) for line in read_text(run / LOG, "training log").splitlines()]
@@ -45,16 +46,16 @@ def write_card(
         f"# Weights of {method}",
         "",
         f"- file: {weights.name}, {megabytes:.1f} MB, sha256 {sha256_of(weights)}",
-        f"- trained on: {_sites(scenes)}",
-        f"- validated on: {_sites(validation) or 'nothing'}",
+        f"- trained on: {_list_scenes(scenes)}",
+        f"- validated on: {_list_scenes(validation) or 'nothing'}",
         f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours "
         f"on {config.device}",
-        f"- settings beside the defaults: {json.dumps(changed, sort_keys=True)}",
+        f"- settings that differ from the defaults: {json.dumps(changed, sort_keys=True)}",
     ]
     last = [row for row in rows if any(name.startswith("val/") for name in row)][-1:]
     for row in last:
-        seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
-        figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
+        values = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
+        figures = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
         lines.append(f"- validation at the end: {figures}")
     residuals = {k: v for row in rows for k, v in row.items() if k.startswith(RESIDUAL)}
     if residuals:
@@ -63,5 +64,5 @@ def write_card(
     write_text(run / CARD, "\n".join(lines) + "\n")
 
 
-def _sites(scenes: Sequence[Scene]) -> str:
+def _list_scenes(scenes: Sequence[Scene]) -> str:
     return ", ".join(f"{scene.manifest.preset} {scene.manifest.seed}" for scene in scenes)

@@ -22,20 +22,21 @@ class TrainConfig(Config):
     rate: float = Field(
         1e-3,
         gt=0,
-        description="Highest learning rate; the rate rises linearly and then falls as a cosine.",
+        description="Highest learning rate. The rate rises linearly at first and falls along a "
+        "cosine.",
     )
     strength: float = Field(
         0.5, ge=0, le=1, description="Strength of the photometric augmentation, 0 to 1."
     )
     photographs: tuple[Path, ...] = Field(
-        (), description="Folders of aerial photographs, which are treated as flat ground."
+        (), description="Folders of aerial photographs, whose ground is assumed to be flat."
     )
     photograph_share: float = Field(
         0.3,
         ge=0,
         le=1,
-        description="Share of pairs made of these photographs during the warm-up; afterwards it "
-        "is half of this.",
+        description="Share of the pairs that are made of these photographs during the warm-up. "
+        "After the warm-up it is half as large.",
     )
     warm_up: float = Field(
         0.35,
@@ -48,11 +49,12 @@ class TrainConfig(Config):
         0.25,
         gt=0,
         le=1,
-        description="Width of a network with random initial weights; 1 is that of the authors.",
+        description="Number of channels of the encoder as a share of VGG16's, for a network with "
+        "random initial weights.",
     )
     network: dict[str, Any] = Field(
         default_factory=dict,
-        description="Further options of the network, by the names of the method's configuration.",
+        description="Further options of the network, by the names of its configuration's fields.",
     )
     weights: Path | None = Field(None, description="File of initial weights; None for random ones.")
     validate_every: int = Field(200, ge=1, description="Number of steps between validations.")

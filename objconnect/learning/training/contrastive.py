@@ -1,8 +1,8 @@
 """The contrastive loss of dense features, which needs no pose.
 
-It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in one image is the
-feature at the same point in the other image. The negatives are features at random positions of the
-other image and at positions a few cells beside the point.
+It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in image a is the
+feature of the same point in image b. The negatives are features at random positions of image b and
+at positions a few cells beside the point.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-# Temperature that divides the cosines.
+# Temperature by which cosines are divided.
 _TEMPERATURE: Final = 0.07
-# Number of random negatives in the image.
-_RANDOM: Final = 512
-# Distances (cells) of further negatives from the true position. They make the peak of the
+# Number of negatives at random positions of the image.
+_RANDOM_NEGATIVES: Final = 512
+# Distances (cells) from the true position of the negatives beside it. They make the peak of the
 # similarity sharp, and wide enough for the alignment to converge.
-_BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+_NEAR_DISTANCES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 # Least distance (cells) of a random negative from the true position.
-_SAME_POSITION: Final = 1.0
+_MIN_DISTANCE: Final = 1.0
 
 
 def sample(maps: Tensor, cells: Tensor) -> Tensor:
@@ -52,22 +52,23 @@ def contrastive(
         cells_b: positions of the points in image b.
         valid: (B, N) bool; the results for other points have no meaning.
     """
-    # Positions of invalid points may be NaN, at which sampling would crash.
+    # Positions of invalid points may be NaN. Sampling there would crash.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
-    count = min(_RANDOM, height * width)
+    count = min(_RANDOM_NEGATIVES, height * width)
     random = torch.randint(height * width, (batch, count), device=cells_b.device)
-    distance = cells_b.new_tensor(_BESIDE)
+    distance = cells_b.new_tensor(_NEAR_DISTANCES)
     angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(distance), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
-    places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
-    near = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
-    to_near = (points[:, :, None] * near.view(*places.shape[:3], channels)).sum(-1)
+    # The true position first, then the positions beside it.
+    near_cells = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
+    near = functional.normalize(sample(features_b, near_cells.flatten(1, 2)), dim=-1)
+    to_near = (points[:, :, None] * near.view(*near_cells.shape[:3], channels)).sum(-1)
     index = random[:, None].expand(-1, channels, -1)
     far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
     centres = torch.stack([random % width, random // width], -1) + 0.5
-    too_close = torch.cdist(cells_b, centres) < _SAME_POSITION
+    too_close = torch.cdist(cells_b, centres) < _MIN_DISTANCE
     to_far = (points @ far).masked_fill(too_close, -torch.inf)
     logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
     return torch.as_tensor(logits.logsumexp(-1) - logits[..., 0])

@@ -16,8 +16,9 @@ class Crop(NamedTuple):
 
     Attributes:
         image: (S, S, 3) uint8; black outside the photograph.
+        camera: camera of the crop.
         crop_from_camera: rotation (4, 4) from the photograph's camera frame to the crop's.
-        affine: (2, 3) maps pixels of the photograph to those of the crop.
+        affine: (2, 3) map from pixels of the photograph to pixels of the crop.
     """
 
     image: NDArray[np.uint8]
@@ -26,7 +27,7 @@ class Crop(NamedTuple):
     affine: NDArray[np.float64]
 
     def contains(self, xy: NDArray[np.float64], border: float) -> NDArray[np.bool_]:
-        """Return whether pixels (N, 2) lie inside the crop, ``border`` pixels from its edge."""
+        """Return whether pixels (N, 2) lie in the crop, ``border`` pixels or more from its edge."""
         inside = (xy >= border) & (xy <= len(self.image) - border)
         return np.asarray(inside.all(1))
 
@@ -49,11 +50,11 @@ def crop(
         size: side S of the crop, pixels.
         angle: counter-clockwise rotation, radians.
     """
-    turn = roll_rotation(angle)
-    linear = scale * turn[:2, :2]
+    rotation = roll_rotation(angle)
+    linear = scale * rotation[:2, :2]
     affine = np.column_stack([linear, size / 2 - linear @ centre])
-    cut = resample(image, affine, np.array([size, size]))
-    seen_by = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
+    cropped = resample(image, affine, np.array([size, size]))
+    crop_camera = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
     crop_from_camera = np.eye(4)
-    crop_from_camera[:3, :3] = turn
-    return Crop(cut, seen_by, crop_from_camera, affine)
+    crop_from_camera[:3, :3] = rotation
+    return Crop(cropped, crop_camera, crop_from_camera, affine)

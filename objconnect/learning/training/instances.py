@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 from objconnect.learning.training.crops import Crop
 from objconnect.learning.training.objects import GROUND, UNKNOWN, PairObjects
 from objconnect.scene.bundle.manifest import SceneObject
-from objconnect.scene.geometry.views import from_pixel_centres
+from objconnect.scene.geometry.views import opencv_affine
 
-# Classes of long objects, of which photographs show parts, and the largest side of other objects.
-LINES: Final = frozenset({"wire", "fence", "hedge"})
-LARGEST_M: Final = 40.0
-_BEYOND: Final = 65535
+LINE_CLASSES: Final = frozenset({"wire", "fence", "hedge"})
+"""Classes of long objects. They are not detected, because photographs show only parts of them."""
+MAX_SIDE_M: Final = 40.0
+"""Largest horizontal side of objects of other classes that are detected, metres."""
+# Id of pixels outside the photograph.
+_OUTSIDE: Final = 65535
 
 
 def objects_of(
     instances: NDArray[np.uint16],
-    cut: Crop,
+    crop: Crop,
     crop_from_world: NDArray[np.float64],
     objects: Mapping[int, SceneObject],
     first_id: int,
@@ -31,32 +33,34 @@ def objects_of(
 
     Args:
         instances: (H, W) ids of the frame's pixels, 0 for none.
-        cut: the crop.
+        crop: the crop.
         crop_from_world: (4, 4) pose of the crop's camera.
         objects: objects of the scene by id.
-        first_id: offset of the ids, which makes those of several scenes differ.
+        first_id: offset of the ids, so that ids of several scenes differ.
     """
-    size = cut.image.shape[1], cut.image.shape[0]
-    moved = from_pixel_centres(cut.affine)
-    turned = cv2.warpAffine(instances, moved, size, flags=cv2.INTER_NEAREST, borderValue=_BEYOND)
-    labels = np.full(turned.shape, GROUND, np.int32)
-    labels[turned == _BEYOND] = UNKNOWN
+    size = crop.image.shape[1], crop.image.shape[0]
+    affine = opencv_affine(crop.affine)
+    crop_ids = cv2.warpAffine(
+        instances, affine, size, flags=cv2.INTER_NEAREST, borderValue=_OUTSIDE
+    )
+    labels = np.full(crop_ids.shape, GROUND, np.int32)
+    labels[crop_ids == _OUTSIDE] = UNKNOWN
     rows: list[tuple[float, ...]] = []
     ids: list[int] = []
-    for number, pixels in zip(*np.unique(turned, return_counts=True), strict=True):
-        if number in (0, _BEYOND):
+    for number, pixels in zip(*np.unique(crop_ids, return_counts=True), strict=True):
+        if number in (0, _OUTSIDE):
             continue
         item = objects.get(int(number))
-        if item is None or item.class_name in LINES or max(item.size[:2]) > LARGEST_M:
-            labels[turned == number] = UNKNOWN
+        if item is None or item.class_name in LINE_CLASSES or max(item.size[:2]) > MAX_SIDE_M:
+            labels[crop_ids == number] = UNKNOWN
             continue
         middle = crop_from_world[:3, :3] @ np.array(item.centre) + crop_from_world[:3, 3]
-        xy = cut.camera.project(middle[None])[0]
-        per_metre = float(np.mean(cut.camera.focal)) / middle[2]
-        side = np.sqrt(item.size[0] * item.size[1]) * per_metre
-        labels[turned == number] = len(ids)
+        xy = crop.camera.project(middle[None])[0]
+        pixels_per_metre = float(np.mean(crop.camera.focal)) / middle[2]
+        side = np.sqrt(item.size[0] * item.size[1]) * pixels_per_metre
+        labels[crop_ids == number] = len(ids)
         ids.append(first_id + item.id)
-        rows.append((*xy, side, item.size[2] / 2 * per_metre, float(pixels)))
+        rows.append((*xy, side, item.size[2] / 2 * pixels_per_metre, float(pixels)))
     table = np.array(rows, np.float64).reshape(-1, 5)
     single = table.astype(np.float32)
     count = table[:, 4].astype(np.int64)

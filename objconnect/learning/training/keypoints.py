@@ -1,4 +1,4 @@
-"""Pixels at which features are trained: mostly corners, as the points of maps."""
+"""Pixels at which features are trained: mostly corners, because the points of maps are corners."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 # Threshold of FAST, grey levels.
 _CORNER_THRESHOLD: Final = 8
-# Share of the pixels at corners. The others are random, so that features of plain ground are
-# trained, too.
+# Share of the pixels at corners. The others are random, so that features of ground without texture
+# are trained too.
 _CORNER_SHARE: Final = 0.75
 
 

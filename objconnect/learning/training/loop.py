@@ -24,7 +24,7 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.curves import draw_curves
 from objconnect.learning.training.pairs import Pair, PairBatch, PairSource, collate
 from objconnect.scene.config import take_recorded
-from objconnect.scene.errors import InputError, WriteError
+from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.device import torch_device
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write, write_text
@@ -32,17 +32,17 @@ from objconnect.scene.storage.files import parse_json, read_text
 from objconnect.scene.storage.resumable import ResumableFolder
 
 WEIGHTS: Final = "weights.safetensors"
-_CHECKPOINT = "checkpoint.pt"
 LOG: Final = "log.jsonl"
+_CHECKPOINT = "checkpoint.pt"
 _RUN = "run.json"
-# Settings that may differ when a run resumes, because they do not change the weights.
-_FREE: Final = ("workers", "device", "save_every", "validate_every")
 _CURVES = "curves.png"
+# Settings that may differ when a run resumes, because they do not change the weights.
+_FREE_SETTINGS: Final = ("workers", "device", "save_every", "validate_every")
 # Number of steps in which the learning rate rises to its maximum.
 _RISE_STEPS: Final = 50
-# Weight decay, and the largest norm of the gradient.
+# Weight decay, and the norm to which larger gradients are clipped.
 _DECAY: Final = 1e-4
-_LARGEST_GRADIENT: Final = 5.0
+_MAX_GRADIENT: Final = 5.0
 # Number of batches of a validation.
 _VALIDATION_BATCHES = 8
 # Seed of the validation pairs, which are the same in all runs.
@@ -76,8 +76,8 @@ class Trainable(Protocol):
         ...
 
 
-class _Drawn(Dataset[Pair]):
-    """The pairs of a run by index; seed and index determine a pair."""
+class _PairDataset(Dataset[Pair]):
+    """The pairs of a run, drawn from sources by shares. Seed and index determine a pair."""
 
     def __init__(self, sources: Sequence[PairSource], shares: Sequence[float], seed: int) -> None:
         self._sources, self._shares, self._seed = sources, shares, seed
@@ -88,7 +88,10 @@ class _Drawn(Dataset[Pair]):
 
 
 class _BatchIndices:
-    """The indices of the pairs of a range of steps, batch by batch, for one of the processes."""
+    """The indices of the pairs of steps ``first`` to ``last``, batch by batch, for one process.
+
+    ``rank`` is the number of the process among ``world`` processes.
+    """
 
     def __init__(self, first: int, last: int, batch: int, rank: int, world: int) -> None:
         self._steps, self._batch, self._rank, self._world = range(first, last), batch, rank, world
@@ -107,20 +110,21 @@ class PairSources:
     """The sources of the pairs of a run.
 
     Attributes:
-        photographs: pairs of plain photographs, or None.
-        validation: pairs of validation scenes, or None for no validation.
+        rendered: pairs of scenes.
+        photographs: pairs made of single photographs; None for none.
+        validation: pairs of validation scenes; None for no validation.
     """
 
     rendered: PairSource
     photographs: PairSource | None = None
     validation: PairSource | None = None
 
-    def draw(self, photograph_share: float, seed: int) -> _Drawn:
-        """Return the training pairs; a share is of photographs if there are any."""
+    def draw(self, photograph_share: float, seed: int) -> _PairDataset:
+        """Return the training pairs; the share is that of ``photographs`` if it is not None."""
         if self.photographs is None:
-            return _Drawn([self.rendered], [1.0], seed)
+            return _PairDataset([self.rendered], [1.0], seed)
         shares = [1 - photograph_share, photograph_share]
-        return _Drawn([self.rendered, self.photographs], shares, seed)
+        return _PairDataset([self.rendered, self.photographs], shares, seed)
 
 
 def train_loop(
@@ -140,14 +144,15 @@ def train_loop(
         config: configuration of the training.
         sources: pairs of the training and of the validation.
         out: folder of the run: checkpoint, log, curves, weights.
-        described: further values that describe the run; a folder of a different run is refused.
+        described: further values that describe the run. A folder of a run with other values is
+            refused.
 
     Returns:
         The file of the weights.
 
     Raises:
-        InputError: ``out`` belongs to another run or cannot be written, or a process that makes
-            pairs died.
+        InputError: ``out`` belongs to another run, holds other files or cannot be written, or a
+            process that makes pairs died.
     """
     device = torch_device(config.device)
     rank, world = join(device)
@@ -155,44 +160,45 @@ def train_loop(
         device = torch.device("cuda", rank % torch.cuda.device_count())
     _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
     method.network.to(device)
-    # torch's annotations do not know this argument.
+    # torch's annotations lack this argument.
     network = method.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(method.groups(config.rate), weight_decay=_DECAY)
     peaks = [group["lr"] for group in optimizer.param_groups]
     first = _restore(out / _CHECKPOINT, network, optimizer, device)
     borders = sorted({0, round(config.warm_up * config.steps), config.steps})
     bar = progress_bar("training", config.steps)
-    with _naming_the_dead(), _log(out / LOG, first, rank) as log, bar as advance:
+    with _report_dead_worker(), _log(out / LOG, first, rank) as log, bar as advance:
         for begin, end in pairwise(borders):
             share = config.photograph_share * (1 if begin == 0 else 0.5)
             drawn = sources.draw(share, config.seed)
             start = max(first, begin)
             indices = _BatchIndices(start, max(start, end), config.batch, rank, world)
             loader = _loader(drawn, indices, config.workers)
-            asked = time.perf_counter()
+            wait_start = time.perf_counter()
             for step, batch in enumerate(loader, start):
-                began = time.perf_counter()
+                step_start = time.perf_counter()
                 _schedule(optimizer, peaks, step, config)
                 torch.manual_seed(config.seed * 1_000_003 + step * world + rank)
                 loss, figures = _step(method, batch.to(device), step / config.steps)
                 loss.backward()  # type: ignore[no-untyped-call]
                 _share_gradients(network, world)
-                norm = nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
+                norm = nn.utils.clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
                 if torch.isfinite(norm):
                     optimizer.step()
                 optimizer.zero_grad()
-                spent = {"waited": began - asked, "seconds": time.perf_counter() - began}
-                log(step, figures | {"norm": float(norm), **spent})
+                spent = time.perf_counter() - step_start
+                seconds = {"waited": step_start - wait_start, "seconds": spent}
+                log(step, figures | {"norm": float(norm), **seconds})
                 done = step + 1
-                looks = done % config.validate_every == 0 or done == config.steps
-                if sources.validation is not None and looks:
+                is_validation_step = done % config.validate_every == 0 or done == config.steps
+                if sources.validation is not None and is_validation_step:
                     progress = done / config.steps
                     log(step, _validate(method, sources.validation, config, device, progress))
                 if rank == 0 and (done % config.save_every == 0 or done == config.steps):
                     _save(out / _CHECKPOINT, network, optimizer, done)
                     draw_curves(out / LOG, out / _CURVES)
                 advance(done)
-                asked = time.perf_counter()
+                wait_start = time.perf_counter()
     if rank == 0:
         write_weights(out / WEIGHTS, network, method.network_config.model_dump(mode="json"))
     if world > 1:
@@ -208,7 +214,7 @@ class Processes(NamedTuple):
 
 
 def join(device: torch.device) -> Processes:
-    """Connect to the other processes of ``torchrun``, if any, on devices of the same type."""
+    """Connect to the other processes of ``torchrun``, if any, by NCCL on CUDA or else by Gloo."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
@@ -221,44 +227,41 @@ def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
     A run of another length is another run, because the learning rate depends on the length.
     """
     folder = _resumable(out, run)
-    if folder.resume(
+    if folder.can_resume(
         lambda difference: (
-            f"{out} holds a run with another {difference}: resume it with the same, or name "
-            "another folder"
+            f"{out} holds a run with another {difference}: give the same to resume that run, or "
+            "another folder for a new one"
         )
     ):
         return
     if rank == 0:
-        for name in (_CHECKPOINT, LOG, _CURVES, WEIGHTS):
-            if os.path.lexists(out / name):
-                raise WriteError(
-                    f"cannot write {out / name}: another file stands there, and {out} holds no "
-                    "training run: name another folder"
-                )
+        folder.require_empty("training run")
         folder.begin()
 
 
 def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
+    """Return the folder of a run, which compares its record with the description ``run``."""
     request = json.dumps(run, indent=2, sort_keys=True) + "\n"
 
     def difference(record: Path) -> str | None:
+        """Return the first key of ``run`` that differs from the record; None if none does."""
         described = read_text(record, "description of the run")
         try:
-            before = parse_json(described)
-            # Settings that did not exist when the run began have their defaults, and those that are
-            # constants now do not count.
-            recorded = take_recorded(TrainConfig, dict(before["config"]))
-            before["config"] = TrainConfig.model_validate(recorded).model_dump(mode="json")
-            before["config"] |= {name: run["config"][name] for name in _FREE}
+            recorded = parse_json(described)
+            # Settings that did not exist when the run began have their defaults. Settings that
+            # this version does not have are ignored.
+            settings = take_recorded(TrainConfig, dict(recorded["config"]))
+            recorded["config"] = TrainConfig.model_validate(settings).model_dump(mode="json")
+            recorded["config"] |= {name: run["config"][name] for name in _FREE_SETTINGS}
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
         wanted = json.loads(request)
-        return next((key for key in run if before.get(key) != wanted[key]), None)
+        return next((key for key in run if recorded.get(key) != wanted[key]), None)
 
     return ResumableFolder(out, out / _RUN, request, difference)
 
 
-def _loader(drawn: _Drawn, indices: _BatchIndices, workers: int) -> DataLoader[Pair]:
+def _loader(drawn: _PairDataset, indices: _BatchIndices, workers: int) -> DataLoader[Pair]:
     # A forked worker would inherit the locks of torch's threads, which may be locked.
     return DataLoader(
         drawn,
@@ -271,7 +274,7 @@ def _loader(drawn: _Drawn, indices: _BatchIndices, workers: int) -> DataLoader[P
 
 
 @contextmanager
-def _naming_the_dead() -> Iterator[None]:
+def _report_dead_worker() -> Iterator[None]:
     """Report the death of a data loading process in an error message of one line."""
     try:
         yield
@@ -297,24 +300,24 @@ def _validate(
     device: torch.device,
     progress: float,
 ) -> dict[str, float]:
-    """Return the mean values over the validation pairs, which are the same at every call."""
+    """Return the means of the logged values over the validation pairs, the same at every call."""
     method.network.eval()
-    kept = torch.random.get_rng_state()
+    rng_state = torch.random.get_rng_state()
     torch.manual_seed(_VALIDATION_SEED)
-    drawn = _Drawn([source], [1.0], _VALIDATION_SEED)
+    drawn = _PairDataset([source], [1.0], _VALIDATION_SEED)
     total: dict[str, list[float]] = {}
     for number in range(_VALIDATION_BATCHES):
         pairs = [drawn[number * config.batch + k] for k in range(config.batch)]
         for name, value in method.loss(collate(pairs).to(device), progress)[1].items():
             total.setdefault(name, []).append(value)
-    torch.random.set_rng_state(kept)
+    torch.random.set_rng_state(rng_state)
     return {f"val/{name}": float(np.mean(values)) for name, values in total.items()}
 
 
 def _schedule(
     optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
 ) -> None:
-    """Set the learning rates: a linear rise, then a cosine that falls to a hundredth."""
+    """Set the learning rates: a linear rise at first, times a cosine from 1 to 1 / 100."""
     rise = min(1.0, (step + 1) / _RISE_STEPS)
     fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
     for group, peak in zip(optimizer.param_groups, peaks, strict=True):
@@ -341,7 +344,7 @@ def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done
 def _restore(
     path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, device: torch.device
 ) -> int:
-    """Restore a checkpoint, if there is one, and return the number of finished steps."""
+    """Restore a checkpoint, if there is one; return the number of finished steps."""
     if not path.is_file():
         return 0
     try:
@@ -355,16 +358,16 @@ def _restore(
         ) from error
 
 
-_FIGURES: Final = TypeAdapter(dict[str, float])
+_LOG_LINE: Final = TypeAdapter(dict[str, float])
 
 
 def _read_log(path: Path, until: int) -> Iterator[str]:
-    """Yield the lines of a log of steps before ``until``, without incomplete lines."""
+    """Yield the complete lines of a log whose step is before ``until``."""
     for number, line in enumerate(read_text(path, "training log").splitlines(), 1):
         if not line.endswith("}"):
             continue
         try:
-            step = _FIGURES.validate_json(line)["step"]
+            step = _LOG_LINE.validate_json(line)["step"]
         except (ValidationError, KeyError):
             raise InputError(
                 f"line {number} of {path} is damaged: remove the line, or the whole log to begin a "
@@ -380,7 +383,7 @@ class _Logger(Protocol):
 
 @contextmanager
 def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
-    """Append one line of values per step. Lines after the checkpoint are removed first."""
+    """Yield a function that appends a line to a log, whose steps from ``first`` on are removed."""
     if rank > 0:
         yield lambda step, figures: None
         return

@@ -12,7 +12,8 @@ from torch import Tensor
 GROUND: Final = -1
 """The label of pixels without an object."""
 UNKNOWN: Final = -2
-"""The label of pixels without a loss: outside the photograph, or of objects without a centre."""
+"""The label of pixels without a loss: outside the photograph, or of objects that are not detected,
+such as fences."""
 
 
 class PairObjects(NamedTuple):
@@ -20,10 +21,11 @@ class PairObjects(NamedTuple):
 
     Attributes:
         labels: (S, S) int32 row of the object of each pixel, ``GROUND`` or ``UNKNOWN``.
-        ids: (n,) int64, the same for an object in all images of a scene.
-        centres: (n, 2) projected centres of the boxes, pixels; they may be outside the image.
-        sides: (n,) side of a square of the area of the box from above, pixels.
-        rises: (n,) height of the box's centre above its foot, pixels at its depth.
+        ids: (n,) int64; an object has the same id in all images.
+        centres: (n, 2) projected centres of the objects' boxes, pixels; they may be outside the
+            image.
+        sides: (n,) side of a square of the area of the box seen from above, pixels.
+        rises: (n,) height of the box's centre above its foot, converted to pixels at its depth.
         pixels: (n,) number of visible pixels.
     """
 
@@ -51,5 +53,5 @@ class ImageObjects(NamedTuple):
 
     @staticmethod
     def of(objects: PairObjects) -> ImageObjects:
-        """Return objects of an image as tensors."""
+        """Return the objects of an image as tensors."""
         return ImageObjects(*(torch.from_numpy(each) for each in objects))

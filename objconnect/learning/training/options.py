@@ -18,14 +18,16 @@ class PairOptions(Config):
         0.3,
         gt=0,
         lt=1,
-        description="Least share of each frame's ground in a pair that the other frame sees.",
+        description="Least share of the ground in each frame of a pair that the other frame shows "
+        "too.",
     )
     max_turn_deg: float = Field(
         45.0,
         gt=0,
         le=180,
         description="Largest angle between the cameras of a pair after both are rotated north up, "
-        "as the input of networks is, deg. A small network cannot learn from larger ones.",
+        "as the input of networks is, deg. A small network cannot learn from pairs with a larger "
+        "angle.",
     )
     heading_deg: float = Field(
         8.0,
@@ -39,7 +41,7 @@ class PairOptions(Config):
         description="Share of the pairs with frames of different conditions.",
     )
     zoom: tuple[Positive, Positive] = Field(
-        (0.5, 1.2), description="Range of the size of crops relative to the frames."
+        (0.5, 1.2), description="Range of the scale of crops: pixels per pixel of the frame."
     )
     level_share: float = Field(
         0.85,
@@ -57,7 +59,10 @@ class LossOptions(Config):
     """The weights of the losses relative to the contrastive loss (nats)."""
 
     pose_share: float = Field(
-        0.3, ge=0, description="Weight of the pose loss (px). In the end both are about one."
+        0.3,
+        ge=0,
+        description="Weight of the pose loss (px). At the end of training, the pose loss and the "
+        "contrastive loss are both about one.",
     )
     trust_share: float = Field(0.3, ge=0, description="Weight of the loss of the confidence.")
     feature_share: float = Field(

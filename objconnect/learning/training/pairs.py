@@ -18,10 +18,10 @@ MIN_POINTS: Final = 64
 """Least number of points of a pair; with fewer, another pair is drawn."""
 
 BORDER_PX: Final = 4.0
-"""Least distance of points from the edge of an image: features there depend on the padding."""
+"""Least distance of points from the edge of an image, because features there depend on padding."""
 
-# Largest rotation of a start from the truth, and largest translation as a share of the depth: those
-# of an aircraft's own pose.
+# Largest error of a start, about that of the pose that an aircraft measures: rotation, and
+# translation as a share of the depth.
 _START_DEG: Final = 10.0
 _START_SHARE: Final = 0.08
 
@@ -48,11 +48,13 @@ class Pair(NamedTuple):
     Attributes:
         image_a: reference image (S, S, 3) uint8 RGB.
         image_b: query image (S, S, 3) uint8 RGB.
-        b_from_a: rigid transform (4, 4) of the camera frames, metres.
+        camera_a: camera of image a.
+        camera_b: camera of image b.
+        b_from_a: rigid transform (4, 4) between the camera frames, metres.
         start: wrong ``b_from_a`` (4, 4) from which an alignment starts.
         points: points (N, 3) that both images show, in the frame of camera a, metres.
-        xy_a: their projections (N, 2) in image a, pixels.
-        xy_b: their projections (N, 2) in image b, pixels.
+        xy_a: projections (N, 2) of the points in image a, pixels.
+        xy_b: projections (N, 2) of the points in image b, pixels.
         valid: (N,) bool; false for padding.
         objects: the objects of image a and of image b; None if unknown.
     """
@@ -79,7 +81,7 @@ class PairSource(Protocol):
 
 
 class PairBatch(NamedTuple):
-    """B pairs as tensors in single precision. ``Pair`` describes the fields.
+    """B pairs as tensors in single precision. ``Pair`` describes the other fields.
 
     Attributes:
         image_a: reference images (B, 3, S, S) float32, RGB in 0..1.
@@ -106,15 +108,15 @@ class PairBatch(NamedTuple):
     def to(self, device: torch.device) -> PairBatch:
         """Return the batch on another device."""
 
-        def lens(k: Intrinsics) -> Intrinsics:
+        def move(k: Intrinsics) -> Intrinsics:
             moved = (x.to(device) for x in (k.focal, k.principal, k.distortion, k.limit))
             return Intrinsics(k.fisheye, *moved)
 
         return PairBatch(
             self.image_a.to(device),
             self.image_b.to(device),
-            lens(self.intrinsics_a),
-            lens(self.intrinsics_b),
+            move(self.intrinsics_a),
+            move(self.intrinsics_b),
             self.b_from_a.to(device=device),
             self.start.to(device=device),
             self.points.to(device),
@@ -167,26 +169,26 @@ def wrong_start(
     depth: float,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw a wrong transform (4, 4) near the truth, for a camera ``depth`` metres from the ground.
+    """Draw a wrong transform (4, 4) near ``b_from_a``, for points at a depth of ``depth`` metres.
 
-    Camera b is rotated by up to 10 degrees and moved by up to 8 % of the depth. Both lengths are
-    uniform, so that small errors are as frequent as large ones.
+    Camera b is rotated by up to 10 degrees and moved by up to 8 % of the depth. The angle
+    and the distance are uniform, so that small errors are as frequent as large ones.
     """
-    turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
-    move = _direction(rng) * _START_SHARE * depth * rng.uniform()
-    start = np.eye(4)
-    start[:3, :3] = so3_exp(torch.from_numpy(turn)).numpy()
-    start[:3, 3] = move
-    return start @ b_from_a
+    rotation = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
+    translation = _direction(rng) * _START_SHARE * depth * rng.uniform()
+    error = np.eye(4)
+    error[:3, :3] = so3_exp(torch.from_numpy(rotation)).numpy()
+    error[:3, 3] = translation
+    return error @ b_from_a
 
 
 def fill(
     size: int, points: NDArray[np.float64], *others: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
-    """Cut or pad arrays to ``size`` rows; the first row is the padding.
+    """Cut or pad arrays to ``size`` rows; padding repeats the first row.
 
     Returns:
-        Whether a row is no padding, (size,) bool, and the arrays.
+        Which rows are no padding, (size,) bool, and the arrays.
     """
     count = min(len(points), size)
     rows = np.concatenate([np.arange(count), np.zeros(size - count, np.int64)])
@@ -194,5 +196,6 @@ def fill(
 
 
 def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a random unit vector (3,)."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)

@@ -1,7 +1,7 @@
-"""Training pairs from single photographs, which are warped as flat ground seen by two cameras.
+"""Training pairs from single photographs: a photograph is flat ground that two cameras see.
 
-They train networks on real photographs, as in HomographyNet and SuperPoint (DeTone et al., 2016 and
-2018).
+Networks can thus be trained on real photographs, as in HomographyNet and SuperPoint (DeTone et al.,
+2016 and 2018).
 """
 
 from __future__ import annotations
@@ -31,14 +31,25 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 
-# Height (m) of the virtual cameras over the ground.
+# Mean height (m) of the virtual cameras above the ground.
 _HEIGHT_M: Final = 80.0
 # Largest tilt of the virtual cameras about each axis.
 _TILT_DEG: Final = 15.0
 
 
 class PlanePairs:
-    """Draws pairs from folders of photographs. Implements ``PairSource``."""
+    """Draws pairs from folders of photographs. Implements ``PairSource``.
+
+    Args:
+        folders: folders of photographs, which are searched with their subfolders.
+        size: side of the images of pairs, pixels.
+        points: number of points of a pair.
+        strength: strength of the photometric augmentation, 0 to 1.
+        options: options of pairs.
+
+    Raises:
+        InputError: there is no photograph.
+    """
 
     def __init__(
         self,
@@ -65,18 +76,19 @@ class PlanePairs:
                 return pair
 
     def _render_pair(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
+        """Return a pair of views of a photograph; None if they share too few points."""
         size, (height, width) = self._size, photograph.shape[:2]
         options = self._options
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
-        # Metres of ground per pixel of the photograph; crops show it at 0.5 to 1.2 times its scale.
-        ground = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
-        middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
-        a_from_ground = _looking_down(middle, rng, options)
-        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
-        b_from_ground = _looking_down(middle + away, rng, options)
+        # The views show the photograph at about 0.5 to 1.2 times its scale.
+        metres_per_pixel = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
+        middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * metres_per_pixel
+        a_from_ground = _draw_pose(middle, rng, options)
+        offset = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
+        b_from_ground = _draw_pose(middle + offset, rng, options)
         b_from_a = b_from_ground @ np.linalg.inv(a_from_ground)
-        image_a = _render(photograph, ground, camera, a_from_ground, size)
-        image_b = _render(photograph, ground, camera, b_from_ground, size)
+        image_a = _render(photograph, metres_per_pixel, camera, a_from_ground, size)
+        image_b = _render(photograph, metres_per_pixel, camera, b_from_ground, size)
         xy_a = keypoints(image_a, 4 * self._points, rng)
         # The points are where rays meet the ground, z = 0.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
@@ -85,14 +97,15 @@ class PlanePairs:
         depth = -ground_from_a[2, 3] / directions[:, 2]
         points = rays * depth[:, None]
         xy_b = camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
-        on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2] / ground
-        both = np.concatenate([xy_a, xy_b], 1)
+        on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2]
+        in_photograph = on_ground / metres_per_pixel
+        xy = np.concatenate([xy_a, xy_b], 1)
         border = BORDER_PX
-        good = ((both > border) & (both < size - border)).all(1)
-        good &= ((on_ground > 1) & (on_ground < [width - 1, height - 1])).all(1)
-        if good.sum() < MIN_POINTS:
+        shown = ((xy > border) & (xy < size - border)).all(1)
+        shown &= ((in_photograph > 1) & (in_photograph < [width - 1, height - 1])).all(1)
+        if shown.sum() < MIN_POINTS:
             return None
-        valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
+        valid, (points, xy_a, xy_b) = fill(self._points, points[shown], xy_a[shown], xy_b[shown])
         return Pair(
             photometric(image_a, rng, self._strength),
             photometric(image_b, rng, self._strength),
@@ -107,19 +120,22 @@ class PlanePairs:
         )
 
 
-def _looking_down(
-    over: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
+def _draw_pose(
+    target: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
 ) -> NDArray[np.float64]:
-    """Return a random ``camera_from_ground`` (4, 4) over a point; ground x right, y down."""
+    """Return a random ``camera_from_ground`` (4, 4) of a camera that looks down at a point (2,).
+
+    The ground has its x axis to the right of the photograph and its y axis down, metres.
+    """
     height = _HEIGHT_M * rng.uniform(0.85, 1.2)
     tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
-    # The input of networks is rotated north up; this is the error of the heading.
+    # The input of networks is rotated north up. This is the error of the heading.
     heading = np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
-    turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
+    rotation = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
     pose = np.eye(4)
-    pose[:3, :3] = turn.numpy()
-    # The point below the camera is in the middle of the picture.
-    pose[:3, 3] = [0, 0, height] - pose[:3, :3] @ [*over, 0]
+    pose[:3, :3] = rotation.numpy()
+    # The point is in the middle of the picture, at a depth of ``height``.
+    pose[:3, 3] = [0, 0, height] - pose[:3, :3] @ [*target, 0]
     return pose
 
 
@@ -141,10 +157,10 @@ def _render(
     image_from_photograph = (
         K @ camera_from_ground[:3][:, [0, 1, 3]] @ np.diag([metres_per_pixel, metres_per_pixel, 1])
     )
-    # Our pixel centres are at halves, and OpenCV's at whole numbers.
+    # Pixel centres are at halves here, and at whole numbers in OpenCV.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     shifted = np.linalg.inv(half) @ image_from_photograph @ half
-    seen = cv2.warpPerspective(
+    view = cv2.warpPerspective(
         photograph, shifted, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
     )
-    return np.asarray(seen, np.uint8)
+    return np.asarray(view, np.uint8)

@@ -13,17 +13,19 @@ from objconnect.scene.geometry.projection import Intrinsics
 
 # Upper bound (px) of the error of a level in the loss.
 _CLAMP_PX: Final = 50.0
-# Largest error after a level, in its cells, at which the next finer level counts.
+# A level counts only if the error after the coarser level is less than this many cells of the
+# coarser level.
 _NEAR_CELLS: Final = 3.0
-# Least number of points of a pair.
+# Least number of points of a pair that counts.
 _MIN_POINTS: Final = 10
 
 
-class Seen(NamedTuple):
+class VisiblePoints(NamedTuple):
     """Points in the view of a camera, batched (B).
 
     Attributes:
-        points: points (B, N, 3), world.
+        points: points (B, N, 3), metres in the frame of the poses.
+        intrinsics: intrinsics of the cameras, batch shape (B,).
         valid: points (B, N) to use, bool.
     """
 
@@ -35,21 +37,24 @@ class Seen(NamedTuple):
 def reprojection_error(
     pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
 ) -> Tensor:
-    """Return the mean pseudo-Huber distance (B,) of projections by two poses; see ``in_pixels``.
+    """Return the mean pseudo-Huber function (B,) of the distance of projections by two poses.
+
+    ``in_pixels`` converts it to pixels.
 
     Args:
-        pose: estimated ``camera_from_world``, batch shape (B,).
-        truth: true ``camera_from_world``, batch shape (B,).
+        pose: estimated ``cam_from_world``, batch shape (B,).
+        truth: true ``cam_from_world``, batch shape (B,).
         points: points (B, N, 3), world metres.
         intrinsics: intrinsics of the cameras, batch shape (B,).
         valid: (B, N) bool, points to use; points behind a camera are left out too.
     """
-    ours, true = (
+    estimated, true = (
         intrinsics.project(each.to(dtype=points.dtype).transform(points)) for each in (pose, truth)
     )
-    used = valid & ours.valid & true.valid
-    squared = torch.where(used[..., None], ours.xy - true.xy, 0).square().sum(-1)
-    # Barron's general loss (CVPR 2019) with shape 1 and scale 2, over 4: quadratic, then linear.
+    used = valid & estimated.valid & true.valid
+    squared = torch.where(used[..., None], estimated.xy - true.xy, 0).square().sum(-1)
+    # It is quadratic below about 2 px and linear above (Barron's general loss, CVPR 2019, with
+    # shape 1 and scale 2, up to a factor).
     robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
     return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
 
@@ -63,19 +68,19 @@ def pose_loss(
     by_level: Sequence[Pose],
     strides: Sequence[int],
     truth: Pose,
-    seen: Seen,
+    seen: VisiblePoints,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Return the loss of a batch, and the error (B,) after each level.
+    """Return the loss of a batch, and the ``reprojection_error`` (B,) after each level.
 
-    Each level has the same weight, and errors count up to 50 pixels. A level counts only
-    where the coarser one ended within three of its cells, because finer features cannot
-    correct larger errors. Pairs with fewer than ten points are left out.
+    Each level has the same weight, and errors count up to 50 pixels. A level counts only if the
+    error after the coarser level is less than three cells of the coarser level, because finer
+    features cannot correct larger errors. Pairs with fewer than ten points are left out.
 
     Args:
-        by_level: poses after each level, coarse to fine, without gradients between levels.
+        by_level: poses after each level, coarse to fine. No gradient flows between levels.
         strides: strides of the levels.
         truth: true poses, as for ``reprojection_error``.
-        seen: the points.
+        seen: the points in view.
     """
     errors = [reprojection_error(pose, truth, *seen) for pose in by_level]
     enough = seen.valid.sum(-1) >= _MIN_POINTS

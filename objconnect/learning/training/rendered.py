@@ -30,12 +30,13 @@ from objconnect.scene.bundle.manifest import SceneObject
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.views import looks_down, north_angle, upright
+from objconnect.scene.geometry.views import looks_down, north_angle, rotate_north_up
 from objconnect.scene.storage.images import read_rgb
 
-# Offset between the object ids of two scenes: more than a scene has objects.
-_IDS: Final = 1 << 17
-# Largest relative difference of two depths of the same point.
+# Offset between the object ids of two scenes, which is more than a scene has objects.
+_IDS_PER_SCENE: Final = 1 << 17
+# Largest relative difference between the depth of a point and the depth layer of the other frame,
+# if the point is visible there.
 _SAME_DEPTH: Final = 0.01
 
 _Pairs = list[tuple[int, int]]
@@ -43,6 +44,17 @@ _Pairs = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class _Frame:
+    """A frame of a scene.
+
+    Attributes:
+        image: file of the photograph.
+        camera: camera of the photograph.
+        cam_from_world: pose (4, 4).
+        condition: condition of the session.
+        session: index of the scene, and name of the session.
+        index: index of the frame in the session.
+    """
+
     image: Path
     camera: Pinhole
     cam_from_world: NDArray[np.float64]
@@ -55,6 +67,16 @@ class RenderedPairs:
     """Draws pairs from finished scenes with depth. Implements ``PairSource``.
 
     Files are opened with the first pair, so that the object can be pickled for workers.
+
+    Args:
+        scenes: the scenes.
+        size: side of the images of pairs, pixels.
+        points: number of points of a pair.
+        strength: strength of the photometric augmentation, 0 to 1.
+        options: options of pairs.
+
+    Raises:
+        InputError: no frames overlap, or a frame has a distorted camera.
     """
 
     def __init__(
@@ -69,7 +91,7 @@ class RenderedPairs:
         self._options = options
         self._scenes = scenes
         self._frames: list[_Frame] = []
-        # The pairs of each scene, of one condition and of two.
+        # For each scene, pairs of frames of one condition, and pairs of two conditions.
         self._pairs: list[tuple[_Pairs, _Pairs]] = []
         for number, scene in enumerate(self._scenes):
             first = len(self._frames)
@@ -78,8 +100,11 @@ class RenderedPairs:
             if same or cross:
                 self._pairs.append((same or cross, cross or same))
         if not self._pairs:
-            least = f"{options.min_overlap:.0%}"
-            raise InputError(f"no two frames of {scenes[0].path} overlap by {least}")
+            paths = ", ".join(str(scene.path) for scene in scenes)
+            raise InputError(
+                f"no two frames of one scene overlap by {options.min_overlap:.0%} in {paths}: "
+                "render more frames"
+            )
         self._open: dict[tuple[int, str], DenseLayers] | None = None
         self._by_id: dict[int, dict[int, SceneObject]] = {}
 
@@ -92,97 +117,100 @@ class RenderedPairs:
             a, b = pairs[rng.integers(len(pairs))]
             if rng.uniform() < 0.5:
                 a, b = b, a
-            pair = self._cut(self._frames[a], self._frames[b], rng)
+            pair = self._make_pair(self._frames[a], self._frames[b], rng)
             if pair is not None:
                 return pair
 
     def _depth(self, frame: _Frame) -> NDArray[np.float32]:
         return np.asarray(self._layers(frame).read("depth", frame.index))
 
-    def _objects(self, frame: _Frame, cut: Crop) -> PairObjects:
+    def _objects(self, frame: _Frame, crop_of_frame: Crop) -> PairObjects:
         """Return the objects in a crop of a frame."""
         number = frame.session[0]
         if number not in self._by_id:
             listed = self._scenes[number].objects.objects
             self._by_id[number] = {item.id: item for item in listed}
         instances = self._layers(frame).read("instance", frame.index)
-        pose = cut.crop_from_camera @ frame.cam_from_world
-        return objects_of(instances, cut, pose, self._by_id[number], number * _IDS)
+        pose = crop_of_frame.crop_from_camera @ frame.cam_from_world
+        first_id = number * _IDS_PER_SCENE
+        return objects_of(instances, crop_of_frame, pose, self._by_id[number], first_id)
 
     def _layers(self, frame: _Frame) -> DenseLayers:
+        """Return the layers of a frame's session; the first call opens all sessions."""
         if self._open is None:
             # The files stay open until the process ends.
             stack = ExitStack()
             self._open = {
-                (number, session): stack.enter_context(scene.dense(session))
+                (number, session): stack.enter_context(scene.layers(session))
                 for number, scene in enumerate(self._scenes)
                 for session in scene.sessions
             }
             self._stack = stack
         return self._open[frame.session]
 
-    def _cut(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
+    def _make_pair(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
+        """Return a pair of crops around a point that both frames show; None with too few points."""
         options = self._options
         photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
         depth_a, depth_b = self._depth(a), self._depth(b)
         b_from_a = b.cam_from_world @ np.linalg.inv(a.cam_from_world)
         xy_a = keypoints(photo_a, 24 * self._points, rng)
-        points = a.camera.lift(xy_a, _at(depth_a, xy_a))
+        points = a.camera.lift(xy_a, _depth_at(depth_a, xy_a))
         in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
-        good = (points[:, 2] > 0) & (in_b[:, 2] > 1)
-        xy_a, points, in_b = xy_a[good], points[good], in_b[good]
+        in_front = (points[:, 2] > 0) & (in_b[:, 2] > 1)
+        xy_a, points, in_b = xy_a[in_front], points[in_front], in_b[in_front]
         xy_b = b.camera.project(in_b)
         height, width = photo_b.shape[:2]
-        good = ((xy_b > 0) & (xy_b < [width, height])).all(1)
-        seen = _at(depth_b, np.where(good[:, None], xy_b, 0.5))
-        good &= np.abs(seen - in_b[:, 2]) < _SAME_DEPTH * in_b[:, 2]
-        xy_a, xy_b, points = xy_a[good], xy_b[good], points[good]
+        shown = ((xy_b > 0) & (xy_b < [width, height])).all(1)
+        seen_depth = _depth_at(depth_b, np.where(shown[:, None], xy_b, 0.5))
+        shown &= np.abs(seen_depth - in_b[:, 2]) < _SAME_DEPTH * in_b[:, 2]
+        xy_a, xy_b, points = xy_a[shown], xy_b[shown], points[shown]
         if len(points) < MIN_POINTS:
             return None
         zoom = np.exp(rng.uniform(*np.log(options.zoom)))
         anchor = rng.integers(len(points))
         jitter = rng.uniform(-0.25, 0.25, (2, 2)) * self._size / zoom
-        match_scale = np.exp(rng.normal(0, 0.08))
+        relative_scale = np.exp(rng.normal(0, 0.08))
         if rng.uniform() < options.level_share:
-            distance = float(in_b[good][anchor, 2] / points[anchor, 2])
-            match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Frames from above are rotated by the same multiple of 90 degrees, because south of the
-        # equator light comes from the north. Along a street the sky is always up.
-        above = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
-        joint = np.pi / 2 * rng.integers(4) if above else 0.0
-        angle_a = joint + north_angle(a.cam_from_world[:3, :3])
-        angle_b = joint + north_angle(b.cam_from_world[:3, :3])
+            depth_ratio = float(in_b[shown][anchor, 2] / points[anchor, 2])
+            relative_scale *= np.clip(depth_ratio * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
+        # Frames from above are both rotated by a random multiple of 90 degrees, because light comes
+        # from the north south of the equator. Along a street the sky is always up.
+        look_down = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
+        common_angle = np.pi / 2 * rng.integers(4) if look_down else 0.0
+        angle_a = common_angle + north_angle(a.cam_from_world[:3, :3])
+        angle_b = common_angle + north_angle(b.cam_from_world[:3, :3])
         angle_b += np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
-        zoom_b = zoom * match_scale
-        cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)
-        cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom_b, self._size, angle_b)
-        b_from_a = cut_b.crop_from_camera @ b_from_a @ cut_a.crop_from_camera.T
-        points = points @ cut_a.crop_from_camera[:3, :3].T
-        xy_a = cut_a.camera.project(points)
-        xy_b = cut_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+        zoom_b = zoom * relative_scale
+        crop_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)
+        crop_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom_b, self._size, angle_b)
+        b_from_a = crop_b.crop_from_camera @ b_from_a @ crop_a.crop_from_camera.T
+        points = points @ crop_a.crop_from_camera[:3, :3].T
+        xy_a = crop_a.camera.project(points)
+        xy_b = crop_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
         border = BORDER_PX
-        good = cut_a.contains(xy_a, border) & cut_b.contains(xy_b, border)
-        if good.sum() < MIN_POINTS:
+        inside = crop_a.contains(xy_a, border) & crop_b.contains(xy_b, border)
+        if inside.sum() < MIN_POINTS:
             return None
-        depth = float(np.median(points[good, 2]))
-        valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
+        depth = float(np.median(points[inside, 2]))
+        valid, (points, xy_a, xy_b) = fill(self._points, points[inside], xy_a[inside], xy_b[inside])
         return Pair(
-            photometric(cut_a.image, rng, self._strength),
-            photometric(cut_b.image, rng, self._strength),
-            cut_a.camera,
-            cut_b.camera,
+            photometric(crop_a.image, rng, self._strength),
+            photometric(crop_b.image, rng, self._strength),
+            crop_a.camera,
+            crop_b.camera,
             b_from_a,
             wrong_start(b_from_a, depth, rng),
             points,
             xy_a,
             xy_b,
             valid,
-            (self._objects(a, cut_a), self._objects(b, cut_b)) if options.objects else None,
+            (self._objects(a, crop_a), self._objects(b, crop_b)) if options.objects else None,
         )
 
 
 def _frames(scene: Scene, number: int) -> list[_Frame]:
-    """Return every frame of a scene, in the order of its covisibility."""
+    """Return every frame of the scene with index ``number``, session by session."""
     frames = []
     for name, session in scene.sessions.items():
         stored = scene.frames(name)
@@ -196,39 +224,42 @@ def _frames(scene: Scene, number: int) -> list[_Frame]:
 
 def _pinhole(camera: Camera, image: Path) -> Pinhole:
     if any(camera.distortion) or camera.is_fisheye:
-        raise InputError(f"{image} was taken through a lens with distortion: train on pinholes")
+        raise InputError(
+            f"{image} was taken through a lens with distortion: train on photographs of a pinhole "
+            "camera"
+        )
     return Pinhole(np.array(camera.focal), np.array(camera.principal))
 
 
 def _pairs(
     scene: Scene, frames: Sequence[_Frame], first: int, options: PairOptions
 ) -> tuple[_Pairs, _Pairs]:
-    """Return the pairs of frames that overlap and have about the same heading.
+    """Return the pairs of frames of a scene that overlap and have about the same attitude.
 
     Args:
-        scene: the scene of the frames.
-        frames: all its frames.
-        first: index of its first frame among those of all scenes.
-        options: the least overlap and the largest turn of a pair.
+        scene: the scene.
+        frames: all frames of the scene.
+        first: index of the scene's first frame among the frames of all scenes.
+        options: the least overlap and the largest angle of a pair.
 
     Returns:
-        Index pairs (a < b) of frames of one condition, and of two conditions.
+        Pairs of indices (a < b) of frames of one condition, and of frames of two conditions.
     """
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.select(names).mutual
-    rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
+    rotations = np.stack([rotate_north_up(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    good = (overlap >= options.min_overlap) & (angle <= options.max_turn_deg)
+    is_pair = (overlap >= options.min_overlap) & (angle <= options.max_turn_deg)
     same: _Pairs = []
     cross: _Pairs = []
-    for a, b in np.argwhere(np.triu(good, 1)).tolist():
+    for a, b in np.argwhere(np.triu(is_pair, 1)).tolist():
         differ = frames[a].condition != frames[b].condition
         (cross if differ else same).append((a + first, b + first))
     return same, cross
 
 
-def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _depth_at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the depths (N,) of the pixels that contain ``xy`` (N, 2)."""
     height, width = depth.shape
     column = np.clip(xy[:, 0].astype(int), 0, width - 1)

@@ -10,14 +10,15 @@ from torch import Tensor
 
 from objconnect.localization.align.covariance import covariance
 from objconnect.localization.align.descent import descend, is_finite
-from objconnect.localization.align.local_frame import Local
+from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Linearisation
 from objconnect.localization.align.trees import tree_map
 from objconnect.scene.geometry.pose import Pose
 
+# Values of ``Alignment.failure``, and their reasons.
 _ALIGNED, _BAD_START, _TOO_FEW, _NOT_FINITE = range(4)
-_WHY: Final = (
+_REASONS: Final = (
     "",
     "the starting pose is not finite",
     "too few points of the map are in view",
@@ -30,14 +31,14 @@ class Alignment:
     """The result of an alignment, with the batch shape (B) or (B, K) of the starts.
 
     Attributes:
-        pose: ``cam_from_world``, float64; on failure, the last one before it.
+        pose: ``cam_from_world``, float64; if alignment failed, the last pose before the failure.
         by_level: the pose after each level, coarse to fine; the last is ``pose``.
         covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
-            infinite on the diagonal where the points do not determine it.
+            infinite on the diagonal where the points do not determine the pose.
         cost: (...) mean robust cost of the points in view on the finest level.
-        iterations: (...) steps tried, over all levels.
-        seen: (...) points in view on the last level reached.
-        failure: (...) 0, or why alignment failed: see ``reason``.
+        iterations: (...) number of steps tried, over all levels.
+        seen: (...) number of points in view on the last level reached.
+        failure: (...) 0, or a number that tells why alignment failed: see ``reason``.
     """
 
     pose: Pose
@@ -54,27 +55,29 @@ class Alignment:
         return self.failure != _ALIGNED
 
     def reason(self, *index: int) -> str:
-        """Return why one element failed; empty if it did not."""
+        """Return why the alignment of one element failed; empty if it did not."""
         code = int(self.failure[index])
-        return _WHY[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
+        return _REASONS[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
 
 
 def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     """Align queries to the points of a map.
 
-    Points and poses are relative to the starting position, so that coordinates far from the origin
-    keep their precision. Poses and 6 x 6 systems are in double precision, all else in the precision
-    of the features, at least single. No gradient flows from a level into the one before.
+    Inputs and results are in the world frame. The computation is relative to the starting position,
+    so that coordinates far from the origin keep their precision. Poses and 6 x 6 systems are in
+    double precision, all else in the precision of the features, at least single. The gradient of a
+    level's pose does not flow back into coarser levels.
 
     Args:
-        problem: B queries with one start each, or K.
+        problem: B queries with one start each, or with K starts each.
         with_covariance: whether to compute covariances; if not, all are infinite.
 
     Returns:
-        Finite poses whatever the input; an element that cannot be aligned has a failure.
+        Poses that are finite for any input; an element that cannot be aligned has a failure.
 
-    Example:
-        A map of two channels that hold the pixel itself, seen by a camera 10 m above four points:
+    Examples:
+        A feature map whose two channels hold the pixel's coordinates, and a camera 10 m from the
+        points:
 
         >>> import torch
         >>> from objconnect.localization.align.options import Options
@@ -98,7 +101,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         >>> bool(aligned.pose.translation.abs().max() < 0.02)
         True
     """
-    local, options = Local.of(problem), problem.options
+    local, options = LocalProblem.of(problem), problem.options
     shape = local.finite.shape
     starts_per_query = shape[1:].numel()
     points = problem.points
@@ -113,17 +116,17 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     by_level = []
     for level, damping in zip(problem.levels, problem.damping, strict=True):
         cost = local.cost(level, options)
-        cost = cost if starts_per_query == 1 else cost.rows(owner)
-        alive = failure == _ALIGNED
-        state = descend(cost, tree_map(Tensor.detach, pose), alive, damping, options)
+        cost = cost if starts_per_query == 1 else cost.select(owner)
+        active = failure == _ALIGNED
+        state = descend(cost, tree_map(Tensor.detach, pose), active, damping, options)
         pose, iterations = state.pose, iterations + state.iterations
-        seen = torch.where(alive, state.around.seen.sum(-1), seen)
-        now = torch.where(is_finite(state.around), _ALIGNED, _NOT_FINITE)
-        now = torch.where(seen < options.min_points, _TOO_FEW, now)
-        failure = torch.where(alive, now, failure)
+        seen = torch.where(active, state.linearisation.seen.sum(-1), seen)
+        outcome = torch.where(is_finite(state.linearisation), _ALIGNED, _NOT_FINITE)
+        outcome = torch.where(seen < options.min_points, _TOO_FEW, outcome)
+        failure = torch.where(active, outcome, failure)
         by_level.append(local.in_world(tree_map(unflatten, pose)))
     failed = failure != _ALIGNED
-    last = state.around
+    last = state.linearisation
     unknown = failed if with_covariance else torch.ones_like(failed)
     return Alignment(
         pose=by_level[-1],
@@ -136,9 +139,9 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     )
 
 
-def _covariance(around: Linearisation, unknown: Tensor) -> Tensor:
+def _covariance(linearisation: Linearisation, unknown: Tensor) -> Tensor:
     """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where unknown (M,)."""
-    nothing = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
+    infinite = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
     if bool(unknown.all()):
-        return nothing.expand(len(unknown), 6, 6)
-    return torch.where(unknown[:, None, None], nothing, covariance(around))
+        return infinite.expand(len(unknown), 6, 6)
+    return torch.where(unknown[:, None, None], infinite, covariance(linearisation))

@@ -1,6 +1,6 @@
-"""Compiled loops for the CPU that replace ``residuals`` and ``descent`` in torch.
+"""Compiled loops for the CPU that compute what ``residuals`` and ``descent`` compute in torch.
 
-Results differ by rounding alone.
+Their results differ from torch's only by rounding.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.align import kernels, records
-from objconnect.localization.align.damping import CHANGE, FLOOR, LEAST_FACTOR, MOST_FACTOR
+from objconnect.localization.align.damping import DAMPING_CHANGE, FLOOR, MAX_FACTOR, MIN_FACTOR
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.state import State
@@ -40,93 +40,105 @@ _LEVEL: Final = _record(
 _CAMERAS: Final = _record(records.Cameras, *[f4[:, ::1]] * 4, f4, f4, boolean)
 _POINTS: Final = _record(records.Points, f4[:, :, ::1], boolean[:, ::1], _CAMERAS)
 _POSES: Final = _record(records.PoseArrays, f8[:, :, ::1], f8[:, ::1])
-_AROUND: Final = _record(
-    records.Around, boolean[:, ::1], f4[:, ::1], f4[:, ::1], *[f4[:, :, ::1]] * 3
+_COST_ARRAYS: Final = _record(
+    records.CostArrays, boolean[:, ::1], f4[:, ::1], f4[:, ::1], *[f4[:, :, ::1]] * 3
 )
-_MOVING: Final = _record(records.Moving, _POSES, boolean[::1], i8[::1], f8[::1], _AROUND)
-_RULES: Final = _record(records.Rules, f8[::1], *[f8] * 6, i8, i8)
-_DESCEND: Final = types.void(_LEVEL, _POINTS, _MOVING, _RULES, i8, i8)
-# Least number of points of all poses together for a second thread.
+_POSE_BATCH: Final = _record(
+    records.PoseBatch, _POSES, boolean[::1], i8[::1], f8[::1], _COST_ARRAYS
+)
+_DESCENT_OPTIONS: Final = _record(records.DescentOptions, f8[::1], *[f8] * 6, i8, i8)
+_DESCEND: Final = types.void(_LEVEL, _POINTS, _POSE_BATCH, _DESCENT_OPTIONS, i8, i8)
+# Least number of points of all poses together for which a second thread saves time.
 _WORTH_THREADS: Final = 1024
 
 
 def descend_compiled(
-    cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
+    cost: LevelCost, pose: Pose, active: Tensor, damping: Tensor, options: Options
 ) -> State:
-    """Minimise the cost of one level as ``descent.descend`` does with careful steps."""
-    positions, used, moved = _arrays(cost.points, cost.mask, alive)
-    turns, shifts = (np.array(each, float) for each in _arrays(pose.rotation, pose.translation))
+    """Minimise the cost of one level as ``descent.descend`` does with careful steps.
+
+    Arguments are those of ``descent.descend``.
+    """
+    positions, used, is_active = _arrays(cost.points, cost.mask, active)
+    # Copies, because the loop changes the poses in place.
+    rotations, translations = (
+        np.array(each, float) for each in _arrays(pose.rotation, pose.translation)
+    )
     (axes,) = _arrays(damping.double())
     level, points = _level(cost), records.Points(positions, used, _cameras(cost.intrinsics))
-    moving = records.Moving(
-        poses=records.PoseArrays(turns, shifts),
-        alive=moved,
-        tried=np.zeros(len(moved), np.int64),
-        factors=np.ones(len(moved)),
-        around=_empty(*used.shape),
+    batch = records.PoseBatch(
+        poses=records.PoseArrays(rotations, translations),
+        active=is_active,
+        steps_tried=np.zeros(len(is_active), np.int64),
+        damping_factors=np.ones(len(is_active)),
+        linearisation=_empty(*used.shape),
     )
-    rules = records.Rules(
+    descent_options = records.DescentOptions(
         damping=axes,
-        change=CHANGE,
-        least=LEAST_FACTOR,
-        most=MOST_FACTOR,
-        floor=FLOOR,
-        small_turn=radians(options.converged_deg),
-        small_shift=options.converged_m,
-        steps=options.iterations,
+        damping_change=DAMPING_CHANGE,
+        min_factor=MIN_FACTOR,
+        max_factor=MAX_FACTOR,
+        min_added=FLOOR,
+        converged_rad=radians(options.converged_deg),
+        converged_m=options.converged_m,
+        max_steps=options.iterations,
         min_points=options.min_points,
     )
     _in_parts(
-        partial(compile_loop(kernels.descend, _DESCEND), level, points, moving, rules), *used.shape
+        partial(compile_loop(kernels.descend, _DESCEND), level, points, batch, descent_options),
+        *used.shape,
     )
-    to = Pose(*map(torch.from_numpy, moving.poses))
-    there = Linearisation(*map(torch.from_numpy, moving.around))
-    factors = torch.from_numpy(moving.factors)[:, None]
-    return State(to, there, torch.from_numpy(moving.tried), factors)
+    final_pose = Pose(*map(torch.from_numpy, batch.poses))
+    linearisation = Linearisation(*map(torch.from_numpy, batch.linearisation))
+    damping_factors = torch.from_numpy(batch.damping_factors)[:, None]
+    return State(final_pose, linearisation, torch.from_numpy(batch.steps_tried), damping_factors)
 
 
 def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
-    """Divide poses among as many threads as torch may use, this one included."""
+    """Call ``work`` with ranges of poses in as many threads as torch may use, this one included."""
     threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
-    own, *others = pairwise(poses * k // threads for k in range(threads + 1))
+    first_part, *others = pairwise(poses * k // threads for k in range(threads + 1))
     if not others:
-        work(*own)
+        work(*first_part)
         return
     with worker_threads() as pool:
-        busy = [pool.submit(work, *part) for part in others]
-        work(*own)
-        for each in busy:
-            each.result()
+        futures = [pool.submit(work, *part) for part in others]
+        work(*first_part)
+        for future in futures:
+            future.result()
 
 
-def around(cost: LevelCost, pose: Pose) -> Linearisation:
+def linearise_compiled(cost: LevelCost, pose: Pose) -> Linearisation:
     """Compute the cost around poses as ``LevelCost.linearise`` does."""
-    still = torch.zeros(len(cost.first), dtype=torch.bool)
-    return descend_compiled(cost, pose, still, torch.zeros(6), Options()).around
+    none_active = torch.zeros(len(cost.first), dtype=torch.bool)
+    return descend_compiled(cost, pose, none_active, torch.zeros(6), Options()).linearisation
 
 
 def _level(cost: LevelCost) -> records.Level:
-    # A missing confidence is a placeholder, which is not read.
+    # A confidence that is None becomes a placeholder, which the loop does not read.
     one = torch.ones(1, 1)
-    trust = one if cost.trust is None else cost.trust.cells.float()
-    target_trust = one if cost.target_trust is None else cost.target_trust.float()
-    features, sure, first = _arrays(cost.table.cells, trust, cost.first)
-    target, target_sure, stride = _arrays(cost.target, target_trust, cost.stride)
+    confidence = one if cost.confidence is None else cost.confidence.values.float()
+    reference_confidence = (
+        one if cost.reference_confidence is None else cost.reference_confidence.float()
+    )
+    features, cell_confidence, first = _arrays(cost.table.values, confidence, cost.first)
+    reference, point_confidence, stride = _arrays(cost.reference, reference_confidence, cost.stride)
     return records.Level(
-        maps=records.Maps(features, sure, first, cost.table.width, cost.table.height),
-        target=target,
-        target_trust=target_sure,
+        maps=records.Maps(features, cell_confidence, first, cost.table.width, cost.table.height),
+        reference=reference,
+        reference_confidence=point_confidence,
         stride=stride,
         border=np.float32(cost.border),
         twice_scale=np.float32(2 * cost.scale**2),
-        has_trust=cost.trust is not None,
-        has_target_trust=cost.target_trust is not None,
+        has_confidence=cost.confidence is not None,
+        has_reference_confidence=cost.reference_confidence is not None,
     )
 
 
-def _empty(poses: int, points: int) -> records.Around:
+def _empty(poses: int, points: int) -> records.CostArrays:
+    """Return uninitialised arrays for the linearisations of poses."""
     shape = (poses, points)
-    return records.Around(
+    return records.CostArrays(
         np.empty(shape, np.bool_),
         np.empty(shape, np.float32),
         np.empty(shape, np.float32),
@@ -141,9 +153,9 @@ def _cameras(camera: Intrinsics) -> records.Cameras:
     focal, principal, distortion, limit = _arrays(
         *(each.reshape(-1, each.shape[-1]) for each in fields)
     )
-    least_depth, most_slope = np.float32(MIN_DEPTH), np.float32(MAX_SLOPE)
+    min_depth, max_slope = np.float32(MIN_DEPTH), np.float32(MAX_SLOPE)
     return records.Cameras(
-        focal, principal, distortion, limit, least_depth, most_slope, camera.fisheye
+        focal, principal, distortion, limit, min_depth, max_slope, camera.fisheye
     )
 
 

@@ -11,45 +11,46 @@ from torch import Tensor
 
 from objconnect.localization.align.damping import apply_step
 from objconnect.localization.align.linearise import linearise
-from objconnect.localization.align.local_frame import Local
+from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import LevelCost, Linearisation
-from objconnect.localization.align.trees import rows
+from objconnect.localization.align.trees import select
 from objconnect.scene.geometry.pose import Pose
 
-# Degrees of freedom of a pose in patches, each of which contributes two.
-_POSE_IN_PATCHES = 3
-# Rotation variance (rad^2) from which the rotation counts as unknown.
-_ANY_TURN = math.pi**2
-# Side of the square patches of a level (cells) whose points count as dependent.
+# Number of patches that determine a pose: a pose has six degrees of freedom, and each patch gives
+# two equations.
+_PATCHES_PER_POSE = 3
+# Variance of the rotation (rad^2) from which the rotation counts as unknown.
+_UNKNOWN_ROTATION = math.pi**2
+# Side of the square patches of a level (cells). Points in one patch count as dependent.
 _PATCH_CELLS: Final = 24.0
 # Share by which the scatter of the patches' gradients is shrunk to that of independent residuals.
 _SHRINKAGE: Final = 0.6
-# Distance from a pose, in standard deviations, at which the curvature of its cost is measured:
-# nearer, noise of the features dominates; farther, the cost is not quadratic.
+# Distance from a pose, in standard deviations, at which the curvature of the cost is measured. At
+# smaller distances noise of the features dominates; at larger ones the cost is not quadratic.
 _CURVATURE_SIGMAS: Final = 3.6
 # Lower bound of the measured curvature in any direction, as a share of Gauss-Newton's.
-_LEAST_SHARE: Final = 0.05
+_MIN_CURVATURE_SHARE: Final = 0.05
 
 
 def covariance(
-    around: Linearisation, patch_cells: float = _PATCH_CELLS, shrinkage: float = _SHRINKAGE
+    linearisation: Linearisation, patch_cells: float = _PATCH_CELLS, shrinkage: float = _SHRINKAGE
 ) -> Tensor:
     """Return the covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
-    It is Huber's sandwich H^-1 S H^-1, where S is the sum of p p^T and p the gradient ("pull") of
-    each patch of the image. Channels of a feature and points of one patch may depend on one another
-    (Liang and Zeger, Biometrika 1986, on clusters): neighbours show the same, and a point occurs
-    once for each reference image. S is scaled up for the degrees of freedom of the pose itself. The
-    diagonal is infinite where the points do not determine a pose.
+    It is Huber's sandwich H^-1 S H^-1, where S is the sum of p p^T and p the gradient of each patch
+    of the image. Channels of a feature and points of one patch may depend on one another (Liang and
+    Zeger, Biometrika 1986, on clusters), because neighbouring points show the same things and a
+    point occurs once for each reference image. S is scaled up for the degrees of freedom of the
+    pose itself. The diagonal is infinite where the points do not determine a pose.
 
     Args:
-        around: the cost at the M poses.
+        linearisation: the cost around the M poses.
         patch_cells: side of the patches, cells.
         shrinkage: share by which S is shrunk to that of independent residuals, 0 to 1.
     """
-    scatter, count = _scatter(_grids(around, patch_cells))
-    return _sandwich(around.hessian.detach().double(), scatter, count, shrinkage)
+    scatter, count = _scatter(_grids(linearisation, patch_cells))
+    return _sandwich(linearisation.hessian.detach().double(), scatter, count, shrinkage)
 
 
 def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHRINKAGE) -> Tensor:
@@ -64,24 +65,25 @@ def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHR
             residuals are small.
         scatter: (M, 6, 6) as ``_scatter`` returns it.
         count: (M,) patches with points.
-        shrinkage: share of that multiple of H.
+        shrinkage: weight of that multiple of H in the result, 0 to 1.
     """
-    enough = count > _POSE_IN_PATCHES
+    enough = count > _PATCHES_PER_POSE
     factor, info = torch.linalg.cholesky_ex(H)
     determined = enough & (info == 0)
     eye = torch.eye(6, dtype=H.dtype, device=H.device)
     factor = torch.where(determined[:, None, None], factor, eye)
     half = torch.linalg.solve_triangular(factor, scatter, upper=False)
     white = torch.linalg.solve_triangular(factor, half.transpose(-1, -2), upper=False)
-    level = white.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
-    white = (1 - shrinkage) * white + shrinkage * level * eye
+    scatter_level = white.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
+    white = (1 - shrinkage) * white + shrinkage * scatter_level * eye
     upper = factor.transpose(-1, -2)
     half = torch.linalg.solve_triangular(upper, white, upper=True)
     result = torch.linalg.solve_triangular(upper, half.transpose(-1, -2), upper=True)
-    turn = result.diagonal(dim1=-2, dim2=-1)[:, :3].amax(-1)
-    good = determined & result.isfinite().flatten(1).all(-1) & (turn < _ANY_TURN)
+    rotation_variance = result.diagonal(dim1=-2, dim2=-1)[:, :3].amax(-1)
+    known = determined & result.isfinite().flatten(1).all(-1)
+    known &= rotation_variance < _UNKNOWN_ROTATION
     unknown = torch.full_like(H[0, 0], torch.inf).diag_embed().expand_as(H)
-    return torch.where(good[:, None, None], 0.5 * (result + result.transpose(-1, -2)), unknown)
+    return torch.where(known[:, None, None], 0.5 * (result + result.transpose(-1, -2)), unknown)
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,12 @@ class Spread:
         depth: (B,) median depth of the points in view, metres; zero without any.
         patches: (B,) number of patches of the image with points in view.
         view_cosine: (B,) mean cosine of the angle between the directions in which the query and the
-            reference images see the points in view; 1 if the latter are unknown.
+            reference images see the points in view; 1 if the reference images are unknown.
         informative_cost: (B,) mean cost of the points, weighted by their information on the pose,
-            as a share of their mean cost; 1 where they do not determine a pose.
-        level: (B,) mean over six directions of the scatter of the patches' gradients, as a share of
-            the Gauss-Newton Hessian; 0 where the points do not determine a pose.
-        equal_patches: (B,) effective number of patches for ``level``.
+            as a share of their mean cost; 1 where the points do not determine a pose.
+        scatter_level: (B,) mean over six directions of the scatter of the patches' gradients, as a
+            share of the Gauss-Newton Hessian; 0 where the points do not determine a pose.
+        equal_patches: (B,) effective number of patches for ``scatter_level``.
     """
 
     covariance: Tensor
@@ -110,71 +112,77 @@ class Spread:
     patches: Tensor
     view_cosine: Tensor
     informative_cost: Tensor
-    level: Tensor
+    scatter_level: Tensor
     equal_patches: Tensor
 
 
 def measure_spread(problem: Problem, aligned: Pose) -> Spread:
     """Compute the covariances of poses (B) aligned on the finest level of a problem.
 
-    If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large: it includes
-    the slopes of everything in the query, also of what the map does not have. Therefore the second
+    If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large, because it
+    includes the slopes of things in the query that the map does not have. Therefore the second
     derivatives of the cost are measured by differences of gradients, along the axes in which that
-    Hessian is the identity, and replace it where they are smaller.
+    Hessian is the identity. They replace the Hessian where they are smaller.
 
     Args:
         problem: the alignment problem.
         aligned: ``cam_from_world`` at the minimum.
     """
-    local = Local.of(problem.starting_at(aligned))
+    local = LocalProblem.of(problem.starting_at(aligned))
     cost = local.cost(problem.levels[-1], problem.options)
-    around = linearise(cost, local.start)
+    linearisation = linearise(cost, local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
-    depth = torch.where(around.seen, depth, torch.nan)
-    grids = _grids(around, _PATCH_CELLS)
+    depth = torch.where(linearisation.seen, depth, torch.nan)
+    grids = _grids(linearisation, _PATCH_CELLS)
     scatter, patches = _scatter(grids)
-    hessian = around.hessian.detach().double()
-    first = _sandwich(hessian, scatter, patches)
-    known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
-    eye = torch.eye(6, dtype=first.dtype, device=first.device)
+    hessian = linearisation.hessian.detach().double()
+    gauss_newton = _sandwich(hessian, scatter, patches)
+    known = (local.finite & gauss_newton.isfinite().flatten(1).all(-1))[:, None, None]
+    eye = torch.eye(6, dtype=gauss_newton.dtype, device=gauss_newton.device)
     lower = torch.linalg.cholesky(torch.where(known, hessian, eye))
     axes = torch.linalg.inv(lower)  # a row for each direction
-    variance = lower.transpose(-1, -2) @ torch.where(known, first, eye) @ lower
+    variance = lower.transpose(-1, -2) @ torch.where(known, gauss_newton, eye) @ lower
     length = _CURVATURE_SIGMAS * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     steps = length[:, None, None] * axes
     slopes = _gradients(cost, local.start, steps) - _gradients(cost, local.start, -steps)
-    share = (slopes / (2 * length[:, None, None])) @ axes.transpose(-1, -2)
-    values, vectors = torch.linalg.eigh(0.5 * (share + share.transpose(-1, -2)).nan_to_num())
-    values = values.clamp(_LEAST_SHARE, 1)
+    # Second derivatives in the axes in which those of Gauss-Newton are the identity.
+    curvature = (slopes / (2 * length[:, None, None])) @ axes.transpose(-1, -2)
+    symmetric = 0.5 * (curvature + curvature.transpose(-1, -2)).nan_to_num()
+    values, vectors = torch.linalg.eigh(symmetric)
+    values = values.clamp(_MIN_CURVATURE_SHARE, 1)
     root = lower @ vectors * values.sqrt()[:, None]
     measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches)
-    level = (axes @ scatter @ axes.transpose(-1, -2)).diagonal(dim1=-2, dim2=-1).mean(-1)
+    scatter_level = (axes @ scatter @ axes.transpose(-1, -2)).diagonal(dim1=-2, dim2=-1).mean(-1)
     determined = known[:, 0, 0]
     return Spread(
-        torch.where(known, measured, first),
+        torch.where(known, measured, gauss_newton),
         torch.where(determined, values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
         patches,
-        _view_cosine(problem, aligned, around.seen),
-        torch.where(determined, _informative_cost(cost, local.start, around, axes), 1),
-        torch.where(determined, level, 0),
+        _view_cosine(problem, aligned, linearisation.seen),
+        torch.where(determined, _informative_cost(cost, local.start, linearisation, axes), 1),
+        torch.where(determined, scatter_level, 0),
         torch.where(determined, _equal_patches(grids, axes), 0),
     )
 
 
-def _informative_cost(cost: LevelCost, pose: Pose, around: Linearisation, axes: Tensor) -> Tensor:
+def _informative_cost(
+    cost: LevelCost, pose: Pose, linearisation: Linearisation, axes: Tensor
+) -> Tensor:
     """Return ``Spread.informative_cost`` (B,): points are weighted by their part of the Hessian.
 
     Args:
         cost: cost of the finest level.
         pose: the poses (B).
-        around: the cost there.
+        linearisation: the cost around the poses.
         axes: (B, 6, 6) rows along which the Hessian is the identity.
     """
-    trust = around.cost if cost.target_trust is None else around.cost * cost.target_trust
-    heavy = linearise(replace(cost, target_trust=trust.to(cost.target)), pose).hessian.double()
-    shares = axes @ heavy @ axes.transpose(-1, -2)
-    mean = around.mean_cost().double()
+    weight = linearisation.cost
+    if cost.reference_confidence is not None:
+        weight = weight * cost.reference_confidence
+    weighted = replace(cost, reference_confidence=weight.to(cost.reference))
+    shares = axes @ linearise(weighted, pose).hessian.double() @ axes.transpose(-1, -2)
+    mean = linearisation.mean_cost().double()
     return torch.where(mean > 0, shares.diagonal(dim1=-2, dim2=-1).mean(-1) / mean, 1)
 
 
@@ -183,35 +191,37 @@ def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:
     if problem.seen_from is None:
         return torch.ones(len(seen), dtype=torch.float64, device=seen.device)
     points = problem.points.double()
-    here = points - aligned.centre()[:, None].to(points)
-    cosine = torch.cosine_similarity(here, points - problem.seen_from.to(points), dim=-1)
+    from_query = points - aligned.centre()[:, None].to(points)
+    from_references = points - problem.seen_from.to(points)
+    cosine = torch.cosine_similarity(from_query, from_references, dim=-1)
     return torch.where(seen, cosine, torch.nan).nanmean(-1).nan_to_num(1.0)
 
 
 def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     """Return the gradients (B, K, 6) of half the summed cost after steps (B, K, 6) from poses."""
     owner = torch.arange(len(steps), device=steps.device).repeat_interleave(steps.shape[1])
-    shifted = apply_step(rows(pose, owner), steps.flatten(0, 1))
-    return linearise(cost.rows(owner), shifted).gradient.double().view_as(steps)
+    shifted = apply_step(select(pose, owner), steps.flatten(0, 1))
+    return linearise(cost.select(owner), shifted).gradient.double().view_as(steps)
 
 
 _Grid = tuple[Tensor, Tensor]
 """Gradients (M, P, 6) of the patches of a grid, and the number (M,) of those with points."""
 
 
-def _grids(around: Linearisation, side: float) -> list[_Grid]:
+def _grids(linearisation: Linearisation, side: float) -> list[_Grid]:
     """Return the patches of four grids half a side apart, because their borders are arbitrary."""
-    return [_by_patch(around, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
+    return [_by_patch(linearisation, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
 
 
 def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
-    """Sum p p^T over square patches, (M, 6, 6), and count the patches with points, (M,).
+    """Return the scatter (M, 6, 6) of the patches' gradients p, the sum of p p^T, and the number
+    (M,) of patches with points.
 
     Both are means over the grids, so that the dependence of two points falls with their distance,
     as in Bartlett's window (Conley, Journal of Econometrics 1999).
     """
-    scatter = torch.stack([_unbiased_scatter(pull, count) for pull, count in grids]).mean(0)
-    return scatter, torch.stack([count for _, count in grids]).double().mean(0)
+    scatters = torch.stack([_estimate_scatter(gradients, count) for gradients, count in grids])
+    return scatters.mean(0), torch.stack([count for _, count in grids]).double().mean(0)
 
 
 def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
@@ -223,32 +233,35 @@ def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
         grids: the patches.
         axes: (M, 6, 6) rows along which the Hessian is the identity.
     """
-    each = [(pull @ axes.transpose(-1, -2)).square().sum(-1) for pull, _ in grids]
+    each = [(gradients @ axes.transpose(-1, -2)).square().sum(-1) for gradients, _ in grids]
     return torch.stack([a.sum(-1).square() / a.square().sum(-1) for a in each]).mean(0)
 
 
-def _unbiased_scatter(pull: Tensor, count: Tensor) -> Tensor:
-    """Return the scatter (M, 6, 6) of gradients (M, P, 6), corrected for the fitted pose."""
-    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
-    return pull.transpose(-1, -2) @ pull * used[:, None, None]
+def _estimate_scatter(gradients: Tensor, count: Tensor) -> Tensor:
+    """Return the scatter (M, 6, 6) of gradients (M, P, 6), corrected for the fitted pose.
+
+    ``count`` (M,) is the number of patches with points.
+    """
+    correction = count / (count - _PATCHES_PER_POSE).clamp_min(1)
+    return gradients.transpose(-1, -2) @ gradients * correction[:, None, None]
 
 
-def _by_patch(around: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
+def _by_patch(linearisation: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
     """Sum gradients over square patches, (M, P, 6), and count the patches with points, (M,).
 
     Args:
-        around: the cost at M poses.
+        linearisation: the cost around M poses.
         side: side of a patch, cells.
-        first: position of the image's corner in the first patch, as shares of its side, x and y.
+        first: position of the image's corner in the first patch, x and y, as shares of ``side``.
     """
-    pull = around.pull.detach().double()
-    shift = torch.tensor(first, dtype=around.cells.dtype, device=around.cells.device)
-    cells = torch.where(around.seen[..., None], around.cells, 0)
+    gradients = linearisation.point_gradient.detach().double()
+    shift = torch.tensor(first, dtype=linearisation.cells.dtype, device=linearisation.cells.device)
+    cells = torch.where(linearisation.seen[..., None], linearisation.cells, 0)
     patch = (cells / side + shift).floor().long()
-    wide = int(patch[..., 0].max()) + 1 if patch.numel() else 1
-    high = int(patch[..., 1].max()) + 1 if patch.numel() else 1
-    index = patch[..., 1] * wide + patch[..., 0]
-    sums = pull.new_zeros(len(pull), wide * high, pull.shape[-1])
-    sums = sums.scatter_add(1, index[..., None].expand_as(pull), pull)
-    points = torch.zeros_like(sums[..., 0]).scatter_add(1, index, around.seen.to(sums))
+    columns = int(patch[..., 0].max()) + 1 if patch.numel() else 1
+    rows = int(patch[..., 1].max()) + 1 if patch.numel() else 1
+    index = patch[..., 1] * columns + patch[..., 0]
+    sums = gradients.new_zeros(len(gradients), columns * rows, gradients.shape[-1])
+    sums = sums.scatter_add(1, index[..., None].expand_as(gradients), gradients)
+    points = torch.zeros_like(sums[..., 0]).scatter_add(1, index, linearisation.seen.to(sums))
     return sums, (points > 0).sum(-1)

@@ -6,20 +6,20 @@ import torch
 
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.runtime.device import loops_serve
+from objconnect.scene.runtime.device import supports_loops
 
 
 def linearise(cost: LevelCost, cam_from_world: Pose) -> Linearisation:
-    """Return a cost around poses (M), ``cam_from_world``, with its derivatives."""
+    """Return a cost around poses ``cam_from_world`` (M), with its derivatives."""
     if can_be_compiled(cost):
-        from objconnect.localization.align.compiled_loops import around
+        from objconnect.localization.align.compiled_loops import linearise_compiled
 
-        return around(cost, cam_from_world)
+        return linearise_compiled(cost, cam_from_world)
     return cost.linearise(cam_from_world)
 
 
 def can_be_compiled(cost: LevelCost) -> bool:
     """Return whether compiled loops apply: single precision on the CPU without gradients."""
-    tensors = (cost.table.cells, cost.points, cost.target)
-    single = all(each.dtype == torch.float32 for each in tensors)
-    return single and torch.is_inference_mode_enabled() and loops_serve(cost.points.device)
+    tensors = (cost.table.values, cost.points, cost.reference)
+    is_single = all(each.dtype == torch.float32 for each in tensors)
+    return is_single and torch.is_inference_mode_enabled() and supports_loops(cost.points.device)

@@ -16,16 +16,17 @@ from objconnect.scene.geometry.projection import Intrinsics
 
 
 @dataclass(frozen=True)
-class Local:
-    """Points and starts relative to an origin of each query, which keeps coordinates precise.
+class LocalProblem:
+    """Points and starts relative to an origin of each query, so that coordinates stay precise.
 
     Attributes:
         points: points (B, N, 3), metres from the origin of each query; zero where not usable.
         usable: (B, N) bool, whether points are finite and in the mask.
         intrinsics: intrinsics in the precision of the points.
-        origin: position (B, 3) of the first start of each query.
-        start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64.
-        finite: whether each start was finite; if not, it is replaced by the identity.
+        origin: position (B, 3) of the first start of each query, world metres.
+        start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64; the identity replaces
+            those that are not finite.
+        finite: whether each start was finite, shape (B,) or (B, K).
     """
 
     points: Tensor
@@ -36,7 +37,7 @@ class Local:
     finite: Tensor
 
     @staticmethod
-    def of(problem: Problem) -> Local:
+    def of(problem: Problem) -> LocalProblem:
         """Move a problem from the world to the origin of each of its queries.
 
         Points are in single precision, or in double if the features are.
@@ -44,19 +45,19 @@ class Local:
         points = problem.points
         double = problem.levels[0].features.dtype == torch.float64
         dtype = torch.float64 if double else torch.float32
-        begin = problem.start.to(dtype=torch.float64)
-        finite = begin.matrix().isfinite().flatten(-2).all(-1)
-        begin = choose(finite, begin, Pose.identity(device=points.device))
-        origin = begin.centre().detach().reshape(len(points), -1, 3)[:, 0]
+        start = problem.start.to(dtype=torch.float64)
+        finite = start.matrix().isfinite().flatten(-2).all(-1)
+        start = choose(finite, start, Pose.identity(device=points.device))
+        origin = start.centre().detach().reshape(len(points), -1, 3)[:, 0]
         usable = points.isfinite().all(-1)
         usable = usable if problem.mask is None else usable & problem.mask
         local = torch.where(usable[..., None], points.double() - origin[:, None], 0)
-        return Local(
+        return LocalProblem(
             points=local.to(dtype),
             usable=usable,
             intrinsics=tree_map(lambda t: t.to(dtype), problem.intrinsics),
             origin=origin,
-            start=_shift_poses(begin, origin),
+            start=_shift_poses(start, origin),
             finite=finite,
         )
 
@@ -82,7 +83,7 @@ class Local:
 
 def _shift_poses(cam_from_world: Pose, origin: Tensor) -> Pose:
     """Return the poses (B, ...) relative to origins (B, 3)."""
-    between = [1] * (cam_from_world.translation.ndim - 2)
-    origin = origin.view(len(origin), *between, 3, 1)
+    ones = [1] * (cam_from_world.translation.ndim - 2)
+    origin = origin.view(len(origin), *ones, 3, 1)
     shift = (cam_from_world.rotation @ origin)[..., 0]
     return Pose(cam_from_world.rotation, cam_from_world.translation + shift)

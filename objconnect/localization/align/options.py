@@ -8,18 +8,18 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the minimisation of a level.
+    """Options of the alignment on a level.
 
     Attributes:
-        iterations: steps per level; the maximum if ``careful``.
-        careful: whether a step is accepted only if the cost falls (else a shorter one is tried) and
-            a level ends when steps become small. If False, every step is taken, and the pose is
+        iterations: number of steps per level; the maximum number if ``careful``.
+        careful: whether a step is accepted only if the cost falls (else a shorter step is tried),
+            and a level ends when steps become small. If False, every step is taken, and the pose is
             differentiable in features, confidences and damping, for training.
         border_cells: cells at the edge of a feature map in which points do not count; at least 1.
         robust_scale: norm of a residual above which it loses weight.
         min_points: minimum number of points in view; with fewer the alignment fails.
-        converged_m: a level ends at a step below this length (m) and below ``converged_deg``.
-        converged_deg: angle of that step, degrees.
+        converged_m: a level ends at a step that translates by less than this (m) and
+        converged_deg: rotates by less than this (degrees).
     """
 
     iterations: int = 15
@@ -31,22 +31,22 @@ class Options:
     converged_deg: float = 5e-2
 
     def rougher(self, factor: float) -> Options:
-        """Return options that end a level at steps longer by a factor."""
+        """Return options that end a level at steps that are longer by a factor."""
         metres, degrees = factor * self.converged_m, factor * self.converged_deg
         return replace(self, converged_m=metres, converged_deg=degrees)
 
 
 @dataclass(frozen=True)
-class Width:
-    """Numbers of starts and points of the search around an uncertain prior.
+class SearchWidth:
+    """Numbers of hypotheses and points of the search around an uncertain prior.
 
     Attributes:
-        refined: starts refined on the coarsest level, beside the prior itself.
+        refined: hypotheses that are refined on the coarsest level in addition to the prior.
         coarse_points: points on the coarsest level, spread over the picture.
-        first_refined: starts that are refined first, with the prior; if two of them agree on the
-            best pose, the others are not refined.
-        finalists: poses that continue from the coarsest level to the finer ones.
-        compared_points: points on the other levels, spread over the picture; the best pose is then
+        first_refined: hypotheses, the prior included, that are refined first; if two of them agree
+            on the best pose, the others are not refined.
+        finalists: poses that continue from the coarsest level to the finer levels.
+        compared_points: points on the finer levels, spread over the picture; the best pose is then
             aligned to all points.
     """
 
@@ -56,10 +56,13 @@ class Width:
     finalists: int = 2
     compared_points: int = 512
 
-    def times(self, factor: int) -> Width:
-        """Return the width with ``factor`` times the starts, all refined at once, and points."""
+    def multiply(self, factor: int) -> SearchWidth:
+        """Return the width with ``factor`` times the hypotheses and points.
+
+        All hypotheses are refined at once.
+        """
         refined = factor * self.refined
-        return Width(
+        return SearchWidth(
             refined,
             factor * self.coarse_points,
             refined + 1,
@@ -68,8 +71,8 @@ class Width:
         )
 
 
-WIDTH: Final = Width()
-"""The width of a search from a prior."""
+SEARCH_WIDTH: Final = SearchWidth()
+"""The default width of a search."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,8 @@ class SearchRadius:
     """The extent of the search around a prior.
 
     Attributes:
-        metres: the largest error of position to expect, in any direction.
-        degrees: the largest error of attitude.
+        metres: largest error of the position to expect, in any direction.
+        degrees: largest error of the attitude to expect.
     """
 
     metres: float = 8.0

@@ -23,10 +23,12 @@ class Problem:
         intrinsics: intrinsics of the queries, batch shape (B,), or one camera for all.
         start: starting poses ``cam_from_world``, batch shape (B,), or (B, K) for K starts of every
             query, which share its features.
-        damping: factors (6,) of each level, rotation then translation; see ``learning.damping``.
+        damping: factors (6,) on the Hessian's diagonal for each level, rotation then translation;
+            see ``learning.damping``.
+        options: options of the alignment.
         mask: (B, N) bool, points to use, or None for all.
         seen_from: (B, N, 3) camera centres of the points' reference images, world metres; None if
-            unknown. Only ``covariance.spread`` uses them.
+            unknown. Only ``covariance.measure_spread`` uses them.
     """
 
     levels: Sequence[Level]
@@ -47,11 +49,11 @@ class Problem:
         return replace(self, options=options)
 
     def at_levels(self, which: slice) -> Problem:
-        """Return the problem with a range of levels."""
+        """Return the problem with a range of its levels."""
         return replace(self, levels=self.levels[which], damping=self.damping[which])
 
     def coarsest(self) -> Problem:
-        """Return the problem with the coarsest level."""
+        """Return the problem with the coarsest level alone."""
         return self.at_levels(slice(1))
 
     def finer(self) -> Problem:

@@ -1,7 +1,10 @@
 """Records of arrays that compiled loops read and write, for M poses with N points each.
 
-Numba's cache depends on the file ``kernels`` alone and on the order of fields: after a change of
-the order here, touch that file.
+Numba's cache notices changes of ``kernels.py`` alone. After a change of the order of fields here,
+touch that file.
+
+Numba cannot read a cache that names a missing class, and it names the cache after the first line
+of ``kernels.descend``: after a class is renamed here, move that function to another line.
 """
 
 from __future__ import annotations
@@ -18,16 +21,18 @@ Integers = NDArray[np.int64]
 
 
 class Maps(NamedTuple):
-    """Maps of queries as tables of cells.
+    """Feature maps of queries as tables of cells.
 
     Attributes:
         features: (cells, C).
-        trust: (cells, 1) confidence; a single cell if unknown.
-        first: (M,) number of the first cell of each pose's map.
+        confidence: (cells, 1); a single cell if unknown.
+        first: (M,) index of the first cell of each pose's map.
+        width: cells in a row of a map.
+        height: rows of a map.
     """
 
     features: Singles
-    trust: Singles
+    confidence: Singles
     first: Integers
     width: int
     height: int
@@ -37,23 +42,23 @@ class Level(NamedTuple):
     """One level of the cost; see ``residuals.LevelCost``.
 
     Attributes:
-        target: (M, N, C) features of the points.
-        target_trust: (M, N) confidence of the points; a single number if unknown.
+        reference: (M, N, C) features of the points.
+        reference_confidence: (M, N) confidence of the points; a single number if unknown.
         stride: (2,) pixels per cell, x and y.
         border: cells at the edge of a map in which points do not count.
         twice_scale: twice the squared scale of the robust cost.
-        has_trust: whether the confidence of the queries is known.
-        has_target_trust: whether the confidence of the points is known.
+        has_confidence: whether the confidence of the queries is known.
+        has_reference_confidence: whether the confidence of the points is known.
     """
 
     maps: Maps
-    target: Singles
-    target_trust: Singles
+    reference: Singles
+    reference_confidence: Singles
     stride: Singles
     border: np.float32
     twice_scale: np.float32
-    has_trust: bool
-    has_target_trust: bool
+    has_confidence: bool
+    has_reference_confidence: bool
 
 
 class Cameras(NamedTuple):
@@ -63,9 +68,10 @@ class Cameras(NamedTuple):
         focal: (1 or M, 2) pixels.
         principal: (1 or M, 2) pixels.
         distortion: (1 or M, K).
-        limit: (1 or M, 1) radius or angle beyond which the lens model folds.
-        least_depth: least depth of a point, metres.
-        most_slope: largest slope of a ray against the optical axis.
+        limit: (1 or M, 1) normalised radius, or angle (rad) of a fisheye, beyond which the lens
+            model folds over.
+        min_depth: least depth of a point, metres.
+        max_slope: largest tangent of the angle between a ray and the optical axis.
         fisheye: whether the model is a fisheye.
     """
 
@@ -73,8 +79,8 @@ class Cameras(NamedTuple):
     principal: Singles
     distortion: Singles
     limit: Singles
-    least_depth: np.float32
-    most_slope: np.float32
+    min_depth: np.float32
+    max_slope: np.float32
     fisheye: bool
 
 
@@ -82,8 +88,9 @@ class Points(NamedTuple):
     """Points and cameras.
 
     Attributes:
-        xyz: (M, N, 3) metres.
+        xyz: (M, N, 3) metres in the frame of the poses.
         used: (M, N) whether a point is used.
+        cameras: cameras of the queries.
     """
 
     xyz: Singles
@@ -92,73 +99,75 @@ class Points(NamedTuple):
 
 
 class PoseArrays(NamedTuple):
-    """Poses ``cam_from_world``: ``turn`` (..., 3, 3) and ``shift`` (..., 3), metres."""
+    """Poses ``cam_from_world``: ``rotation`` (..., 3, 3), ``translation`` (..., 3) in metres."""
 
-    turn: Doubles
-    shift: Doubles
+    rotation: Doubles
+    translation: Doubles
 
 
-class Around(NamedTuple):
+class CostArrays(NamedTuple):
     """The fields of ``residuals.Linearisation``, of M poses or of one."""
 
     seen: Flags
     weight: Singles
     cost: Singles
-    pull: Singles
+    point_gradient: Singles
     hessian: Singles
     cells: Singles
 
 
-class Moving(NamedTuple):
-    """Poses to minimise, and output arrays.
+class PoseBatch(NamedTuple):
+    """Poses to refine, and output arrays.
 
     Attributes:
         poses: (M,), changed in place.
-        alive: (M,) whether a pose is minimised.
-        tried: (M,) output: number of steps tried.
-        factors: (M,) output: factors on the damping.
-        around: output: the cost around the last poses.
+        active: (M,) whether the cost of a pose is minimised.
+        steps_tried: (M,) output: number of steps tried.
+        damping_factors: (M,) output: factors on the damping.
+        linearisation: output: the cost around the final poses.
     """
 
     poses: PoseArrays
-    alive: Flags
-    tried: Integers
-    factors: Doubles
-    around: Around
+    active: Flags
+    steps_tried: Integers
+    damping_factors: Doubles
+    linearisation: CostArrays
 
 
-class Rules(NamedTuple):
+class DescentOptions(NamedTuple):
     """Options of the minimisation of a level.
 
     Attributes:
-        damping: (6,) factors of the diagonal of the Hessian.
-        change: factor on the damping after a rejected step; an accepted one divides by it.
-        least: least factor on the damping.
-        most: largest factor on the damping.
-        floor: least value that is added to the diagonal.
-        small_turn: rotation of a step that ends a level, rad.
-        small_shift: translation of a step that ends a level, metres.
+        damping: (6,) factors on the diagonal of the Hessian.
+        damping_change: factor on the damping after a rejected step; an accepted step divides by it.
+        min_factor: least factor on the damping.
+        max_factor: largest factor on the damping.
+        min_added: least value that is added to the diagonal.
+        converged_rad: a level ends at a step that rotates by less, and
+        converged_m: translates by less, metres.
+        max_steps: maximum number of steps.
+        min_points: minimum number of points in view.
     """
 
     damping: Doubles
-    change: float
-    least: float
-    most: float
-    floor: float
-    small_turn: float
-    small_shift: float
-    steps: int
+    damping_change: float
+    min_factor: float
+    max_factor: float
+    min_added: float
+    converged_rad: float
+    converged_m: float
+    max_steps: int
     min_points: int
 
 
 class View(NamedTuple):
-    """Projections of N points for one pose.
+    """Projections of N points at one pose.
 
     Attributes:
         in_camera: (N, 3) metres in the frame of the camera.
         xy: (N, 2) pixels.
         valid: (N,) whether the projection is valid.
-        jacobian: (N, 2, 3) derivatives of the pixels with respect to the points.
+        jacobian: (N, 2, 3) derivatives of ``xy`` with respect to ``in_camera``.
     """
 
     in_camera: Singles

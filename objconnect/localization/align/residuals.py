@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from objconnect.localization.align.sampling import (
-    VALUE,
+    VALUE_CELLS,
     CellTable,
     Stride,
     inside,
     per_axis,
     stencil,
 )
-from objconnect.localization.align.trees import rows
+from objconnect.localization.align.trees import select
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import Intrinsics, Projection
 
@@ -41,9 +41,9 @@ class Level:
 
     def first_points(self, count: int) -> Level:
         """Return the level with the first ``count`` points of every query."""
-        trust = self.reference_confidence
-        trust = trust if trust is None else trust[:, :count]
-        return replace(self, reference=self.reference[:, :count], reference_confidence=trust)
+        confidence = self.reference_confidence
+        confidence = confidence if confidence is None else confidence[:, :count]
+        return replace(self, reference=self.reference[:, :count], reference_confidence=confidence)
 
 
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
@@ -67,7 +67,7 @@ class Linearisation:
         seen: (M, N) whether a point counts.
         weight: (M, N) confidence, zero where not seen.
         cost: (M, N) robust cost without confidence.
-        pull: (M, N, 6) weighted gradient of half of each point's cost.
+        point_gradient: (M, N, 6) weighted gradient of half of each point's cost.
         hessian: (M, 6, 6) weighted Gauss-Newton Hessian.
         cells: (M, N, 2) projections of the points in cells; the first cell's centre is zero.
     """
@@ -75,14 +75,14 @@ class Linearisation:
     seen: Tensor
     weight: Tensor
     cost: Tensor
-    pull: Tensor
+    point_gradient: Tensor
     hessian: Tensor
     cells: Tensor
 
     @property
     def gradient(self) -> Tensor:
         """Return the gradient (M, 6) of half the summed cost in the tangent of the pose."""
-        return self.pull.sum(-2)
+        return self.point_gradient.sum(-2)
 
     def mean_cost(self) -> Tensor:
         """Return the mean cost (M,) of the visible points, weighted; infinite without points."""
@@ -97,25 +97,26 @@ class LevelCost:
 
     Attributes:
         table: features of the queries.
-        trust: their confidence, or None.
-        first: (M,) number of the first cell of each pose's map in these tables.
+        confidence: confidence of the queries, or None.
+        first: (M,) index of the first cell of each pose's map in these tables.
         stride: (2,) pixels per cell, x and y.
-        points: (M, N, 3).
+        points: (M, N, 3) metres in the frame of the poses.
         mask: (M, N) points to use.
-        target: (M, N, C) features of the points.
-        target_trust: (M, N) confidence of the points, or None.
+        reference: (M, N, C) features of the points.
+        reference_confidence: (M, N) confidence of the points, or None.
         intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
+        scale: norm of a residual above which it loses weight.
     """
 
     table: CellTable
-    trust: CellTable | None
+    confidence: CellTable | None
     first: Tensor
     stride: Tensor
     points: Tensor
     mask: Tensor
-    target: Tensor
-    target_trust: Tensor | None
+    reference: Tensor
+    reference_confidence: Tensor | None
     intrinsics: Intrinsics
     border: float
     scale: float
@@ -137,36 +138,36 @@ class LevelCost:
             mask: (B, N) points to use.
             intrinsics: intrinsics of the queries, batched (B), or one for all.
             border: cells at the edge of the map in which points do not count.
-            scale: scale of the robust cost.
+            scale: norm of a residual above which it loses weight.
         """
         exact = level.features.dtype == torch.float64
         dtype = torch.float64 if exact else torch.float32
         table = CellTable.of(level.features.to(dtype))
         return LevelCost(
             table=table,
-            trust=None if level.confidence is None else CellTable.of(level.confidence),
+            confidence=None if level.confidence is None else CellTable.of(level.confidence),
             first=table.first(torch.arange(len(points), device=points.device)),
             stride=per_axis(level.stride, points),
             points=points,
             mask=mask,
-            target=level.reference.to(dtype),
-            target_trust=level.reference_confidence,
+            reference=level.reference.to(dtype),
+            reference_confidence=level.reference_confidence,
             intrinsics=intrinsics,
             border=max(border, 1.0),
             scale=scale,
         )
 
-    def rows(self, which: Tensor) -> LevelCost:
-        """Select poses by number, repeated or not, or by a mask."""
-        trust, cameras = self.target_trust, self.intrinsics
+    def select(self, which: Tensor) -> LevelCost:
+        """Select poses by index, also repeatedly, or by a mask."""
+        confidence, cameras = self.reference_confidence, self.intrinsics
         return replace(
             self,
             first=self.first[which],
             points=self.points[which],
             mask=self.mask[which],
-            target=self.target[which],
-            target_trust=None if trust is None else trust[which],
-            intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
+            reference=self.reference[which],
+            reference_confidence=None if confidence is None else confidence[which],
+            intrinsics=cameras if cameras.focal.ndim == 1 else select(cameras, which),
         )
 
     def sample(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
@@ -176,7 +177,7 @@ class LevelCost:
         cells, seen = self._cells(self.intrinsics.project(in_camera))
         index, weights = stencil(cells, self.table, self.first)
         values = self.table.value(index, weights).to(cells)
-        return values, self._trust(seen, index, weights)
+        return values, self._confidence(seen, index, weights)
 
     def _project(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
         """Return points in camera frames (M, N, 3), and their pixels with derivatives."""
@@ -184,19 +185,22 @@ class LevelCost:
         return in_camera, self.intrinsics.project(in_camera, jacobian=True)
 
     def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
-        """Return projections in cells (M, N, 2), and whether points count (M, N)."""
+        """Return projections in cells (M, N, 2), and whether points count (M, N).
+
+        The first cell's centre is zero.
+        """
         cells = projected.xy / self.stride - 0.5
         seen = projected.valid & self.mask
         seen = seen & inside(cells, self.table.width, self.table.height, self.border)
         return torch.where(seen[..., None], cells, 1), seen
 
-    def _trust(self, seen: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+    def _confidence(self, seen: Tensor, index: Tensor, weights: Tensor) -> Tensor:
         """Return the query's confidence (M, N) at cells of ``stencil``, zero if not seen."""
-        trust = seen.to(weights)
-        if self.trust is None:
-            return trust
-        near = self.trust.gather(index[..., :VALUE])[..., 0]
-        return trust * (near * weights[..., :VALUE]).sum(-1)
+        confidence = seen.to(weights)
+        if self.confidence is None:
+            return confidence
+        corners = self.confidence.gather(index[..., :VALUE_CELLS])[..., 0]
+        return confidence * (corners * weights[..., :VALUE_CELLS]).sum(-1)
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Return the cost around poses (M), ``cam_from_world``, with its derivatives."""
@@ -206,26 +210,26 @@ class LevelCost:
         index, weights = stencil(cells, self.table, self.first)
 
         # Residual and slopes of all channels, 3 x C per point, then their products, 3 x 3.
-        field = self.table.mix(index, weights)
-        field[..., 0, :] -= self.target
-        gram = (field @ field.transpose(-1, -2)).to(cells)
+        residual_and_slopes = self.table.value_and_slopes(index, weights)
+        residual_and_slopes[..., 0, :] -= self.reference
+        gram = (residual_and_slopes @ residual_and_slopes.transpose(-1, -2)).to(cells)
         squared = gram[..., 0, 0]
 
-        trust = self._trust(seen, index, weights)
-        if self.target_trust is not None:
-            trust = trust * self.target_trust
-        seen = seen & (trust > 0)
+        confidence = self._confidence(seen, index, weights)
+        if self.reference_confidence is not None:
+            confidence = confidence * self.reference_confidence
+        seen = seen & (confidence > 0)
 
         jacobian = projected.jacobian / self.stride[:, None]
-        turn = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
-        jacobian = torch.cat([turn, jacobian], -1)  # (M, N, 2, 6)
-        weight = (trust * robust_weight(squared, self.scale))[..., None, None]
+        by_rotation = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
+        jacobian = torch.cat([by_rotation, jacobian], -1)  # (M, N, 2, 6)
+        weight = (confidence * robust_weight(squared, self.scale))[..., None, None]
         chained = (weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
         return Linearisation(
             seen=seen,
-            weight=trust,
+            weight=confidence,
             cost=robust_cost(squared, self.scale),
-            pull=chained[..., 0, :],
+            point_gradient=chained[..., 0, :],
             hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
             cells=cells,
         )

@@ -1,7 +1,7 @@
 """Bilinear interpolation of feature maps and of their slopes.
 
-Cell (row i, column j) of a map of stride s is centred on pixel ((j + 0.5) s, (i + 0.5) s), in
-COLMAP's pixels. Coordinates in cells have that centre at (j, i).
+The cell in row i and column j of a map of stride s is centred on pixel ((j + 0.5) s, (i + 0.5) s)
+in COLMAP's pixel coordinates. A position in cells is (x, y) with the centre of that cell at (j, i).
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ def per_axis(stride: Stride, like: Tensor) -> Tensor:
     return torch.tensor(both, dtype=like.dtype, device=like.device)
 
 
-def inside(cells: Tensor, width: int, height: int, border: float) -> Tensor:
-    """Return whether cells (..., 2) are at least ``border`` inside the outermost cell centres."""
-    last = torch.tensor([width - 1 - border, height - 1 - border], device=cells.device)
-    return ((cells >= border) & (cells <= last)).all(-1)
+def inside(positions: Tensor, width: int, height: int, border: float) -> Tensor:
+    """Return whether positions in cells (..., 2) are in a map, at least ``border`` from its edge.
+
+    The edge runs through the centres of the outermost cells.
+    """
+    last = torch.tensor([width - 1 - border, height - 1 - border], device=positions.device)
+    return ((positions >= border) & (positions <= last)).all(-1)
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,13 @@ class CellTable:
     """Maps of a batch as one table of cells, which any number of points share.
 
     Attributes:
-        cells: (B h w, C) in any floating type; a view where the map is channels-last in memory.
+        values: (B h w, C) of any floating type, one row per cell; a view of the maps if they are
+            channels-last in memory.
+        width: cells in a row of a map.
+        height: rows of a map.
     """
 
-    cells: Tensor
+    values: Tensor
     width: int
     height: int
 
@@ -47,41 +53,48 @@ class CellTable:
         _, channels, height, width = maps.shape
         return CellTable(maps.permute(0, 2, 3, 1).reshape(-1, channels), width, height)
 
-    def first(self, owner: Tensor) -> Tensor:
-        """Return the number of the first cell of each map of ``owner``."""
-        return owner * (self.width * self.height)
+    def first(self, maps: Tensor) -> Tensor:
+        """Return the index of the first cell of each map, given indices of maps in the batch."""
+        return maps * (self.width * self.height)
 
     def gather(self, index: Tensor) -> Tensor:
-        """Return cells (..., k, C) by number (..., k), at least in single precision."""
-        cells = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
-        return cells if cells.dtype == torch.float64 else cells.float()
+        """Return values (..., k, C) of cells by index (..., k), at least in single precision."""
+        values = self.values.index_select(0, index.flatten())
+        values = values.view(*index.shape, self.values.shape[-1])
+        return values if values.dtype == torch.float64 else values.float()
 
-    def mix(self, index: Tensor, weights: Tensor) -> Tensor:
-        """Return value and slopes (M, N, 3, C) by cells and weights (M, N, 20) of ``stencil``.
+    def value_and_slopes(self, index: Tensor, weights: Tensor) -> Tensor:
+        """Return value and slopes (M, N, 3, C) by indices and weights (M, N, 20) of ``stencil``.
 
-        One pass that gathers and sums takes a tenth of the time of a product with the gathered
-        cells, which exceed the processor's cache.
+        ``embedding_bag`` gathers and sums in one pass. It takes a tenth of the time of a product
+        with the gathered values, which exceed the processor's cache.
         """
         shape, index = index.shape[:-1], index.flatten()
         parts = torch.tensor(_PARTS, device=index.device)
-        begin = torch.arange(0, len(index), STENCIL, device=index.device)[:, None] + parts
-        share = weights.to(self.cells).flatten()
-        mixed = embedding_bag(
-            index, self.cells, begin.flatten(), mode="sum", per_sample_weights=share
+        bags = torch.arange(0, len(index), STENCIL, device=index.device)[:, None] + parts
+        sums = embedding_bag(
+            index,
+            self.values,
+            bags.flatten(),
+            mode="sum",
+            per_sample_weights=weights.to(self.values).flatten(),
         )
-        return mixed.view(*shape, 3, self.cells.shape[-1])
+        return sums.view(*shape, 3, self.values.shape[-1])
 
     def value(self, index: Tensor, weights: Tensor) -> Tensor:
-        """Return the value (M, N, C) by cells and weights (M, N, 20) of ``stencil``."""
-        cells, share = index[..., :VALUE].flatten(0, -2), weights[..., :VALUE].flatten(0, -2)
+        """Return the value (M, N, C) by indices and weights (M, N, 20) of ``stencil``."""
         value = embedding_bag(
-            cells, self.cells, mode="sum", per_sample_weights=share.to(self.cells)
+            index[..., :VALUE_CELLS].flatten(0, -2),
+            self.values,
+            mode="sum",
+            per_sample_weights=weights[..., :VALUE_CELLS].flatten(0, -2).to(self.values),
         )
-        return value.view(*index.shape[:-1], self.cells.shape[-1])
+        return value.view(*index.shape[:-1], self.values.shape[-1])
 
 
 def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
-    """Return the stencil's cells (x, y), and the (4, 20) matrix from 1, a, b, ab to weights."""
+    """Return the offsets (x, y) of the stencil's 20 cells, and the matrix (4, 20) that maps 1, a, b
+    and ab to their weights at the position (a, b) between cells."""
     two, four = (0, 1), range(-1, 3)
     reach = ((two, two), (two, four), (four, two))  # rows and columns of each part
     placed = [
@@ -95,43 +108,45 @@ def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
         rows = (value[1], value[1], slope[1])
         return torch.stack([rows[part][y + 1] * columns[part][x + 1] for part, x, y in placed])
 
-    at = {(a, b): weights(a, b).double() for a in (0.0, 1.0) for b in (0.0, 1.0)}
-    none, x, y, both = at[0, 0], at[1, 0], at[0, 1], at[1, 1]
+    # Weights are bilinear in (a, b), so that their values at the corners determine them.
+    w00, w10, w01, w11 = (weights(a, b).double() for b in (0.0, 1.0) for a in (0.0, 1.0))
     return [(x, y) for _, x, y in placed], torch.stack(
-        [none, x - none, y - none, both - x - y + none]
+        [w00, w10 - w00, w01 - w00, w11 - w10 - w01 + w00]
     )
 
 
-# Cells of a bilinear value (4), its central difference along x (8) and along y (8). Weights are
-# bilinear in the position (a, b) between cells.
-_CELLS, _BASIS = _stencil_basis()
-STENCIL: Final = len(_CELLS)
-VALUE: Final = 4
-_PARTS: Final = (0, VALUE, 12)
+# Offsets of the cells of a bilinear value (4), of its slope along x (8) and along y (8).
+_OFFSETS, _BASIS = _stencil_basis()
+STENCIL: Final = len(_OFFSETS)
+"""Number of cells of the stencil."""
+VALUE_CELLS: Final = 4
+"""Number of cells of the stencil that give the value; they come first."""
+# Where the cells of the value, the slope along x and the slope along y begin.
+_PARTS: Final = (0, VALUE_CELLS, 12)
 
 
-def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the cells and weights of a bilinear value and its central differences.
+def stencil(positions: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
+    """Return indices and weights of the cells of a bilinear value and its central differences.
 
     Args:
-        cells: (M, N, 2), at least one cell from the border.
+        positions: (M, N, 2) positions in cells, at least one cell from the border.
         table: table of the maps.
-        first: (M,) number of the first cell of each row's map.
+        first: (M,) index of the first cell of each row's map.
 
     Returns:
-        Cell numbers (M, N, 20) and their weights (M, N, 20): four cells of the value, eight of its
-        slope along x and eight of its slope along y, per cell. A slope is half the difference of
-        the values one cell before and one cell after.
+        Indices of cells (M, N, 20) and their weights (M, N, 20): four cells of the value, eight of
+        its slope along x and eight of its slope along y. A slope is half the difference of the
+        values one cell before and one cell after.
     """
-    last = torch.tensor([table.width - 3, table.height - 3], device=cells.device)
-    corner = cells.detach().floor().clamp_min(1).minimum(last)
-    between = cells - corner
+    last = torch.tensor([table.width - 3, table.height - 3], device=positions.device)
+    corner = positions.detach().floor().clamp_min(1).minimum(last)
+    between = positions - corner
     powers = torch.cat([torch.ones_like(between[..., :1]), between, between.prod(-1, True)], -1)
-    weights = powers @ _BASIS.to(cells)
+    weights = powers @ _BASIS.to(positions)
     x, y = corner.long().unbind(-1)
-    steps = torch.tensor([y * table.width + x for x, y in _CELLS], device=cells.device)
-    index = (first[:, None] + y * table.width + x)[..., None] + steps
-    return index.clamp_(0, len(table.cells) - 1), weights
+    offsets = torch.tensor([v * table.width + u for u, v in _OFFSETS], device=positions.device)
+    index = (first[:, None] + y * table.width + x)[..., None] + offsets
+    return index.clamp_(0, len(table.values) - 1), weights
 
 
 def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple[Tensor, Tensor]:
@@ -146,7 +161,7 @@ def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple
     Returns:
         Values (B, N, C), arbitrary for points outside, and whether points are inside (B, N).
 
-    Example:
+    Examples:
         Cells are centred on half pixels, so pixel 1.0 lies between the first two cells:
 
         >>> maps = torch.tensor([[[[0.0, 1.0, 2.0]]]])
@@ -155,11 +170,11 @@ def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple
         ([0.5], [[True, False]])
     """
     table = CellTable.of(maps)
-    cells = xy / per_axis(stride, xy) - 0.5
-    seen = inside(cells, table.width, table.height, max(border, 0))
-    cells = torch.where(seen[..., None], cells, 0)
-    corner = cells.detach().floor()
-    a, b = (cells - corner).unbind(-1)
+    positions = xy / per_axis(stride, xy) - 0.5
+    seen = inside(positions, table.width, table.height, max(border, 0))
+    positions = torch.where(seen[..., None], positions, 0)
+    corner = positions.detach().floor()
+    a, b = (positions - corner).unbind(-1)
     x, y = corner.long().unbind(-1)
     right, below = (x + 1).clamp_max(table.width - 1), (y + 1).clamp_max(table.height - 1)
     first = table.first(torch.arange(len(maps), device=maps.device))[:, None]

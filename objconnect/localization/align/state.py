@@ -1,4 +1,4 @@
-"""The state of a minimisation."""
+"""The state of the minimisation of a level's cost."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from objconnect.scene.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class State:
-    """The state of M elements of a batch.
+    """The state of M poses.
 
     Attributes:
-        pose: ``cam_from_world``.
-        iterations: (M,) steps tried.
-        damping: (M, 1) factor on the level's damping.
+        pose: (M) ``cam_from_world``.
+        linearisation: the cost around the poses.
+        iterations: (M,) number of steps tried.
+        damping_factor: (M, 1) factor on the level's damping.
     """
 
     pose: Pose
-    around: Linearisation
+    linearisation: Linearisation
     iterations: Tensor
-    damping: Tensor
+    damping_factor: Tensor

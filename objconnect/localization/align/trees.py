@@ -13,9 +13,10 @@ T = TypeVar("T")
 
 
 def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
-    """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
+    """Apply a function to the tensors of dataclasses of one type, field by field.
 
-    A field may be a tuple of dataclasses; any other field is copied from the first.
+    Fields that are dataclasses or tuples of dataclasses are processed in the same way. Any other
+    field is copied from the first dataclass.
     """
     values: dict[str, Any] = {}
     for field in fields(first):  # type: ignore[arg-type]
@@ -30,13 +31,13 @@ def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
     return type(first)(**values)
 
 
-def rows(tree: T, which: Tensor) -> T:
-    """Select elements of a batch by number or by a mask."""
+def select(tree: T, which: Tensor) -> T:
+    """Select elements of a batch by index or by a mask."""
     return tree_map(lambda t: t[which], tree)
 
 
 def choose(which: Tensor, yes: T, no: T) -> T:
-    """Return elements of ``yes`` (..., any) where ``which`` (...) holds, else of ``no``."""
+    """Return elements of ``yes`` (..., any) where ``which`` (...) is true, else of ``no``."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
         return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)

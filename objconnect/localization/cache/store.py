@@ -17,13 +17,14 @@ from objconnect.scene.storage.hdf5 import array, dataset, group
 from objconnect.scene.storage.hdf5_writing import hdf5_file
 from objconnect.scene.storage.scratch import scratch
 
-# Lines per chunk. HDF5's own choice also divides columns and takes eight times as long to read.
+# Maximum number of lines and of bytes of a chunk of an HDF5 data set. h5py's own choice divides
+# columns too and takes eight times as long to read.
 _CHUNK_LINES: Final = 512
 _CHUNK_BYTES: Final = 1 << 18
 
 T = TypeVar("T")
 Arrays = Mapping[str, NDArray[Any]]
-"""Arrays of a row by name; the names are the same in each row of a file."""
+"""Arrays of a row by name. Each row of a file has the same names; lengths may differ."""
 Row = tuple[str, Arrays]
 """A digest of a row's inputs, empty if unknown, and its arrays."""
 Rows = Generator[Row, None, None]
@@ -32,32 +33,33 @@ Rows = Generator[Row, None, None]
 def write_store(path: Path, rows: Rows) -> None:
     """Write a file of rows, which appears when it is complete.
 
-    Until then it lies in a scratch folder, which the next writer removes if this one is killed.
+    Until then it lies in a scratch folder. If this process is killed, the next writer removes the
+    folder.
 
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
     """
-    made_of: list[bytes] = []
+    keys: list[bytes] = []
     ends: dict[str, list[int]] = {}
     with closing(rows), scratch(path.parent) as folder, hdf5_file(path, folder) as file:
         for key, arrays in rows:
-            made_of.append(key.encode())
+            keys.append(key.encode())
             for name, values in arrays.items():
                 ends.setdefault(name, []).append(_append(file, f"arrays/{name}", values))
-        file["made_of"] = np.array(made_of, "S64")
-        for name, lines in ends.items():
-            file[f"ends/{name}"] = np.array(lines, np.int64)
+        file["made_of"] = np.array(keys, "S64")
+        for name, end_lines in ends.items():
+            file[f"ends/{name}"] = np.array(end_lines, np.int64)
 
 
 def _append(file: h5py.File, name: str, values: NDArray[Any]) -> int:
-    """Append lines to a data set and return its new length."""
-    # An empty array may have another number of columns.
+    """Append the lines of an array to a data set and return its new length."""
+    # An empty data set may have another number of columns than the array.
     if name in file and not len(file[name]) and len(values):
         del file[name]
     if name not in file:
         shape = values.shape[1:]
-        line = values.dtype.itemsize * int(np.prod(shape))
-        lines = min(_CHUNK_LINES, max(1, _CHUNK_BYTES // max(line, 1)))
+        line_bytes = values.dtype.itemsize * int(np.prod(shape))
+        lines = min(_CHUNK_LINES, max(1, _CHUNK_BYTES // max(line_bytes, 1)))
         file.create_dataset(
             name,
             (0, *shape),
@@ -73,15 +75,16 @@ def _append(file: h5py.File, name: str, values: NDArray[Any]) -> int:
 
 
 class Store:
-    """A file of ``write_store``. It stays open, so it may be removed in the meantime.
+    """A file of ``write_store``. It stays open, so that it can be read after its removal.
 
     Threads may share it.
 
     Attributes:
-        rows: numbers of rows by their keys, without those of an empty key.
+        rows: indices of rows by their keys, the digests of their inputs; rows of an empty key are
+            left out.
 
     Raises:
-        InputError: the file is damaged; also when its arrays are read.
+        InputError: the file is damaged. The methods that read it raise this error too.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,15 +104,15 @@ class Store:
         return self._count
 
     def row(self, key: str) -> int:
-        """Return the number of the row with a key."""
+        """Return the index of the row with a key."""
         if key not in self.rows:
-            raise self._damage_error(KeyError("a photograph is missing"))
+            raise self._damage_error(KeyError("the row of a photograph is missing"))
         return self.rows[key]
 
     def read(self, row: int, name: str) -> NDArray[Any]:
         """Read an array of a row."""
         try:
-            # ``dataset`` checks the size of the file, which takes time: it runs once per name.
+            # ``dataset`` checks the size of the file. That takes time, so it runs once per name.
             if name not in self._arrays:
                 ends = [0, *array(group(self._file, "ends"), name).tolist()]
                 self._arrays[name] = dataset(group(self._file, "arrays"), name), ends
@@ -122,10 +125,13 @@ class Store:
         """Read arrays of a row by their names."""
         return {name: self.read(row, name) for name in names}
 
-    def make(self, row: int, names: Iterable[str], of: Callable[[Arrays], T]) -> T:
-        """Return an object that ``of`` builds from arrays of a row; a failure means damage."""
+    def make(self, row: int, names: Iterable[str], build: Callable[[Arrays], T]) -> T:
+        """Return an object that ``build`` makes from arrays of a row.
+
+        If ``build`` fails, the file counts as damaged.
+        """
         try:
-            return of(self.arrays(row, names))
+            return build(self.arrays(row, names))
         except HDF5_DAMAGE as error:
             raise self._damage_error(error) from None
 

@@ -1,4 +1,4 @@
-"""The coarse search of a map: it keeps what a prior gives and searches the rest."""
+"""The coarse search of a map for the position, heading and altitude that a prior leaves unknown."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.map_cache import EarlierRows, MapCache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import ALTITUDES, possible_headings
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, possible_headings
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
@@ -32,22 +32,32 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.images import read_rgb
 
 _FORMAT: Final = 3
-# Lower bound of the cosine of the tilt that divides the height by the distance to the ground.
+# Lower bound of the cosine of the tilt. The distance to the ground along the optical axis is the
+# height divided by the cosine, and would be infinite for a camera that looks at the horizon.
 _MIN_TILT_COSINE: Final = 0.3
-# An altitude whose sigma is a smaller share of the height above ground is not searched.
-_KNOWN_ALTITUDE: Final = 0.1
-# Headings at which the network runs on a query, spread over the full turn, and headings tried with
-# the features of each: features tolerate a few degrees.
+# An altitude is not searched if the sigma of the prior's altitude is less than this share of the
+# height above ground.
+_KNOWN_ALTITUDE_SHARE: Final = 0.1
+# Number of headings, over the full circle, at which the network runs on a query.
 _HEADINGS: Final = 12
+# Number of headings that are tried with the features of one run of the network. Features tolerate a
+# few degrees.
 _TURNS: Final = 5
-# Side of a cell of the mosaic, pixels of a photograph: that of the coarsest cells of features.
+# Side of a cell of the mosaic in pixels of a resized photograph: the coarsest stride of the
+# network.
 _CELL_PX: Final = 16
-# Number of principal components of the features, which bounds time and memory.
+# Number of principal components to which features are reduced. It bounds time and memory.
 _CHANNELS: Final = 32
-LONGEST: Final = 256
-"""Photographs are resized to about this longer side (px), at which large things show."""
-# A query that is tilted more is warped to this tilt, as nearly all photographs of a map look down.
-_MOST_TILT: Final = math.radians(45)
+LONGER_SIDE_PX: Final = 256
+"""Photographs are resized to about this longer side (px), so that a cell shows large things."""
+# A query of a larger tilt (radians) is warped to this one, because nearly all photographs of a map
+# look down.
+_MAX_TILT: Final = math.radians(45)
+
+
+# Radius of the search around an uncertain position in standard deviations; two cells of the mosaic
+# are added.
+_REACH_SIGMAS: Final = 3.0
 
 
 class CoarseSearchOptions(Config):
@@ -55,12 +65,6 @@ class CoarseSearchOptions(Config):
 
     candidates: int = Field(
         16, ge=0, description="Maximum number of candidates; 0 for no coarse search."
-    )
-    reach_sigmas: float = Field(
-        3.0,
-        gt=0,
-        description="Radius of the search around an uncertain position in standard deviations; two "
-        "cells are added.",
     )
 
 
@@ -71,35 +75,41 @@ class CoarseSearch:
         self._extract = extract
         self._options = options
 
-    def prepare(self, kept: MapCache, key: str) -> None:
+    def prepare(self, map_cache: MapCache, key: str) -> None:
         """Make the mosaic of a map, or read it from the cache.
+
+        Args:
+            map_cache: the map, its photographs and the cache.
+            key: identifies the network's weights and its options, for the cache.
 
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
-        sparse_map = kept.sparse_map
+        sparse_map = map_cache.sparse_map
         posed = [sparse_map.images[name] for name in sparse_map.names]
         sharpest = map_resolution(sparse_map, self._extract.largest_scale)
         sides = [
             max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
             for image in posed
         ]
-        self._resolution = sharpest * max(1.0, float(np.median(sides)) / LONGEST)
+        self._resolution = sharpest * max(1.0, float(np.median(sides)) / LONGER_SIDE_PX)
         heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
         self._height = float(np.median(heights))
 
-        def rows(_: Earlier) -> Rows:
-            yield "", self._make(sparse_map, kept.images).arrays()
+        def rows(_: EarlierRows) -> Rows:
+            yield "", self._make_mosaic(sparse_map, map_cache.images).arrays()
 
-        store = kept.store("mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGEST, rows=rows)
-        self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).on(self._extract.device)
+        store = map_cache.store(
+            "mosaic", _FORMAT, key, _CELL_PX, _CHANNELS, LONGER_SIDE_PX, rows=rows
+        )
+        self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).to(self._extract.device)
         self._search = MosaicSearch(self._mosaic)
 
-    def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
-        def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
-            own = metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
+    def _make_mosaic(self, sparse_map: SparseMap, images: Path) -> Mosaic:
+        def extract(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
+            resolution = metres_per_pixel(image.pose, image.camera, observed_xyz(image, sparse_map))
             largest = self._extract.largest_scale(image.camera)
-            scale = scale_to(self._resolution, own, largest)
+            scale = scale_to(self._resolution, resolution, largest)
             angle = map_angle(image.cam_from_world[:3, :3])
             rgb = read_rgb(images / image.name, image.camera)
             view, levels = self._extract(rgb, image.camera, angle, scale, 1)
@@ -109,7 +119,7 @@ class CoarseSearch:
             return empty_mosaic(ground_grid(sparse_map.xyz[:1], 1.0))
         grid = ground_grid(sparse_map.xyz, _CELL_PX * self._resolution)
         with progress_bar("mosaic of the map", len(sparse_map.names)) as advance:
-            return make_mosaic(sparse_map, grid, _CHANNELS, look, advance)
+            return make_mosaic(sparse_map, grid, _CHANNELS, extract, advance)
 
     def find(self, query: Query) -> list[Candidate]:
         """Return candidates, best first; none if no photograph of the map looks down, or if the
@@ -117,33 +127,35 @@ class CoarseSearch:
         if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
             return []
 
-        def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
-            rotation, turn = pose.rotation.numpy(), None
-            if tilt(rotation) > _MOST_TILT:
-                turn = level_rotation(rotation, _MOST_TILT) @ rotation.T
-            axis = rotation[2] if turn is None else turn[2] @ rotation
-            down = max(_MIN_TILT_COSINE, -float(axis[2]))
-            own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
-            scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
+        def extract(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
+            rotation, view_from_camera = pose.rotation.numpy(), None
+            if tilt(rotation) > _MAX_TILT:
+                view_from_camera = level_rotation(rotation, _MAX_TILT) @ rotation.T
+            # The optical axis of the view, east-north-up.
+            axis = rotation[2] if view_from_camera is None else view_from_camera[2] @ rotation
+            cosine = max(_MIN_TILT_COSINE, -float(axis[2]))
+            resolution = float(pose.centre()[2]) / cosine / float(np.mean(query.camera.focal))
+            scale = scale_to(
+                self._resolution, resolution, self._extract.largest_scale(query.camera)
+            )
             angle = map_angle(rotation)
-            view, levels = self._extract(query.image, query.camera, angle, scale, 1, turn)
+            view, levels = self._extract(
+                query.image, query.camera, angle, scale, 1, view_from_camera
+            )
             return view, levels[0]
 
-        tried = hypotheses(query.prior, self._options, self._mosaic.grid, self._height)
-        return self._search(look, tried, self._options.candidates)
+        tried = hypotheses(query.prior, self._mosaic.grid, self._height)
+        return self._search(extract, tried, self._options.candidates)
 
 
-def hypotheses(
-    prior: Prior | None, options: CoarseSearchOptions, grid: GroundGrid, height: float
-) -> Hypotheses:
+def hypotheses(prior: Prior | None, grid: GroundGrid, height: float) -> Hypotheses:
     """Return the headings, altitudes and region to search for a prior.
 
-    Tilt and roll of the prior are kept. Its heading, altitude and position are searched as far as
-    their sigmas reach.
+    Tilt and roll of the prior are kept. The heading, altitude and position are searched around the
+    prior within a number of standard deviations, or everywhere if they are unknown.
 
     Args:
         prior: prior of the query.
-        options: options of the search.
         grid: grid of the ground.
         height: height of the map's photographs above ground, metres.
     """
@@ -151,13 +163,13 @@ def hypotheses(
     turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]
     base, headings = possible_headings(prior, _HEADINGS)
     passes: list[Tensor] = [base @ so3_exp(heading * UP) for heading in headings]
-    altitudes = [part * height for part in ALTITUDES]
-    within = None
+    altitudes = [ratio * height for ratio in ALTITUDE_RATIOS]
+    region = None
     if prior is not None and prior.position_sigma is not None:
-        east, north_, up = (float(each) for each in prior.position)
+        east, north, up = (float(each) for each in prior.position)
         if (sigma := prior.horizontal_sigma) is not None:
-            within = (east, north_, options.reach_sigmas * sigma + 2 * grid.cell)
-        above = up - grid.height_at(east, north_)
-        if prior.position_sigma[2] < _KNOWN_ALTITUDE * above:
-            altitudes = [above]
-    return Hypotheses(passes, turns, altitudes, within)
+            region = (east, north, _REACH_SIGMAS * sigma + 2 * grid.cell)
+        altitude = up - grid.height_at(east, north)
+        if prior.position_sigma[2] < _KNOWN_ALTITUDE_SHARE * altitude:
+            altitudes = [altitude]
+    return Hypotheses(passes, turns, altitudes, region)

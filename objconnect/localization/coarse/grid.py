@@ -74,8 +74,8 @@ def _medians(
     counts = np.bincount(group, minlength=groups)
     first = np.cumsum(counts) - counts
     medians = np.full(groups, np.nan)
-    some = counts > 0
-    medians[some] = values[order][(first + (counts - 1) // 2)[some]]
+    occupied = counts > 0
+    medians[occupied] = values[order][(first + (counts - 1) // 2)[occupied]]
     return medians
 
 

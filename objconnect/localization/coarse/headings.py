@@ -13,31 +13,35 @@ from objconnect.scene.localizer import Prior
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
-ALTITUDES: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-"""Heights above ground to try where none is known, relative to that of the map's photographs; they
-are a fifth apart, because features tolerate a tenth."""
+ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
+"""Heights above ground to try where the altitude is unknown, relative to that of the map's
+photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
+by a tenth."""
 
 
 def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:
-    """Return an attitude and the headings around it (rad) within two standard deviations.
+    """Return an attitude, and rotations about the vertical (rad) that give the headings to try.
+
+    They lie within two standard deviations of the prior's heading, or on the full circle if that
+    is unknown.
 
     Args:
         prior: prior of the query; without an attitude the camera is assumed to look straight down.
-        count: number of headings over the full turn.
+        count: number of headings on the full circle.
 
     Returns:
-        The ``cam_from_world`` rotation (3, 3) at a heading of 0, and the headings.
+        The attitude, a ``cam_from_world`` rotation (3, 3), and the rotations from its heading.
     """
     step = math.tau / count
-    around = [k * step for k in range(count)]
+    full_circle = [k * step for k in range(count)]
     if prior is None or prior.cam_from_world_rotation is None:
-        return _DOWN, around
+        return _DOWN, full_circle
     attitude = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
     degrees = prior.heading_sigma_deg
     degrees = prior.attitude_sigma_deg if degrees is None else degrees
     if degrees is None:
-        return attitude, around
-    most = math.ceil(min(2 * math.radians(degrees) / step, count))
-    if 2 * most >= count:  # The last ones to the left and right would be the same.
-        return attitude, around
-    return attitude, [k * step for k in range(-most, most + 1)]
+        return attitude, full_circle
+    steps = math.ceil(min(2 * math.radians(degrees) / step, count))
+    if 2 * steps >= count:  # The last headings to the left and right would be the same.
+        return attitude, full_circle
+    return attitude, [k * step for k in range(-steps, steps + 1)]

@@ -17,17 +17,18 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage, looks_down
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
+Extract = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Coarse features on the ground, less their mean.
+    """Coarse features of the cells of the ground, less their mean, in principal components.
 
     Attributes:
+        grid: the H x W cells of the ground.
         features: (K, H, W) float32 of unit length, 0 in unknown cells.
         known: (H, W) float32, 1 where a photograph shows the cell, else 0.
-        mean: (C,) the mean feature of all cells.
+        mean: (C,) mean of the network's features, weighted by confidence.
         components: (C, K) orthonormal principal components.
     """
 
@@ -40,7 +41,7 @@ class Mosaic:
     components: Tensor
 
     def reduce_channels(self, features: Tensor) -> Tensor:
-        """Project features (1, C, h, w) to the mosaic's components, (1, K, h, w)."""
+        """Project features (1, C, h, w) of a view to the mosaic's components, (1, K, h, w)."""
         cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
         reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
         return reduced.permute(2, 0, 1)[None]
@@ -63,13 +64,13 @@ class Mosaic:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Mosaic:
-        """Return the mosaic of ``arrays``."""
+        """Return the mosaic whose ``arrays`` these are."""
         origin, cell, heights, *rest = (arrays[name] for name in Mosaic.ARRAYS)
         features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
         grid = GroundGrid(origin, float(cell[0]), heights)
         return Mosaic(grid, features, known, mean, components)
 
-    def on(self, device: torch.device) -> Mosaic:
+    def to(self, device: torch.device) -> Mosaic:
         """Return the mosaic on a device."""
         tensors = (self.features, self.known, self.mean, self.components)
         return Mosaic(self.grid, *(each.to(device) for each in tensors))
@@ -86,19 +87,19 @@ def make_mosaic(
     sparse_map: SparseMap,
     grid: GroundGrid,
     channels: int,
-    look: Look,
+    extract: Extract,
     advance: Callable[[int], None],
 ) -> Mosaic:
     """Average the coarse features of all photographs that look down, cell by cell.
 
-    They are summed on the CPU, whatever device computed them.
+    Features are summed on the CPU, whatever device computed them.
 
     Args:
         sparse_map: the map.
-        grid: grid of the cells.
-        channels: number K of principal components.
-        look: warps a photograph north up to the map's resolution and computes the features of the
-            coarsest level.
+        grid: the cells of the ground.
+        channels: maximum number K of principal components.
+        extract: warps a photograph north up to the map's resolution and computes the features of
+            the coarsest level.
         advance: called with the number of photographs done.
 
     Raises:
@@ -110,7 +111,7 @@ def make_mosaic(
     for done, name in enumerate(sparse_map.names, 1):
         image = sparse_map.images[name]
         if looks_down(image.cam_from_world[:3, :3]):
-            view, level = look(image)
+            view, level = extract(image)
             rows, features, confidence = _visible_cells(view, level, image.pose, cells)
             if total is None:
                 total = torch.zeros(len(cells), features.shape[1])
@@ -134,8 +135,8 @@ def make_mosaic(
 def _visible_cells(
     view: WarpedImage, level: FeatureMap, pose: Pose, cells: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return rows of the cells (M, 3) that a photograph shows, their unit features (N, C) and
-    confidences (N,)."""
+    """Return which of the cells (M, 3) a photograph shows: their rows (N,), unit features (N, C)
+    and confidences (N,)."""
     projected = view.camera.project(view.pose(pose).transform(cells))
     inside = projected.valid & view.camera.contains(projected.xy)
     rows = torch.nonzero(inside)[:, 0]

@@ -21,27 +21,30 @@ from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-# Peaks of the correlation that are kept for each pass of the network and altitude.
+# Number of peaks of the correlation that are kept for each pass of the network and each altitude.
 _PEAKS: Final = 3
-# The sides of a query on the ground are rounded up to multiples of this many cells.
-_PATCH: Final = 16
-# Least share of a query, by confidence, that lies on known ground.
-_LEAST_OVERLAP: Final = 0.3
-# Largest distance of the ground that is used, in heights above it: few pixels show what is farther.
-_FARTHEST: Final = 2.0
-# Memory for transforms of the mosaic, one for each size of a query on the ground.
+# The height and width of a query projected to the ground are rounded up to multiples of this many
+# cells.
+_PATCH_MULTIPLE: Final = 16
+# A candidate needs at least this share of the query's confidence on known cells of the mosaic.
+_MIN_OVERLAP: Final = 0.3
+# Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
+# show what is farther away.
+_MAX_DISTANCE: Final = 2.0
+# Memory for Fourier transforms of the mosaic, one for each size of a query projected to the ground.
 _SPECTRA_MB: Final = 128
 # Numerical guard: least sum of confidence over the cells of a query.
-_LEAST_WEIGHT: Final = 1e-3
+_MIN_WEIGHT: Final = 1e-3
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pose hypothesis of the coarse search.
+    """A coarse pose of a query that may be near the truth.
 
     Attributes:
         pose: ``cam_from_world``.
-        score: correlation with the mosaic, 1 at most.
+        score: correlation with the mosaic, at most 1, in the coarse search; other finders have
+            scores of their own.
         by: source of the candidate.
     """
 
@@ -56,15 +59,15 @@ class Hypotheses:
 
     Attributes:
         passes: rotations ``cam_from_world`` (3, 3), one for each pass of the network.
-        turns: radians about the vertical, tried with each pass.
-        altitudes: heights above ground, metres, tried with each pass.
-        within: centre (east, north) and radius of the region to search, metres; None for all.
+        turns: rotations about the vertical, radians, that are tried with the features of each pass.
+        altitudes: heights above ground, metres, that are tried with the features of each pass.
+        region: centre (east, north) and radius of the region to search, metres; None for all.
     """
 
     passes: Sequence[Tensor]
     turns: Sequence[float]
     altitudes: Sequence[float]
-    within: tuple[float, float, float] | None = None
+    region: tuple[float, float, float] | None = None
 
 
 class _GroundPatch(NamedTuple):
@@ -72,8 +75,9 @@ class _GroundPatch(NamedTuple):
 
     Attributes:
         features: (T, K, h, w) of unit length or 0.
-        confidence: (T, h, w).
-        first: (2,) metres from the camera to the south-western cell, to the east and north.
+        confidence: (T, h, w) weights of the cells.
+        first: (2,) metres to the east and north, from the camera to the centre of the south-western
+            cell.
     """
 
     features: Tensor
@@ -81,13 +85,15 @@ class _GroundPatch(NamedTuple):
     first: NDArray[np.float64]
 
 
-Look = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
+Extract = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
+"""Warps the query for a pose and computes its features of the coarsest level."""
 
 
 class _Peak(NamedTuple):
     """A peak of the correlation under one hypothesis.
 
     Attributes:
+        score: correlation, at most 1.
         x: world metres, east.
         y: world metres, north.
         altitude: height above ground, metres.
@@ -106,7 +112,7 @@ class MosaicSearch:
 
     Args:
         mosaic: mosaic of the map.
-        separation: least distance between candidates, metres.
+        separation: least horizontal distance between candidates, metres.
     """
 
     def __init__(self, mosaic: Mosaic, separation: float = 12.0) -> None:
@@ -115,28 +121,28 @@ class MosaicSearch:
         self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
 
     @torch.inference_mode()
-    def __call__(self, look: Look, hypotheses: Hypotheses, count: int) -> list[Candidate]:
+    def __call__(self, extract: Extract, hypotheses: Hypotheses, count: int) -> list[Candidate]:
         """Return the best candidates, best first, at most ``count``.
 
         Args:
-            look: warps the query north up for a pose, of which only height and rotation matter, and
-                computes the features of the coarsest level.
+            extract: warps the query north up for a pose, of which only height and rotation matter,
+                and computes the features of the coarsest level.
             hypotheses: headings, altitudes and region to search.
             count: maximum number of candidates.
         """
         peaks: list[_Peak] = []
         with progress_within("coarse search", len(hypotheses.passes)) as advance:
             for done, rotation in enumerate(hypotheses.passes, 1):
-                peaks += self._peaks(look, rotation, hypotheses)
+                peaks += self._peaks(extract, rotation, hypotheses)
                 advance(done)
         return [self._candidate(peak) for peak in self._distinct(peaks, count)]
 
-    def _peaks(self, look: Look, rotation: Tensor, hypotheses: Hypotheses) -> Iterator[_Peak]:
+    def _peaks(self, extract: Extract, rotation: Tensor, hypotheses: Hypotheses) -> Iterator[_Peak]:
         """Yield the peaks of one pass of the network."""
-        middle = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
+        median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
-        centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
-        view, level = look(Pose(rotation, -rotation @ centre))
+        centre = torch.tensor([0.0, 0.0, median_altitude], dtype=torch.float64)
+        view, level = extract(Pose(rotation, -rotation @ centre))
         reduced = FeatureMap(
             self._mosaic.reduce_channels(level.features), level.confidence, level.stride
         )
@@ -145,11 +151,12 @@ class MosaicSearch:
         for altitude in hypotheses.altitudes:
             patch = self._project_to_ground(view, reduced, rotations, footprint, altitude)
             if patch is not None:
-                for score, x, y, turn in self._correlate(patch, hypotheses.within):
+                for score, x, y, turn in self._correlate(patch, hypotheses.region):
                     yield _Peak(score, x, y, altitude, rotations[turn])
 
     def _distinct(self, peaks: Sequence[_Peak], count: int) -> list[_Peak]:
-        """Return the best peaks with the least separation, best first."""
+        """Return the best peaks, best first, without those nearer than ``separation`` to a better
+        one."""
         kept: list[_Peak] = []
         for peak in sorted(peaks, key=lambda peak: -peak.score):
             if all(math.hypot(peak.x - a.x, peak.y - a.y) > self._separation for a in kept):
@@ -164,12 +171,15 @@ class MosaicSearch:
         return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
 
     def _correlate(
-        self, patch: _GroundPatch, within: tuple[float, float, float] | None
+        self, patch: _GroundPatch, region: tuple[float, float, float] | None
     ) -> Iterator[tuple[float, float, float, int]]:
-        """Yield score, east, north and row of the heading of the best positions."""
+        """Yield the peaks of the normalized correlation of a patch with the mosaic, best first.
+
+        Each is its score, east and north (world metres), and the row of its heading in the patch.
+        """
         grid, weight = self._mosaic.grid, patch.confidence
         rows, columns = grid.shape
-        size = (_fast(rows + weight.shape[1]), _fast(columns + weight.shape[2]))
+        size = (_fast_size(rows + weight.shape[1]), _fast_size(columns + weight.shape[2]))
         spectra = self._spectra(size)
         layers = torch.cat([patch.features * weight[:, None], weight[:, None]], 1)
         spectrum = torch.fft.rfft2(layers, s=size).conj()
@@ -179,20 +189,20 @@ class MosaicSearch:
         ]
         product = torch.stack(products)
         correlation, overlap = torch.fft.irfft2(product, s=size)
-        total = weight.sum((1, 2)).clamp_min(_LEAST_WEIGHT)[:, None, None]
+        total = weight.sum((1, 2)).clamp_min(_MIN_WEIGHT)[:, None, None]
         scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
-        scores[overlap < _LEAST_OVERLAP * total] = -1.0
+        scores[overlap < _MIN_OVERLAP * total] = -1.0
         score, turn = scores.max(0)
         # Shifts beyond the grid are those to the south and west.
         north = torch.arange(size[0], device=score.device)
         east = torch.arange(size[1], device=score.device)
         y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - patch.first[1]
         x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - patch.first[0]
-        if within is not None:
-            away = torch.hypot(x[None] - within[0], y[:, None] - within[1])
-            score[away > within[2]] = -1.0
-        near = max(1, round(self._separation / grid.cell))
-        around = torch.arange(-near, near + 1, device=score.device)
+        if region is not None:
+            distance = torch.hypot(x[None] - region[0], y[:, None] - region[1])
+            score[distance > region[2]] = -1.0
+        cells = max(1, round(self._separation / grid.cell))
+        around = torch.arange(-cells, cells + 1, device=score.device)
         for _ in range(_PEAKS):
             row, column = divmod(int(score.argmax()), size[1])
             value = float(score[row, column])
@@ -202,7 +212,7 @@ class MosaicSearch:
             score[(row + around)[:, None] % size[0], (column + around)[None] % size[1]] = -1.0
 
     def _spectrum(self, size: tuple[int, int]) -> Tensor:
-        """Return the transforms of the mosaic's channels and, last, of its known cells."""
+        """Return the Fourier transforms of the mosaic's channels and, last, of its known cells."""
         layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])
         spectrum: Tensor = torch.fft.rfft2(layers, s=size)
         return spectrum
@@ -215,10 +225,10 @@ class MosaicSearch:
         footprint: NDArray[np.float64],
         altitude: float,
     ) -> _GroundPatch | None:
-        """Project the query's features to level ground; return None if it shows none.
+        """Project the query's features to level ground; return None if the query shows no ground.
 
-        The weight of a cell is the number of feature-map cells that it covers, at most one: far
-        ground covers few pixels.
+        The confidence of a cell on the ground is multiplied by the number of cells of the feature
+        map that it covers, at most one, because a far cell covers only a few pixels.
 
         Args:
             view: the warped query.
@@ -235,13 +245,15 @@ class MosaicSearch:
         columns, rows = np.maximum(np.ceil((high - first) / cell), 1).astype(int).tolist()
         x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
         # Rounded up, so that transforms have few sizes.
-        rows, columns = (_PATCH * math.ceil(side / _PATCH) for side in (rows, columns))
-        near = np.hypot(x, y) <= _FARTHEST * altitude
+        rows, columns = (
+            _PATCH_MULTIPLE * math.ceil(side / _PATCH_MULTIPLE) for side in (rows, columns)
+        )
+        near = np.hypot(x, y) <= _MAX_DISTANCE * altitude
         ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
-        place = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
-        turn = torch.from_numpy(view.view_from_camera)
-        seen = ground @ (turn @ rotations).mT
-        projected = view.camera.project(seen)
+        cell_index = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
+        view_from_camera = torch.from_numpy(view.view_from_camera)
+        in_view = ground @ (view_from_camera @ rotations).mT
+        projected = view.camera.project(in_view)
         xy = projected.xy
         inside = projected.valid & view.camera.contains(xy)
         inside &= torch.from_numpy(view.shows(xy.numpy()))
@@ -249,17 +261,17 @@ class MosaicSearch:
             return None
         features, confidence = level.sample(xy[inside].float())
         focal = float(np.mean(view.camera.focal))
-        area = (focal * cell) ** 2 * altitude / seen[inside][:, 2] ** 3
+        area = (focal * cell) ** 2 * altitude / in_view[inside][:, 2] ** 3  # pixels of a cell
         device = features.device
         confidence = confidence * (area / level.stride**2).clamp(max=1.0).float().to(device)
-        if not float(confidence.sum()) > _LEAST_WEIGHT:
+        if not float(confidence.sum()) > _MIN_WEIGHT:
             return None
-        of_turn, of_place = torch.nonzero(inside, as_tuple=True)
-        of_turn, cells = of_turn.to(device), place[of_place].to(device)
+        turn, near_cell = torch.nonzero(inside, as_tuple=True)
+        turn, cells = turn.to(device), cell_index[near_cell].to(device)
         patch = features.new_zeros(len(rotations), rows * columns, features.shape[1])
         weight = features.new_zeros(len(rotations), rows * columns)
-        patch[of_turn, cells] = features
-        weight[of_turn, cells] = confidence
+        patch[turn, cells] = features
+        weight[turn, cells] = confidence
         return _GroundPatch(
             patch.mT.reshape(len(rotations), -1, rows, columns),
             weight.reshape(-1, rows, columns),
@@ -269,8 +281,9 @@ class MosaicSearch:
     def _footprint(self, view: WarpedImage, rotations: Tensor) -> NDArray[np.float64]:
         """Return the south-western and north-eastern corner (2, 2) of the ground in a view.
 
-        The footprint covers all rotations (T, 3, 3) up to ``_FARTHEST``. It is relative to the
-        camera, in heights above the ground; NaN if no ray is valid.
+        The footprint covers all rotations (T, 3, 3) up to ``_MAX_DISTANCE``. It is relative to the
+        camera, in units of the camera's height above ground; NaN if the lens model inverts at no
+        pixel.
         """
         camera = view.camera
         steps = np.linspace(0.0, 1.0, 9)
@@ -279,28 +292,28 @@ class MosaicSearch:
         rays, valid = camera.unproject(edge)
         if not bool(valid.any()):
             return np.full((2, 2), np.nan)
-        turns = torch.from_numpy(view.view_from_camera) @ rotations
-        directions = (rays[valid].double() @ turns).reshape(-1, 3).numpy()
-        flat = np.hypot(directions[:, 0], directions[:, 1])
+        view_from_world = torch.from_numpy(view.view_from_camera) @ rotations
+        directions = (rays[valid].double() @ view_from_world).reshape(-1, 3).numpy()
+        horizontal = np.hypot(directions[:, 0], directions[:, 1])
         down = -directions[:, 2]
-        length = np.where(down > 1e-6, flat / np.maximum(down, 1e-6), np.inf)
-        length = np.minimum(length, _FARTHEST)
-        ground = directions[:, :2] / np.maximum(flat, 1e-9)[:, None] * length[:, None]
+        distance = np.where(down > 1e-6, horizontal / np.maximum(down, 1e-6), np.inf)
+        distance = np.minimum(distance, _MAX_DISTANCE)
+        ground = directions[:, :2] / np.maximum(horizontal, 1e-9)[:, None] * distance[:, None]
         return np.stack([ground.min(0), ground.max(0)])
 
 
 def _padding(cells: NDArray[np.bool_], rows: int, columns: int) -> list[tuple[int, int]]:
-    """Return the widths for ``np.pad`` that extend cells (h, w) to the north and east."""
+    """Return the widths for ``np.pad`` that extend cells (h, w) north and east to a size."""
     return [(0, rows - cells.shape[0]), (0, columns - cells.shape[1])]
 
 
-def _fast(size: int) -> int:
+def _fast_size(size: int) -> int:
     """Return the least number from ``size`` on with no prime factors but 2, 3 and 5."""
     while True:
-        left = size
+        rest = size
         for factor in (2, 3, 5):
-            while left % factor == 0:
-                left //= factor
-        if left == 1:
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
             return size
         size += 1

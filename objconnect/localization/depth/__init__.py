@@ -1,1 +1,1 @@
-"""Depth of pixels of a map's photographs by plane sweep."""
+"""Depth of the pixels of a map's photographs by a plane sweep."""

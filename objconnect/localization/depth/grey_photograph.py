@@ -20,10 +20,10 @@ class GreyPhotograph:
     """A downscaled greyscale photograph of a map.
 
     Attributes:
-        grey: (H, W) float32.
+        grey: (H, W) float32 grey levels, 0 to 255.
         camera: camera of the downscaled photograph.
         pose: ``cam_from_world``.
-        in_photograph: maps its pixels (N, 2) to those of the original.
+        in_photograph: maps pixels (N, 2) of the downscaled photograph to those of the original.
     """
 
     grey: Tensor
@@ -32,9 +32,10 @@ class GreyPhotograph:
     in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def downscale(self, factor: int) -> GreyPhotograph:
-        """Return the photograph downscaled by a factor, without updating ``in_photograph``.
+        """Return the photograph downscaled by a factor.
 
-        It is cropped at the right and lower edge to a multiple of the factor.
+        It is cropped at the right and lower edge to a multiple of the factor. ``in_photograph`` is
+        not updated, so it must not be used on the result.
         """
         height, width = (side // factor * factor for side in self.grey.shape)
         size = (width // factor, height // factor)
@@ -44,5 +45,5 @@ class GreyPhotograph:
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of its values."""
+        """Return the bytes of the grey levels."""
         return self.grey.nbytes

@@ -1,8 +1,8 @@
 """Choice of neighbouring photographs for triangulation, and of the depth range.
 
-Neighbours are photographs that share map points. Where these are few, as along a street with metres
-between photographs, the poses decide: a neighbour has in view what lies along a photograph's rays
-at the depths of the map's points.
+Neighbours are photographs that share map points. If too few photographs do, as along a street with
+metres between photographs, the poses decide: a neighbour then has in view a large share of the
+places that lie on the photograph's rays at the depths of the map's points.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from torch import Tensor
 from objconnect.scene.config import Config
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# Pixels along each side of a photograph, and depths of each, that are projected into another one.
+# Number of pixels along each side of a photograph, and of depths of each pixel, whose points are
+# projected into another photograph.
 _PIXELS: Final = 8
 _DEPTHS: Final = 5
-# Least number of map points that neighbours share: a few may be wrong.
+# Least number of map points that neighbours share, because a few shared points may be wrong.
 _MIN_SHARED_POINTS: Final = 20
-# Best angle between the rays of neighbours (degrees): smaller ones give inexact depths, larger ones
-# different views.
+# Best angle between the rays of two photographs to a point (degrees). A smaller angle gives inexact
+# depths, a larger one different views.
 _BEST_ANGLE_DEG: Final = 15.0
-# Photographs of the best angles whose overlap is computed, which bounds time.
+# Number of photographs of the best angles whose overlap is computed, which bounds time.
 _MAX_TESTED: Final = 24
-# Share by which the depth range exceeds the depths of the map's points.
+# The depth range exceeds the depths of the map's points by this share at either end.
 _DEPTH_MARGIN: Final = 0.1
-# Weight of a photograph on the same side as a chosen one, relative to one at a right angle.
+# Weight of a photograph whose baseline is parallel to that of a chosen neighbour. If it is at a
+# right angle, the weight is larger by 1.
 _SAME_SIDE_WEIGHT: Final = 0.1
 
 
@@ -40,26 +42,26 @@ class NeighbourOptions(Config):
     """Options of the neighbours of a photograph and of the depth range."""
 
     neighbours: int = Field(
-        4, ge=2, description="Maximum number of neighbours that a photograph is compared with."
+        4, ge=2, description="Maximum number of neighbours with which a photograph is compared."
     )
     min_shared_view: float = Field(
         0.2,
         gt=0,
-        description="Least share of a photograph that a neighbour has in view, if too few share "
-        "enough map points; above 1 for no such neighbours.",
+        description="Least share of a photograph's scene that a neighbour has in view, if too few "
+        "photographs share enough map points; above 1 for no such neighbours.",
     )
     least_depths: int = Field(
         100,
         ge=1,
         description="Least number of depths of map points for the depth range; a photograph with "
-        "fewer uses those of the photographs nearest to it, too.",
+        "fewer also uses the depths of the photographs nearest to it.",
     )
     nearest_depth: float = Field(
         0.3,
         gt=0,
         le=1,
-        description="Near end of the depth range as a share of the median, if several photographs "
-        "give the depths: near things have few map points.",
+        description="Near end of the depth range as a share of the median depth, if several "
+        "photographs give the depths, because near things have few map points.",
     )
 
 
@@ -75,24 +77,27 @@ class Neighbours:
             for image in (sparse_map.images[name] for name in sparse_map.names)
         ]
         self._row_of = {name: row for row, name in enumerate(sparse_map.names)}
-        # Photographs that observe the points, sorted by point, and the end of each point's part.
+        # Photographs that observe points, sorted by point, and where each point's photographs end.
         rows = np.concatenate([np.empty(0, np.int64), *self._rows])
         photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows])
         ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
         self._observers = photographs[np.argsort(rows, kind="stable")], ends
 
     def __call__(self, name: str) -> list[str]:
-        """Return the neighbours of a photograph, which see its scene at good angles from different
-        sides: those with shared points first, then those with it in view."""
+        """Return the neighbours of a photograph.
+
+        They see the photograph's scene at good angles and from different sides. Photographs with
+        shared points come first, then those that only have the scene in view.
+        """
         row = self._row_of[name]
-        here = self._rows[row]
-        shared = self._count_shared(here)
+        points = self._rows[row]
+        shared = self._count_shared(points)
         shared[row] = 0
-        enough = np.flatnonzero(shared >= _MIN_SHARED_POINTS)
-        middle = np.median(self._map.xyz[here], axis=0) if len(here) else self._centres[row]
+        candidates = np.flatnonzero(shared >= _MIN_SHARED_POINTS)
+        middle = np.median(self._map.xyz[points], axis=0) if len(points) else self._centres[row]
         distance = float(np.linalg.norm(middle - self._centres[row]))
         worth = shared * self._rate_angles(row, distance)
-        chosen = self._spread(row, enough, worth[enough], [])
+        chosen = self._spread(row, candidates, worth[candidates], [])
         if len(chosen) < self._options.neighbours:
             chosen = self._spread(row, *self._in_view(row, chosen), chosen)
         return [self._map.names[other] for other in chosen]
@@ -102,11 +107,11 @@ class Neighbours:
         options, row = self._options, self._row_of[name]
         order = [row]
         if few := len(self._rows[row]) < options.least_depths:
-            away = np.linalg.norm(self._centres - self._centres[row], axis=1)
-            order = np.argsort(away, kind="stable").tolist()
+            distance = np.linalg.norm(self._centres - self._centres[row], axis=1)
+            order = np.argsort(distance, kind="stable").tolist()
         found, count = [], 0
         for other in order:
-            found.append(self._observed_depths(other))
+            found.append(self._list_depths(other))
             count += len(found[-1])
             if count >= options.least_depths:
                 break
@@ -117,14 +122,14 @@ class Neighbours:
         near, far = near * (1 - _DEPTH_MARGIN), far * (1 + _DEPTH_MARGIN)
         return min(near, options.nearest_depth * float(z.median())) if few else near, far
 
-    def _observed_depths(self, row: int) -> Tensor:
-        """Return the positive depths of the points that a photograph observes."""
+    def _list_depths(self, row: int) -> Tensor:
+        """Return the positive depths (m) of the points that a photograph observes."""
         pose = self._map.images[self._map.names[row]].pose
         z = pose.transform(torch.from_numpy(self._map.xyz[self._rows[row]]))[:, 2]
         return z[z > 0]
 
     def _count_shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of given points that each photograph observes."""
+        """Return how many of the points with these rows each photograph observes."""
         photographs, ends = self._observers
         first = np.concatenate([[0], ends])[points]
         counts = ends[points] - first
@@ -133,16 +138,19 @@ class Neighbours:
         return np.bincount(photographs[picked], minlength=len(self._rows))
 
     def _rate_angles(self, row: int, distance: float) -> NDArray[np.float64]:
-        """Return weights (N,) of photographs: 1 at the best angle between rays at a distance."""
-        away = np.linalg.norm(self._centres - self._centres[row], axis=1)
-        angle = np.arctan2(away, max(distance, 1e-9)).clip(min=1e-6)
+        """Return weights (N,) of all photographs by the angle between their rays and this one's.
+
+        The weight is 1 at the best angle. The rays meet at ``distance``, metres.
+        """
+        baseline = np.linalg.norm(self._centres - self._centres[row], axis=1)
+        angle = np.arctan2(baseline, max(distance, 1e-9)).clip(min=1e-6)
         best = math.radians(_BEST_ANGLE_DEG)
         return np.asarray(np.exp(-(np.log(angle / best) ** 2)))
 
     def _in_view(
-        self, row: int, but: Sequence[int]
+        self, row: int, excluded: Sequence[int]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the photographs, except some, that have this one's scene in view.
+        """Return the photographs, except ``excluded``, that have a photograph's scene in view.
 
         Returns:
             Their rows (N,) and their scores (N,).
@@ -152,16 +160,16 @@ class Neighbours:
         if not math.isfinite(far):
             return np.empty(0, np.int64), np.empty(0)
         inverse = np.linspace(1 / far, 1 / near, _DEPTHS)
-        angled = self._rate_angles(row, float(1 / np.median(inverse)))
-        angled[[row, *but]] = 0
-        tested = np.argsort(-angled, kind="stable")[:_MAX_TESTED]
-        world = self._ray_points(name, inverse)
-        share = np.array([self._share(world, self._map.names[other]) for other in tested])
-        fine = (share >= options.min_shared_view) & (angled[tested] > 0)
-        return tested[fine], (share * angled[tested])[fine]
+        weight = self._rate_angles(row, float(1 / np.median(inverse)))
+        weight[[row, *excluded]] = 0
+        tested = np.argsort(-weight, kind="stable")[:_MAX_TESTED]
+        points = self._ray_points(name, inverse)
+        share = np.array([self._share(points, self._map.names[other]) for other in tested])
+        overlaps = (share >= options.min_shared_view) & (weight[tested] > 0)
+        return tested[overlaps], (share * weight[tested])[overlaps]
 
     def _ray_points(self, name: str, inverse_depths: NDArray[np.float64]) -> Tensor:
-        """Return points (N, 3) along a grid of rays of a photograph, world metres."""
+        """Return points (N, 3) on a grid of rays of a photograph at depths, world metres."""
         image = self._map.images[name]
         across, down = (
             (torch.arange(_PIXELS, dtype=torch.float64) + 0.5) / _PIXELS * side
@@ -172,10 +180,10 @@ class Neighbours:
         points = rays[usable] / torch.from_numpy(inverse_depths)[:, None, None]
         return image.pose.inverse().transform(points.flatten(0, 1))
 
-    def _share(self, world: Tensor, name: str) -> float:
-        """Return the share of points that a photograph has in view."""
+    def _share(self, points: Tensor, name: str) -> float:
+        """Return the share of points (N, 3), world metres, that a photograph has in view."""
         image = self._map.images[name]
-        projected = image.camera.project(image.pose.transform(world))
+        projected = image.camera.project(image.pose.transform(points))
         seen = projected.valid & image.camera.contains(projected.xy)
         return float(seen.double().mean())
 
@@ -186,13 +194,22 @@ class Neighbours:
         worth: NDArray[np.float64],
         chosen: Sequence[int],
     ) -> list[int]:
-        """Add the best photographs, one by one, to those chosen; new sides count more."""
+        """Return the chosen neighbours of a photograph and the best of others, added one by one.
+
+        A photograph counts more if its baseline is at a large angle to those of chosen ones.
+
+        Args:
+            row: row of the photograph.
+            others: (N,) rows of the photographs to add.
+            worth: (N,) their scores.
+            chosen: rows of the photographs that are neighbours already.
+        """
         baselines = self._centres - self._centres[row]
         sides = baselines / np.linalg.norm(baselines, axis=1, keepdims=True).clip(min=1e-9)
-        left, chosen = dict(zip(others.tolist(), worth.tolist(), strict=True)), list(chosen)
-        while left and len(chosen) < self._options.neighbours:
-            along = {each: np.abs(sides[chosen] @ sides[each]).max(initial=0.0) for each in left}
-            best = max(left, key=lambda each: left[each] * (_SAME_SIDE_WEIGHT + 1 - along[each]))
+        rest, chosen = dict(zip(others.tolist(), worth.tolist(), strict=True)), list(chosen)
+        while rest and len(chosen) < self._options.neighbours:
+            cosine = {each: np.abs(sides[chosen] @ sides[each]).max(initial=0.0) for each in rest}
+            best = max(rest, key=lambda each: rest[each] * (_SAME_SIDE_WEIGHT + 1 - cosine[each]))
             chosen.append(best)
-            del left[best]
+            del rest[best]
         return chosen

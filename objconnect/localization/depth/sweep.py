@@ -1,7 +1,8 @@
 """Depths of pixels of a map's photographs by a plane sweep over their neighbours.
 
-At every depth along a pixel's ray, a window around the pixel is compared with the neighbours at
-their known poses (Collins, "A space-sweep approach to true multi-image matching", CVPR 1996).
+At every depth along a pixel's ray, a window around the pixel is compared with the neighbouring
+photographs, whose poses are known (Collins, "A space-sweep approach to true multi-image matching",
+CVPR 1996).
 """
 
 from __future__ import annotations
@@ -30,26 +31,29 @@ from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache
 
-# Number of photographs in the cache.
+# Number of photographs in the cache in memory.
 _CACHED: Final = 12
-# Pixels triangulated at a time.
+# Number of pixels that are triangulated at once.
 _CHUNK: Final = 1024
-# Samples of the window to either side of its centre, and pixels between them: 9 pixels have enough
-# texture and little change of depth.
+# Samples of the window to either side of its centre, and pixels between samples. The window of 9
+# pixels has enough texture and little change of depth.
 _WINDOW_REACH: Final = 3
 _WINDOW_STEP_PX: Final = 1.5
 BORDER_PX: Final = 8.0
-"""Pixels at the edge of a photograph that are not compared: lens models are least exact there."""
-# Least margin of the best correlation over that of any other depth, and least number of steps
-# between two different depths.
+"""Width of the edge of a photograph that is not compared, because lens models are least exact
+there."""
+# Least margin of the best correlation over that at any other depth, and least number of steps by
+# which another depth differs from the best.
 _RIVAL_MARGIN: Final = 0.05
 _RIVAL_STEPS: Final = 2
 # Least shorter side of a downscaled photograph, pixels.
 _LEAST_SIDE_PX: Final = 64
-# In downscaled photographs: side of the window and spacing of depths, both in their pixels; then
-# the number of depths around the best that are tried in the photographs at full size.
-_SHRUNK_WINDOW: Final = 5
+# Side of the window in downscaled photographs, pixels.
+_SHRUNK_WINDOW_PX: Final = 5
+# Spacing of the depths in downscaled photographs, pixels of shift.
 _PLANE_STEP_PX: Final = 1.5
+# Number of depths on either side of the best depth of downscaled photographs that are tried at full
+# size.
 _NEAR_STEPS: Final = 5
 
 
@@ -63,8 +67,8 @@ class SweepOptions(NeighbourOptions):
     shrink: int = Field(
         4,
         ge=1,
-        description="Factor by which photographs are downscaled for a first sweep; full size is "
-        "swept only near its depths. 1 sweeps all depths at full size.",
+        description="Factor by which photographs are downscaled for a first sweep; at full size "
+        "only depths near those of the first sweep are tried. 1 tries all depths at full size.",
     )
     shrunk_correlation: float = Field(
         0.4, description="Least correlation with the second-best neighbour in the first sweep."
@@ -82,13 +86,13 @@ def window_offsets() -> Tensor:
 
 
 @dataclass(frozen=True)
-class Swept:
-    """World points of pixels of one photograph.
+class SweptPoints:
+    """World points of N pixels of one photograph.
 
     Attributes:
         xyz: points (N, 3), world metres.
         sure: (N,) bool, whether two neighbours agree on a single depth.
-        score: correlation (N,) of the second-best neighbour, 0 where it was not compared.
+        score: correlation (N,) with the second-best neighbour, 0 where it was not compared.
     """
 
     xyz: NDArray[np.float64]
@@ -130,7 +134,7 @@ class Sweeper:
         name: str,
         xy: NDArray[np.float64],
         depths: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
-    ) -> Swept:
+    ) -> SweptPoints:
         """Triangulate pixels of one photograph; none is sure if it has too few neighbours.
 
         Args:
@@ -144,29 +148,33 @@ class Sweeper:
         """
         neighbours = self._neighbours(name)
         if len(neighbours) < 2 or not len(xy):
-            return Swept(np.zeros((len(xy), 3)), np.zeros(len(xy), bool), np.zeros(len(xy)))
-        here = self.photograph(name)
-        tried = self._depths(name, here.camera, neighbours, len(xy), depths)
+            return SweptPoints(np.zeros((len(xy), 3)), np.zeros(len(xy), bool), np.zeros(len(xy)))
+        photograph = self.photograph(name)
+        tried = self._inverse_depths(name, photograph.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
-        placed = np.arange(len(xy))
-        smallest = min(min(each.grey.shape) for each in (here, *others))
+        rows = np.arange(len(xy))
+        smallest = min(min(each.grey.shape) for each in (photograph, *others))
         shrink = min(self._options.shrink, smallest // _LEAST_SIDE_PX)
         if depths is None and shrink > 1:
-            tried, clear = self._near(here, xy, others, tried, shrink)
-            placed = np.flatnonzero(clear)
+            tried, clear = self._sweep_downscaled(photograph, xy, others, tried, shrink)
+            rows = np.flatnonzero(clear)
         pixels = torch.from_numpy(xy)
         xyz, sure = np.zeros((len(xy), 3)), np.zeros(len(xy), bool)
         score = np.zeros(len(xy))
-        for begin in range(0, len(placed), _CHUNK):
-            part = placed[begin : begin + _CHUNK]
-            found = self._place_pixels(here, pixels[part], others, tried[part].float())
+        for begin in range(0, len(rows), _CHUNK):
+            part = rows[begin : begin + _CHUNK]
+            found = self._triangulate(photograph, pixels[part], others, tried[part].float())
             xyz[part], sure[part], score[part] = found
-        return Swept(xyz, sure, score)
+        return SweptPoints(xyz, sure, score)
 
     def digest_inputs(self, name: str, digests: Mapping[str, str]) -> str:
-        """Return a digest of the photograph, its neighbours and its depth range.
+        """Return a digest of all inputs of a photograph's sweep except the options.
 
-        These are all inputs of the sweep except the options.
+        They are the photograph, its neighbours and its depth range.
+
+        Args:
+            name: name of the photograph.
+            digests: digests of the photographs' files by name.
         """
         parts: list[object] = [*self._neighbours.depths(name)]
         for each in (name, *self._neighbours(name)):
@@ -174,9 +182,9 @@ class Sweeper:
             parts += [digests[each], image.camera, image.cam_from_world]
         return digest_of(*parts)
 
-    def _near(
+    def _sweep_downscaled(
         self,
-        here: GreyPhotograph,
+        photograph: GreyPhotograph,
         xy: NDArray[np.float64],
         others: Sequence[GreyPhotograph],
         tried: Tensor,
@@ -185,35 +193,35 @@ class Sweeper:
         """Sweep downscaled photographs.
 
         Args:
-            here: the photograph.
-            xy: (N, 2) its pixels.
-            others: its neighbours.
+            photograph: the photograph.
+            xy: (N, 2) pixels of the photograph.
+            others: the neighbours.
             tried: inverse depths (N, D), the same for all pixels.
             shrink: factor by which the photographs are downscaled.
 
         Returns:
-            The inverse depths (N, K) near the best, and whether two neighbours agree on a single
-            best depth (N,).
+            The inverse depths (N, K) near the best of each pixel, and whether two neighbours agree
+            on a single best depth (N,).
         """
-        small, *beside = (each.downscale(shrink) for each in (here, *others))
-        sweep = PlaneSweep(small, _SHRUNK_WINDOW, BORDER_PX / shrink)
-        hop = max(1, round(shrink * _PLANE_STEP_PX))
-        planes = tried[0, ::hop]
-        first, second = _best_two([sweep(xy / shrink, planes, other) for other in beside])
+        small, *small_others = (each.downscale(shrink) for each in (photograph, *others))
+        sweep = PlaneSweep(small, _SHRUNK_WINDOW_PX, BORDER_PX / shrink)
+        stride = max(1, round(shrink * _PLANE_STEP_PX))
+        planes = tried[0, ::stride]
+        first, second = _best_two([sweep(xy / shrink, planes, other) for other in small_others])
         score = 0.5 * (first + second)
         best = score.argmax(1)
-        apart = np.abs(np.arange(len(planes)) - best[:, None]) > _RIVAL_STEPS
-        rival = np.where(apart, score, -1.0).max(1)
+        is_rival = np.abs(np.arange(len(planes)) - best[:, None]) > _RIVAL_STEPS
+        rival = np.where(is_rival, score, -1.0).max(1)
         row = np.arange(len(best))
         clear = score[row, best] > rival + _RIVAL_MARGIN
         clear &= second[row, best] > self._options.shrunk_correlation
         count = min(2 * _NEAR_STEPS + 1, tried.shape[1])
-        middle = np.round(hop * _peak(score, best)).astype(int)
+        middle = np.round(stride * _peak(score, best)).astype(int)
         begin = np.clip(middle - _NEAR_STEPS, 0, tried.shape[1] - count)
         return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
-        """Return the scale of photographs of a camera."""
+        """Return the scale to which photographs of a camera are resized."""
         return min(1.0, self._longest / max(camera.width, camera.height))
 
     def _read(self, name: str) -> GreyPhotograph:
@@ -225,7 +233,7 @@ class Sweeper:
         values = torch.from_numpy(grey.astype(np.float32))
         return GreyPhotograph(values, small.camera, image.pose, small.in_photograph)
 
-    def _depths(
+    def _inverse_depths(
         self,
         name: str,
         camera: Camera,
@@ -233,7 +241,18 @@ class Sweeper:
         count: int,
         bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
     ) -> Tensor:
-        """Return inverse depths to try, (N, D), a pixel apart in the farthest neighbour."""
+        """Return the inverse depths (N, D) to try, in ascending order, 1/metres.
+
+        Successive ones shift a pixel by about one pixel in the farthest neighbour.
+
+        Args:
+            name: name of the photograph.
+            camera: camera of the resized photograph.
+            neighbours: names of the neighbours.
+            count: number N of pixels.
+            bounds: nearest and farthest depth (N,) of each pixel, metres; None for the depth range
+                of the photograph.
+        """
         if bounds is None:
             near, far = self._neighbours.depths(name)
             nearest, farthest = torch.tensor([[near], [far]], dtype=torch.float64).expand(2, count)
@@ -241,43 +260,46 @@ class Sweeper:
             nearest, farthest = (torch.from_numpy(bound) for bound in bounds)
         low, high = 1 / farthest, 1 / nearest
         centre = self._map.images[name].pose.centre()
-        reach = max(float((self._map.images[n].pose.centre() - centre).norm()) for n in neighbours)
-        steps = math.ceil(max(camera.focal) * reach * float((high - low).max())) + 1
+        baseline = max(
+            float((self._map.images[each].pose.centre() - centre).norm()) for each in neighbours
+        )
+        steps = math.ceil(max(camera.focal) * baseline * float((high - low).max())) + 1
         share = torch.linspace(
             0, 1, min(max(steps, 8), self._options.max_depths), dtype=torch.float64
         )
         tried: Tensor = low[:, None] + (high - low)[:, None] * share
         return tried
 
-    def _place_pixels(
+    def _triangulate(
         self,
-        here: GreyPhotograph,
+        photograph: GreyPhotograph,
         xy: Tensor,
         others: Sequence[GreyPhotograph],
-        depths: Tensor,
+        inverse_depths: Tensor,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
-        """Return pixels (N, 2) at the best of their inverse depths (N, D).
+        """Place pixels (N, 2) of a photograph at the best of their inverse depths (N, D).
 
         Returns:
-            World points (N, 3), whether they are sure (N,), and their correlation (N,).
+            World points (N, 3), whether they are sure (N,), and the correlation (N,) with the
+            second-best neighbour.
         """
-        sweep = WindowSweep(here, xy, self._window, BORDER_PX)
-        first, second = _best_two([sweep(depths, other) for other in others])
-        # Only the two best neighbours: the others may be occluded.
+        sweep = WindowSweep(photograph, xy, self._window, BORDER_PX)
+        first, second = _best_two([sweep(inverse_depths, other) for other in others])
+        # Only the two best neighbours count, because the point may be occluded in the others.
         score = 0.5 * (first + second)
         index = score.argmax(1)
         row = np.arange(len(index))
-        apart = np.abs(np.arange(depths.shape[1]) - index[:, None]) > _RIVAL_STEPS
-        rival = np.where(apart, score, -1.0).max(1)
-        inner = index.clip(1, depths.shape[1] - 2)
-        agreed = second[row, inner]
-        sure = agreed > self._options.min_correlation
+        is_rival = np.abs(np.arange(inverse_depths.shape[1]) - index[:, None]) > _RIVAL_STEPS
+        rival = np.where(is_rival, score, -1.0).max(1)
+        inner = index.clip(1, inverse_depths.shape[1] - 2)
+        correlation = second[row, inner]
+        sure = correlation > self._options.min_correlation
         sure &= score[row, index] > rival + _RIVAL_MARGIN
         sure &= (index == inner) & sweep.usable.numpy()
-        step = depths[:, 1] - depths[:, 0]
-        inverse = depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step
+        step = inverse_depths[:, 1] - inverse_depths[:, 0]
+        inverse = inverse_depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step
         in_camera = sweep.rays.double() / inverse[:, None].double()
-        return here.pose.inverse().transform(in_camera).numpy(), sure, agreed
+        return photograph.pose.inverse().transform(in_camera).numpy(), sure, correlation
 
 
 def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], ...]:
@@ -291,7 +313,7 @@ def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32]
 
 
 def _peak(score: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the peaks (N,) of parabolas through scores (N, D) around indices (N,)."""
+    """Return the peaks (N,), in indices, of parabolas through scores (N, D) around indices (N,)."""
     row, inner = np.arange(len(index)), index.clip(1, score.shape[1] - 2)
     before, at, after = (score[row, inner + k] for k in (-1, 0, 1))
     curve = np.minimum(before - 2 * at + after, -1e-6)

@@ -12,12 +12,12 @@ from torch import Tensor
 
 from objconnect.localization.depth.grey_photograph import GreyPhotograph
 
-# Number of successive depths for which a window keeps its shape and moves along a parabola.
+# Number of successive depths over which a window keeps its shape and moves along a parabola.
 _BLOCK: Final = 16
-# Number of pixels whose windows are sampled at a time: they fit into the processor's cache.
+# Number of pixels whose windows are sampled at once, so that they fit into the processor's cache.
 _CHUNK: Final = 64
-# Maximum number of rows of OpenCV's ``remap``.
-_ROWS: Final = 32000
+# Maximum number of rows that OpenCV's ``remap`` takes.
+_MAX_ROWS: Final = 32000
 
 
 class WindowSweep:
@@ -28,9 +28,9 @@ class WindowSweep:
 
     Args:
         photograph: the reference photograph.
-        xy: (N, 2) its pixels.
+        xy: (N, 2) pixels of the reference photograph.
         window: (P, 2) offsets of a window's samples from its centre, pixels.
-        border: pixels at the edge of other photographs that are not used.
+        border: width of the edge of other photographs that is not used, pixels.
 
     Attributes:
         rays: (N, 3) rays of the pixels at a depth of one.
@@ -40,7 +40,8 @@ class WindowSweep:
     def __init__(
         self, photograph: GreyPhotograph, xy: Tensor, window: Tensor, border: float
     ) -> None:
-        # Rays of the pixel and of those to its right and below, which give the window's shape.
+        # Rays of the pixel and of the pixels to its right and below it, which give the window's
+        # shape.
         three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
         rays, usable = photograph.camera.unproject(three.flatten(0, 1))
         self._three = rays.view(*three.shape[:2], 3).float()
@@ -48,68 +49,86 @@ class WindowSweep:
         self._pose, self._border = photograph.pose, border
         self._window = window.float()
         x, y = (xy[:, None] + window - 0.5).float().unbind(-1)
-        own = _interpolate(photograph.grey.numpy(), x.numpy(), y.numpy())
-        own -= own.mean(-1, keepdims=True)
-        length = np.linalg.norm(own, axis=-1, keepdims=True)
+        windows = _interpolate(photograph.grey.numpy(), x.numpy(), y.numpy())
+        windows -= windows.mean(-1, keepdims=True)
+        length = np.linalg.norm(windows, axis=-1, keepdims=True)
         # Windows whose standard deviation is below one grey level have no texture.
-        self._plain = float(len(window)) ** 0.5
-        own = np.where(length > self._plain, own / np.maximum(length, 1e-6), 0)
-        # One product gives the correlation and the mean.
-        self._own = np.stack([own, np.full_like(own, 1 / len(window))], -1)
+        self._min_length = float(len(window)) ** 0.5
+        windows = np.where(length > self._min_length, windows / np.maximum(length, 1e-6), 0)
+        # One matrix product with another window then gives its correlation and its mean.
+        self._windows = np.stack([windows, np.full_like(windows, 1 / len(window))], -1)
 
-    def __call__(self, depths: Tensor, other: GreyPhotograph) -> NDArray[np.float32]:
+    def __call__(self, inverse_depths: Tensor, other: GreyPhotograph) -> NDArray[np.float32]:
         """Return the correlation (N, D) at inverse depths (N, D), evenly spaced, 1/metres.
 
-        It is -1 where the other photograph does not show the window.
+        It is -1 where the other photograph does not show the window, and 0 where a window has no
+        texture.
         """
         relative = (other.pose @ self._pose.inverse()).to(dtype=torch.float32)
-        turned = self._three @ relative.rotation.T
+        rotated = self._three @ relative.rotation.T
         blocks = [
-            self._block(turned, relative.translation, block, other)
-            for block in torch.split(depths, _BLOCK, 1)
+            self._block(rotated, relative.translation, block, other)
+            for block in torch.split(inverse_depths, _BLOCK, 1)
         ]
         return np.concatenate(blocks, 1)
 
     def _block(
-        self, turned: Tensor, shift: Tensor, depths: Tensor, other: GreyPhotograph
+        self, rotated: Tensor, shift: Tensor, inverse_depths: Tensor, other: GreyPhotograph
     ) -> NDArray[np.float32]:
-        """Return the correlation at a few inverse depths (N, D)."""
-        count = depths.shape[1]
-        middle = depths[:, [0, -1]].mean(1)
-        nodes = torch.stack([depths[:, 0], middle, depths[:, -1], middle, middle], 1)
-        which = torch.tensor([0, 0, 0, 1, 2])
-        in_camera = turned[:, which] / nodes[..., None] + shift
+        """Return the correlation (N, D) at the inverse depths (N, D) of one block.
+
+        Args:
+            rotated: (N, 3, 3) rays of the three pixels in the frame of the other camera.
+            shift: (3,) position of the reference camera in that frame, metres.
+            inverse_depths: 1/metres.
+            other: the other photograph.
+        """
+        count = inverse_depths.shape[1]
+        middle = inverse_depths[:, [0, -1]].mean(1)
+        # The pixel at the first, middle and last depth, then its neighbours at the middle depth.
+        nodes = torch.stack(
+            [inverse_depths[:, 0], middle, inverse_depths[:, -1], middle, middle], 1
+        )
+        pixel = torch.tensor([0, 0, 0, 1, 2])
+        in_camera = rotated[:, pixel] / nodes[..., None] + shift
         projected = other.camera.project(in_camera.flatten(0, 1))
         xy = projected.xy.view(*nodes.shape, 2)
         valid = projected.valid.view(nodes.shape).all(1)
         first, at, last, right, below = xy.unbind(1)
-        # The parabola through three points of the path.
+        # The parabola through three points of the path of the window's centre.
         t = torch.linspace(-1, 1, count)[:, None] if count > 1 else torch.zeros(1, 1)
         bend = 0.5 * (first + last) - at
-        way = at[:, None] + 0.5 * (last - first)[:, None] * t + bend[:, None] * t * t
-        across = torch.stack([right - at, below - at], 1)
-        reach = torch.cat([torch.zeros_like(across[:, :1]), across], 1)
-        corners = way[:, :, None] + reach[:, None]
+        path = at[:, None] + 0.5 * (last - first)[:, None] * t + bend[:, None] * t * t
+        axes = torch.stack([right - at, below - at], 1)
+        steps = torch.cat([torch.zeros_like(axes[:, :1]), axes], 1)
+        corners = path[:, :, None] + steps[:, None]
         inside = other.camera.contains(corners, self._border).all(-1) & valid[:, None]
-        offsets = across.transpose(1, 2) @ self._window.T
-        found = self._correlate((way - 0.5).numpy(), offsets.numpy(), other.grey.numpy())
+        offsets = axes.transpose(1, 2) @ self._window.T
+        found = self._correlate((path - 0.5).numpy(), offsets.numpy(), other.grey.numpy())
         return np.where(inside.numpy(), found, np.float32(-1))
 
     def _correlate(
-        self, way: NDArray[np.float32], offsets: NDArray[np.float32], grey: NDArray[np.float32]
+        self, path: NDArray[np.float32], offsets: NDArray[np.float32], grey: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return the correlation of windows with centres (N, D, 2) in OpenCV's pixels, and offsets
-        (N, 2, P)."""
-        found = np.empty(way.shape[:2], np.float32)
-        for begin in range(0, len(way), _CHUNK):
+        """Return the correlation (N, D) with windows of a photograph.
+
+        Args:
+            path: (N, D, 2) centres of the windows, OpenCV's pixels.
+            offsets: (N, 2, P) offsets of their samples, pixels.
+            grey: (H, W) the photograph.
+        """
+        found = np.empty(path.shape[:2], np.float32)
+        for begin in range(0, len(path), _CHUNK):
             part = slice(begin, begin + _CHUNK)
-            # Separate coordinates: adding pairs would take ten times as long.
-            x, y = (way[part, :, axis, None] + offsets[part, None, axis] for axis in (0, 1))
-            theirs = _interpolate(grey, x, y)
-            products, mean = np.moveaxis(theirs @ self._own[part], -1, 0)
-            squares = np.einsum("ndp,ndp->nd", theirs, theirs)
-            length = np.sqrt(np.maximum(squares - theirs.shape[-1] * mean * mean, 0))
-            found[part] = np.where(length > self._plain, products / np.maximum(length, 1e-6), 0)
+            # x and y are added separately; adding pairs would take ten times as long.
+            x, y = (path[part, :, axis, None] + offsets[part, None, axis] for axis in (0, 1))
+            windows = _interpolate(grey, x, y)
+            products, mean = np.moveaxis(windows @ self._windows[part], -1, 0)
+            squares = np.einsum("ndp,ndp->nd", windows, windows)
+            length = np.sqrt(np.maximum(squares - windows.shape[-1] * mean * mean, 0))
+            found[part] = np.where(
+                length > self._min_length, products / np.maximum(length, 1e-6), 0
+            )
         return found
 
 
@@ -119,8 +138,8 @@ def _interpolate(
     """Interpolate a picture (H, W) at x and y, (..., P) each, in OpenCV's pixels."""
     columns, rows = (each.reshape(-1, each.shape[-1]) for each in (x, y))
     parts = [
-        cv2.remap(grey, columns[some], rows[some], cv2.INTER_LINEAR)
-        for some in (slice(at, at + _ROWS) for at in range(0, len(rows), _ROWS))
+        cv2.remap(grey, columns[part], rows[part], cv2.INTER_LINEAR)
+        for part in (slice(at, at + _MAX_ROWS) for at in range(0, len(rows), _MAX_ROWS))
     ]
     found = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return np.asarray(found, np.float32).reshape(x.shape)

@@ -1,8 +1,8 @@
-"""The probability that a pose is right, which is within 5 m and 10 degrees of the truth.
+"""The probability that a pose is right, that is, within 5 m and 10 degrees of the truth.
 
-Logistic regression gives the odds of an aligned pose from three figures of the query alone
-(``evidence``), and those of a pose by matches from the number of inliers. At most one position in a
-map is right, so the probabilities of poses at several positions sum to at most 1.
+Logistic regression gives the log odds of an aligned pose from three figures that need no truth
+(``evidence``), and the log odds of a pose by matches from its number of inliers. At most one
+position in a map is right, so the probabilities of poses at several positions sum to at most 1.
 ``python -m experiments.acceptance`` fits the models.
 """
 
@@ -25,19 +25,20 @@ RIGHT_M: Final = 5.0
 """Largest position error of a right pose, metres."""
 RIGHT_DEG: Final = 10.0
 """Largest rotation error of a right pose, degrees."""
-# Odds of e**20 to one stand for certainty: no calibration data reach beyond.
-_MOST_LOG_ODDS: Final = 20.0
+# Log odds are clipped to this absolute value, because no calibration data go beyond.
+_MAX_LOG_ODDS: Final = 20.0
 
 
 class AlignedModel(Config):
     """Logistic regression of aligned poses: the weights of ``Evidence.terms``."""
 
     bias: float = Field(description="Log odds where all terms are zero.")
-    peak: float = Field(description="Weight of the logarithm of the peak's height.")
+    peak: float = Field(description="Weight of the logarithm of the peak-to-sidelobe ratio.")
     halves: float = Field(
-        description="Weight of the logarithm of the distance between the halves' poses."
+        description="Weight of the logarithm of the distance between the poses of two halves of "
+        "the picture."
     )
-    curvature: float = Field(description="Weight of the logarithm of the curvature.")
+    curvature: float = Field(description="Weight of the logarithm of the curvature of the cost.")
 
 
 class MatchedModel(Config):
@@ -55,14 +56,14 @@ class AcceptanceModel(CalibrationFile):
     aligned: AlignedModel = Field(description="Model of aligned poses.")
     matched: MatchedModel = Field(description="Model of poses by matches.")
 
-    def of_alignment(self, evidence: Evidence) -> float:
+    def alignment_log_odds(self, evidence: Evidence) -> float:
         """Return the log odds of an aligned pose."""
         model = self.aligned
         terms = evidence.terms()
         weights = (model.peak, model.halves, model.curvature)
         return _clip_log_odds(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
 
-    def of_matches(self, inliers: int) -> float:
+    def match_log_odds(self, inliers: int) -> float:
         """Return the log odds of a pose by matches; minus infinity without an inlier."""
         if inliers < 1:
             return -math.inf
@@ -72,7 +73,7 @@ class AcceptanceModel(CalibrationFile):
         """Return a pose by matches with the probability that it is right."""
         if matched.status is not Status.OK:
             return matched
-        return replace(matched, probability=_probability(self.of_matches(matched.inliers)))
+        return replace(matched, probability=_probability(self.match_log_odds(matched.inliers)))
 
 
 def log_odds_of(probability: float | None) -> float:
@@ -87,7 +88,7 @@ def _probability(log_odds: float) -> float:
 
 
 def _clip_log_odds(log_odds: float) -> float:
-    return min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
+    return min(max(log_odds, -_MAX_LOG_ODDS), _MAX_LOG_ODDS)
 
 
 def best_probability(
@@ -96,26 +97,26 @@ def best_probability(
     """Return the index of the likeliest pose, and the probability that it is right.
 
     At most one position is right, so two equally likely ones have a probability of at most a half
-    each. Poses that are as near to each other as a right pose is to the truth count once.
+    each. Of poses for which ``is_same_pose`` is true only the likeliest counts.
 
     Args:
         poses: poses with their log odds; at least one.
         rivals: further poses with their log odds, which lower the probability but cannot be chosen.
     """
     best = max(range(len(poses)), key=lambda k: poses[k][1])
-    pose, own = poses[best]
-    if own == -math.inf:
+    pose, best_log_odds = poses[best]
+    if best_log_odds == -math.inf:
         return best, 0.0
     distinct = [pose]
-    total = 1.0 + math.exp(own)
+    total = 1.0 + math.exp(best_log_odds)
     for other, log_odds in sorted([*poses, *rivals], key=lambda each: -each[1]):
-        if log_odds > -math.inf and not any(is_same(other, each) for each in distinct):
+        if log_odds > -math.inf and not any(is_same_pose(other, each) for each in distinct):
             distinct.append(other)
             total += math.exp(log_odds)
-    return best, math.exp(own) / total
+    return best, math.exp(best_log_odds) / total
 
 
-def is_same(pose: Pose, other: Pose) -> bool:
-    """Return whether two poses are as near to each other as a right pose is to the truth."""
+def is_same_pose(pose: Pose, other: Pose) -> bool:
+    """Return whether two poses are within 5 m and 10 degrees of each other."""
     metres, degrees = (float(part) for part in pose.error_to(other))
     return metres < RIGHT_M and degrees < RIGHT_DEG

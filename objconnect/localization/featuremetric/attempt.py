@@ -23,12 +23,13 @@ from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import By, Estimate, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
-"""Poses from elsewhere with their log odds, which lower the probability of the attempts."""
+"""Poses that no attempt gave, such as one by matches, with their log odds of being right. They
+lower the probability of the attempts' poses."""
 
 
 @dataclass(frozen=True)
 class AlignedView:
-    """A warped image with the alignment of it, and the problem that was solved last."""
+    """A warped image, its alignment, and the alignment problem that was solved last."""
 
     view: WarpedImage
     problem: Problem
@@ -40,10 +41,12 @@ class Attempt:
     """The outcome of one start.
 
     Attributes:
-        spread: uncalibrated covariance of its pose; None where alignment failed.
-        fit: cost as a share of the cost by chance; infinite where alignment failed.
-        evidence: figures that tell a right pose from a wrong one; None where alignment failed.
-        log_odds: log odds that the pose is right; minus infinity where alignment failed.
+        view: the warped image.
+        alignment: the alignment of the view.
+        spread: uncalibrated covariance of the view's pose; None if the alignment failed.
+        fit: cost as a share of the cost by chance (``problem.fit``); infinite if it failed.
+        evidence: figures that tell a right pose from a wrong one; None if it failed.
+        log_odds: log odds that the pose is right; minus infinity if it failed.
     """
 
     view: WarpedImage
@@ -55,7 +58,7 @@ class Attempt:
 
     @property
     def has_failed(self) -> bool:
-        """Whether there is no pose."""
+        """Whether the alignment failed, so that there is no pose."""
         return bool(self.alignment.has_failed[0])
 
     @property
@@ -70,13 +73,13 @@ def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
-    around, share = measure_spread(problem, alignment.pose), fit(problem, alignment.pose)
-    figures = measure_evidence(problem, alignment.pose, float(around.curvature[0]))
-    log_odds = options.acceptance.of_alignment(figures)
-    return Attempt(view, alignment, around, share, figures, log_odds)
+    spread, cost_share = measure_spread(problem, alignment.pose), fit(problem, alignment.pose)
+    evidence = measure_evidence(problem, alignment.pose, float(spread.curvature[0]))
+    log_odds = options.acceptance.alignment_log_odds(evidence)
+    return Attempt(view, alignment, spread, cost_share, evidence, log_odds)
 
 
-def best_of(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
+def likeliest(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
     """Return the likeliest attempt, and the probability that it is right."""
     poses = [(each.pose, each.log_odds) for each in attempts]
     best, probability = best_probability(poses, rivals)
@@ -85,35 +88,37 @@ def best_of(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, 
 
 def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
     """Return whether the likeliest attempt is right with a probability of at least 1 - risk."""
-    best, probability = best_of(attempts, rivals)
+    best, probability = likeliest(attempts, rivals)
     return not best.has_failed and probability >= 1 - options.risk
 
 
-def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+def is_believed_and_exact(
+    attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()
+) -> bool:
     """Return whether the likeliest attempt is believed and exact enough for an answer."""
-    best, probability = best_of(attempts, rivals)
-    return not _why_not(best, probability, len(attempts), options)
+    best, probability = likeliest(attempts, rivals)
+    return not _rejection_reason(best, probability, len(attempts), options)
 
 
 def select_estimate(
     attempts: Sequence[Attempt],
-    begin: Sequence[Pose],
-    begun: By,
+    starts: Sequence[Pose],
+    source: By,
     options: SearchOptions,
     clock: Stopwatch,
     rivals: Rivals = (),
 ) -> Estimate:
-    """Return the likeliest attempt; if it is no answer, the first start as ``FALLBACK``.
+    """Return the likeliest attempt; if it is not accepted, the first start as ``FALLBACK``.
 
     Args:
         attempts: outcomes of all starts.
-        begin: starts, ``cam_from_world``.
-        begun: source of the first start.
-        options: acceptance bounds and the calibration of covariances.
+        starts: ``cam_from_world``; at least one.
+        source: source of the first start.
+        options: bounds of acceptance and the calibration of covariances.
         clock: time of the query so far.
-        rivals: poses from elsewhere, such as matches.
+        rivals: poses that no attempt gave, such as one by matches.
     """
-    best, probability = best_of(attempts, rivals)
+    best, probability = likeliest(attempts, rivals)
     answer = Estimate(
         Status.OK,
         best.pose,
@@ -121,14 +126,14 @@ def select_estimate(
         inliers=int(best.alignment.seen),
         iterations=sum(int(each.alignment.iterations) for each in attempts),
         seconds=clock.seconds,
-        reason=_why_not(best, probability, len(attempts), options),
+        reason=_rejection_reason(best, probability, len(attempts), options),
         by=By.ALIGNMENT,
         probability=probability,
     )
     if not answer.reason:
         return answer
-    fallback = replace(answer, status=Status.FALLBACK, covariance=None, by=begun)
-    return replace(fallback, cam_from_world=begin[0])
+    fallback = replace(answer, status=Status.FALLBACK, covariance=None, by=source)
+    return replace(fallback, cam_from_world=starts[0])
 
 
 def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
@@ -137,18 +142,21 @@ def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
     return math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
 
 
-def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
-    """Return why the likeliest attempt is no answer; empty if it is one."""
+def _rejection_reason(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
+    """Return why the likeliest of ``tried`` attempts is not accepted; empty if it is."""
     if best.has_failed:
         return best.alignment.reason(0)
-    which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
+    pose = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
     if probability < 1 - options.risk:
         shown = math.floor(100 * probability) / 100  # never rounded up to the bound
-        return f"{which} is right with a probability of {shown:.2f}, below {1 - options.risk:g}"
+        return (
+            f"{pose} is right with a probability of {shown:.2f}, below {1 - options.risk:g} "
+            "(1 - search.risk)"
+        )
     if (sigma := sigma_m(best, options)) > options.most_sigma_m:
         return (
-            f"the position of {which} is known to {sigma:.1f} m only, and search.most_sigma_m is "
-            f"{options.most_sigma_m:g}"
+            f"the position of {pose} has a standard deviation of {sigma:.1f} m, above "
+            f"search.most_sigma_m of {options.most_sigma_m:g} m"
         )
     return ""
 
@@ -158,8 +166,8 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
     if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
     assert options.covariance is not None
-    of_view = calibrate_covariance(attempt.spread, attempt.fit, options.covariance)
-    return attempt.view.photograph_covariance(of_view[0])
+    view_covariance = calibrate_covariance(attempt.spread, attempt.fit, options.covariance)
+    return attempt.view.photograph_covariance(view_covariance[0])
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

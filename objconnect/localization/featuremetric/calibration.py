@@ -14,15 +14,17 @@ from objconnect.localization.featuremetric.calibration_files import CalibrationF
 class CovarianceModel(CalibrationFile):
     """The numbers of ``calibrate_covariance`` for one network.
 
-    ``python -m experiments.covariance`` finds them.
+    A patch is a square of an image whose points count as dependent (``Spread``). The fit is the
+    cost at the pose as a share of the cost by chance. ``python -m experiments.covariance`` finds
+    the numbers.
     """
 
     kind = "covariance"
 
     factor: float = Field(
         gt=0,
-        description="Factor on the measured covariance of a query with 100 patches whose fit is "
-        "that of the map's season.",
+        description="Factor on the measured covariance of a query with 100 patches, in the light "
+        "and season of the map.",
     )
     patches_power: float = Field(
         ge=0,
@@ -61,16 +63,16 @@ class CovarianceModel(CalibrationFile):
 
 
 def calibrate_covariance(
-    around: Spread, fit: float | NDArray[np.float64], by: CovarianceModel
+    spread: Spread, fit: float | NDArray[np.float64], model: CovarianceModel
 ) -> NDArray[np.float64]:
     """Return the calibrated covariances (B, 6, 6) of aligned poses; see ``compute_scales``."""
-    factor, added = compute_scales(around, fit, by)
-    alike = added[:, :, None] * np.eye(6)
-    return np.asarray(factor[:, None, None] * around.covariance.cpu().numpy() + alike)
+    factor, variances = compute_scales(spread, fit, model)
+    added = variances[:, :, None] * np.eye(6)
+    return np.asarray(factor[:, None, None] * spread.covariance.cpu().numpy() + added)
 
 
 def compute_scales(
-    around: Spread, fit: float | NDArray[np.float64], by: CovarianceModel
+    spread: Spread, fit: float | NDArray[np.float64], model: CovarianceModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors (B,) on measured covariances, and the variances (B, 6) to add.
 
@@ -81,7 +83,7 @@ def compute_scales(
     - ``factor`` and ``ratio``: the slopes of a changed query are not those of the map;
     - ``(100 / patches)**patches_power``: clustered estimates from few clusters are too small
       (Cameron and Miller, Journal of Human Resources 2015);
-    - a factor that shrinks the scatter of the patches to ``level``, as the posterior mean of a
+    - a factor that shrinks the scatter of the patches towards ``level``, as the posterior mean of a
       variance whose prior counts ``level_patches`` equal patches (Smyth, Statistical Applications
       in Genetics and Molecular Biology 2004).
 
@@ -90,23 +92,27 @@ def compute_scales(
     ``1 + changed_fit``.
 
     Args:
-        around: measured covariances; finite.
-        fit: (B,) cost as a share of the cost by chance.
-        by: numbers of the calibration.
+        spread: measured covariances; finite.
+        fit: (B,) cost as a share of the cost by chance; a number for one pose.
+        model: numbers of the calibration.
 
     Returns:
         The factors, and the variances of rotation (rad^2), equal about all axes, and translation
         (m^2), which are larger by the square of the depth of the points.
     """
-    patches, level, equal_patches = _arrays(around.patches, around.level, around.equal_patches)
-    depth, view_cosine, cost = _arrays(around.depth, around.view_cosine, around.informative_cost)
-    ratio = fit * cost / (by.unchanged_fit + by.view_fit * (1 - view_cosine))
-    factor = by.factor * ratio * (patches / 100) ** -by.patches_power
-    known = level > 0
-    general = np.where(known, by.level / np.where(known, level, 1.0), 1.0)
-    factor *= (equal_patches + by.level_patches * general) / (equal_patches + by.level_patches)
-    change = np.clip((ratio - 1) / by.changed_fit, 0, 1)
-    deviation = by.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
+    patches, scatter_level, equal_patches = _arrays(
+        spread.patches, spread.scatter_level, spread.equal_patches
+    )
+    depth, view_cosine, cost = _arrays(spread.depth, spread.view_cosine, spread.informative_cost)
+    ratio = fit * cost / (model.unchanged_fit + model.view_fit * (1 - view_cosine))
+    factor = model.factor * ratio * (patches / 100) ** -model.patches_power
+    known = scatter_level > 0
+    prior_share = np.where(known, model.level / np.where(known, scatter_level, 1.0), 1.0)
+    factor *= (equal_patches + model.level_patches * prior_share) / (
+        equal_patches + model.level_patches
+    )
+    change = np.clip((ratio - 1) / model.changed_fit, 0, 1)
+    deviation = model.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
     return factor, change[:, None] * deviation**2
 
 

@@ -8,6 +8,7 @@ from typing import ClassVar, Self
 
 import yaml
 
+from objconnect.learning.weights_file import find_weights
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.storage.atomic import write_text
 
@@ -21,8 +22,8 @@ class CalibrationFile(Config):
     kind: ClassVar[str]
 
     @classmethod
-    def of(cls, values: Sequence[object]) -> Self:
-        """Return the numbers with these values, in the order of the fields."""
+    def from_values(cls, values: Sequence[object]) -> Self:
+        """Return the calibration with these values, in the order of the fields."""
         return cls(**dict(zip(cls.model_fields, values, strict=True)))
 
     @classmethod
@@ -31,25 +32,25 @@ class CalibrationFile(Config):
         return Path(__file__).with_name(f"{cls.kind}.yaml")
 
     @classmethod
-    def file(cls, weights: Path) -> Path:
-        """Return the path of the file beside weights."""
+    def path_beside(cls, weights: Path) -> Path:
+        """Return the path of the calibration file that belongs to a file of weights."""
         return weights.with_suffix(f".{cls.kind}.yaml")
 
     @classmethod
-    def beside(cls, weights: Path | None) -> Self:
-        """Read the numbers beside weights, or those of the shipped networks if there are none.
+    def load_beside(cls, weights: Path | None) -> Self:
+        """Read the file beside weights, or that of the shipped networks if there is none.
 
         Args:
-            weights: file of the user's weights; None for the shipped ones.
+            weights: the user's weights, see ``find_weights``; None for the shipped ones.
 
         Raises:
-            InputError: the file is damaged or has other fields.
+            InputError: the file is damaged, or a field is unknown or missing.
         """
-        own = None if weights is None else cls.file(weights)
-        return load_config(cls, own if own is not None and own.exists() else cls.shipped_path(), {})
+        path = cls.shipped_path() if weights is None else cls.path_beside(find_weights(weights))
+        return load_config(cls, path if path.exists() else cls.shipped_path(), {})
 
     def write(self, path: Path, command: str) -> None:
-        """Write the file that ``beside`` reads.
+        """Write the file that ``load_beside`` reads.
 
         Args:
             path: path of the file.

@@ -1,7 +1,7 @@
 """Corners of a map's photographs as additional 3D points, triangulated by a plane sweep.
 
-A sparse map has its points where SIFT found texture, in one season: most lie on plain ground, and
-snow hides them. Corners of roofs, roads, walls and crowns remain visible.
+A sparse map has points where SIFT found texture in one season. Most of them lie on open ground,
+where snow hides them. Corners of roofs, roads, walls and tree crowns remain visible.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.map_cache import EarlierRows, MapCache
 from objconnect.localization.cache.store import Row, Rows
 from objconnect.localization.depth.sweep import BORDER_PX, Sweeper, SweepOptions
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -35,9 +35,10 @@ class CornerOptions(SweepOptions):
 
 
 _CORNERS: Final = CornerOptions()
-# Least distance between corners (px), that of neighbouring cells of the features.
-_APART_PX: Final = 4.0
-# Least strength of a corner, as a share of the strongest; it is so low that ``count`` decides.
+# Least distance between corners, px.
+_MIN_DISTANCE_PX: Final = 4.0
+# Least strength of a corner as a share of the strongest. It is so low that ``CornerOptions.count``
+# limits the number of corners.
 _QUALITY: Final = 1e-3
 # Sigma of the blur that removes sensor noise before detection.
 _BLUR_PX: Final = 1.0
@@ -73,17 +74,17 @@ class CornerFinder:
         longest: int,
         options: CornerOptions = _CORNERS,
     ) -> None:
-        self._most = options.count
+        self._max_corners = options.count
         self._sweep = Sweeper(sparse_map, images, longest, options)
 
     def __call__(self, name: str) -> Corners:
-        """Find the corners of one photograph; none where it has too few neighbours.
+        """Find the corners of one photograph; none if too few photographs overlap with it.
 
         Raises:
             InputError: a photograph is missing or damaged.
         """
         photograph = self._sweep.photograph(name)
-        xy = _corners(photograph.grey, self._most)
+        xy = _corners(photograph.grey, self._max_corners)
         swept = self._sweep(name, xy)
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
@@ -92,37 +93,42 @@ class CornerFinder:
         return self._sweep.digest_inputs(name, digests)
 
 
-def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
-    """Return the corners (N, 3) of each photograph, from a cache file that all methods share.
+def all_corners(
+    find: CornerFinder, map_cache: MapCache, *parts: object
+) -> list[NDArray[np.float64]]:
+    """Return the corners (N, 3) of each photograph, world metres, computed unless they are cached.
+
+    All methods share the cache file.
 
     Args:
         find: finds the corners of one photograph.
-        kept: the cache, which names the photographs and their digests.
-        parts: options that affect the corners, for the key of the cache.
+        map_cache: the cache, with the photographs' names and digests.
+        parts: parts of the cache key: all options that affect the corners.
 
     Raises:
-        InputError: a photograph is missing, damaged or changed meanwhile, or the file is damaged.
+        InputError: a photograph is missing, damaged or changed meanwhile, or the cache file is
+            damaged.
     """
 
-    def rows(earlier: Earlier) -> Rows:
+    def rows(earlier: EarlierRows) -> Rows:
         def of_photograph(name: str) -> Row:
-            key = digest_of(_FORMAT, *parts, find.digest_inputs(name, kept.digests))
+            key = digest_of(_FORMAT, *parts, find.digest_inputs(name, map_cache.digests))
             return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
-        with progress_bar("corners of the map", len(kept.names)) as advance:
-            found = map_in_threads(of_photograph, kept.names)
+        with progress_bar("corners of the map", len(map_cache.names)) as advance:
+            found = map_in_threads(of_photograph, map_cache.names)
             for done, row in enumerate(found, 1):
                 yield row
                 advance(done)
 
-    store = kept.store("corners", _FORMAT, *parts, rows=rows)
+    store = map_cache.store("corners", _FORMAT, *parts, rows=rows)
     return [store.read(row, "xyz") for row in range(len(store))]
 
 
 def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:
     """Return Shi-Tomasi corners (N, 2), pixels, the strongest first."""
     smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), _BLUR_PX)
-    corners = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _APART_PX)
+    corners = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _MIN_DISTANCE_PX)
     if corners is None:
         return np.empty((0, 2))
     # OpenCV counts from the first pixel's centre.

@@ -1,7 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
-Matches, objects and the coarse search give starts that are refined. The first pose that is believed
-ends the search.
+Matches, known objects and the coarse search give candidates. The best of each is refined, then
+those of the others whose screening gives a high peak. The first refined pose that is believed ends
+the search.
 """
 
 from __future__ import annotations
@@ -13,49 +14,53 @@ from typing import Final, Protocol
 from objconnect.localization.align.options import SearchRadius
 from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.coarse.search import Candidate
-from objconnect.localization.featuremetric.acceptance import best_probability, is_same, log_odds_of
+from objconnect.localization.featuremetric.acceptance import (
+    best_probability,
+    is_same_pose,
+    log_odds_of,
+)
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
     Rivals,
-    best_of,
-    is_answered,
     is_believed,
+    is_believed_and_exact,
+    likeliest,
     select_estimate,
 )
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.priors import has_position, is_near_prior
 from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
-from objconnect.localization.starts import start_of, starts
+from objconnect.localization.featuremetric.screening import screen_candidates
+from objconnect.localization.starts import source_of_starts, starts
 from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
-# Candidates of each finder that are tried before the remaining ones of all finders.
-_FIRST_CANDIDATES: Final = 4
-# Search radius around a pose from matches.
-_NEAR_MATCHES: Final = SearchRadius(1.0, 1.0)
+# Search radius (metres, degrees) around a pose by matches.
+_MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
 _Find = Callable[[Query, Stopwatch], list[Candidate]]
 
 
-def is_answer(matched: Estimate, options: SearchOptions) -> bool:
+def is_sure_match(matched: Estimate, options: SearchOptions) -> bool:
     """Return whether the pose by matches is the answer without an alignment."""
-    enough = matched.inliers >= options.matched_answer_inliers
-    return enough and (matched.probability or 0.0) >= 1 - options.risk
+    has_many_inliers = matched.inliers >= options.matched_answer_inliers
+    return has_many_inliers and (matched.probability or 0.0) >= 1 - options.risk
 
 
 class CandidateFinder(Protocol):
     """Finds candidates of a query in a map in addition to the coarse search.
 
     Attributes:
-        is_first: once prepared, whether it comes before the coarse search or after it.
+        is_first: whether it is used before the coarse search, else after it. It is valid once
+            ``prepare`` has run.
     """
 
     is_first: bool
 
     def observer(self, source: ReferenceSource) -> FeatureObserver | None:
-        """Return an observer of the feature maps of a map's photographs, or of a part of them,
-        while these are computed; None if none is needed."""
+        """Return what receives the feature maps of the map's photographs while they are computed;
+        None if the finder needs no feature maps."""
         ...
 
     def prepare(self, source: ReferenceSource) -> None:
@@ -72,22 +77,27 @@ class GlobalSearch:
     """Searches a map for the pose of an image.
 
     Attributes:
-        coarse: the coarse search; None uses the most similar photographs instead.
-        other: a further finder of candidates; None for none.
+        refine: refines a start.
+        sparse_map: the map.
+        coarse: the coarse search; if None, only matches and ``extra_finder`` give candidates, and
+            the localizer starts from similar photographs if no candidate is believed.
+        extra_finder: finds candidates in addition to the coarse search; None for none.
     """
 
     refine: Refiner
     sparse_map: SparseMap
     coarse: CoarseSearch | None
-    other: CandidateFinder | None
+    extra_finder: CandidateFinder | None
 
     def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
-        """Return the best estimate; None if there is no candidate, or no coarse search.
+        """Return the best estimate.
+
+        It is None if there is no candidate, or if none is believed and there is no coarse search.
 
         Args:
             query: the image.
-            matched: estimate by matches for which ``is_answer`` is false; None without matches.
-            clock: takes the time.
+            matched: estimate by matches for which ``is_sure_match`` is false; None without matches.
+            clock: sums the seconds of each stage.
         """
         attempts: list[Attempt] = []
         rivals: Rivals = []
@@ -97,75 +107,85 @@ class GlobalSearch:
             if answer is not None:
                 return answer
         options = self.refine.config.search
-        begin: list[Candidate] = []
-        for candidates in self._candidates(query, clock):
-            with progress_within("candidates aligned", len(candidates)) as advance:
-                for done, candidate in enumerate(candidates, 1):
-                    attempts.append(self.refine.near(query, candidate.pose, clock))
-                    begin.append(candidate)
-                    if is_believed(attempts, options, rivals):
-                        # Warped from the new pose, the image is rotated and scaled better.
-                        best, _ = best_of(attempts)
-                        attempts.append(self.refine.near(query, best.pose, clock))
-                        return self._best(attempts, candidate, clock, rivals)
-                    advance(done)
-        if self.coarse is None or not begin:
+        tried: list[Candidate] = []
+        for find in self.finders():
+            for candidate in self._promising(query, find(query, clock), clock):
+                attempts.append(self.refine.align_near(query, candidate.pose, clock))
+                tried.append(candidate)
+                if is_believed(attempts, options, rivals):
+                    # Warped from the new pose, the image is rotated and scaled better.
+                    best, _ = likeliest(attempts)
+                    attempts.append(self.refine.align_near(query, best.pose, clock))
+                    return self._best(attempts, candidate, clock, rivals)
+        if self.coarse is None or not tried:
             return None
-        return self._best(attempts, begin[0], clock, rivals)
+        return self._best(attempts, tried[0], clock, rivals)
 
-    def _candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
-        """Yield the best candidates of each finder, then all others."""
-        further: list[Candidate] = []
-        for find in self._finders():
-            candidates = find(query, clock)
-            yield candidates[:_FIRST_CANDIDATES]
-            further += candidates[_FIRST_CANDIDATES:]
-        yield further
+    def _promising(
+        self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
+    ) -> Iterator[Candidate]:
+        """Yield the candidates of a finder that are worth a full alignment.
 
-    def _finders(self) -> Sequence[_Find]:
+        The first is often right and is not screened. The others are screened when they are needed.
+        """
+        yield from candidates[:1]
+        screened = screen_candidates(self.refine, query, candidates[1:], clock)
+        least = self.refine.config.search.least_peak
+        promising = [each.candidate for each in screened if each.height >= least]
+        with progress_within("candidates aligned", len(promising)) as advance:
+            for done, candidate in enumerate(promising, 1):
+                yield candidate
+                advance(done)
+
+    def finders(self) -> Sequence[_Find]:
         """Return the finders of candidates in the order in which they are used."""
-        if self.other is None:
+        if self.extra_finder is None:
             return [self._find_candidates]
-        finders = [self._of_other, self._find_candidates]
-        return finders if self.other.is_first else finders[::-1]
+        finders = [self._find_extra, self._find_candidates]
+        return finders if self.extra_finder.is_first else finders[::-1]
 
     def _best(
-        self, attempts: Sequence[Attempt], begin: Candidate, clock: Stopwatch, rivals: Rivals
+        self, attempts: Sequence[Attempt], fallback: Candidate, clock: Stopwatch, rivals: Rivals
     ) -> Estimate:
         options = self.refine.config.search
-        return select_estimate(attempts, [begin.pose], begin.by, options, clock, rivals)
+        return select_estimate(attempts, [fallback.pose], fallback.by, options, clock, rivals)
 
     def _near_matches(
         self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
-        """Refine the pose by matches.
+        """Refine the pose by matches, the first of ``rivals``.
 
-        If both poses agree, the aligned one is more exact and is the answer if it is believed. If
-        they differ, the likelier one is the answer if it is believed.
+        The aligned pose is the answer if it agrees with the matched pose or is likelier, and is
+        believed and exact enough. Otherwise the matched pose is the answer if it agrees with the
+        aligned pose or is likelier, and is believed.
 
         Returns:
-            The answer, or None with the attempt.
+            The answer and no attempt, or None and the attempt that gave no answer.
         """
         options = self.refine.config.search
         start, _ = rivals[0]
-        attempt = self.refine.near(query, start, clock, _NEAR_MATCHES)
+        attempt = self.refine.align_near(query, start, clock, _MATCHES_RADIUS)
         best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
-        same = is_same(attempt.pose, start)
-        if (same or best == 0) and is_answered([attempt], options, rivals):
+        same = is_same_pose(attempt.pose, start)
+        if (same or best == 0) and is_believed_and_exact([attempt], options, rivals):
             return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals), []
         if (best == 0 and not same) or probability < 1 - options.risk:
             return None, [attempt]
         return replace(matched, seconds=clock.seconds, probability=probability), []
 
-    def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the candidates of the other finder that the prior allows."""
-        assert self.other is not None
+    def _find_extra(self, query: Query, clock: Stopwatch) -> list[Candidate]:
+        """Return the candidates of the extra finder that the prior allows."""
+        assert self.extra_finder is not None
         with clock.stage("objects"):
-            candidates = self.other.find(query)
+            candidates = self.extra_finder.find(query)
         return [each for each in candidates if is_near_prior(query.prior, each.pose)]
 
     def _find_candidates(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the candidates of the coarse search, else the poses of similar photographs."""
+        """Return the candidates of the coarse search.
+
+        If it finds none and the prior has no position, the poses of similar map photographs are
+        returned instead. If the coarse search is switched off, nothing is returned.
+        """
         if self.coarse is None:
             return []
         config = self.refine.config
@@ -175,6 +195,6 @@ class GlobalSearch:
             return candidates
         with clock.stage("retrieval"):
             chosen = self.refine.photographs(query)
-            begin = starts(query.prior, self.sparse_map, chosen, config.same_place_m)
-        by = start_of(query.prior)
-        return [Candidate(pose, 0.0, by) for pose in begin[: config.place.candidates]]
+            poses = starts(query.prior, self.sparse_map, chosen, config.same_place_m)
+        by = source_of_starts(query.prior)
+        return [Candidate(pose, 0.0, by) for pose in poses[: config.place.candidates]]

@@ -1,9 +1,9 @@
 """Localization by featuremetric alignment, after PixLoc (Sarlin et al., CVPR 2021).
 
 It is one pipeline for every network with features at several strides; a method is a network and a
-configuration. Unlike in the authors' code, features of the map's photographs are computed once in
-``prepare``, photographs are warped north up and to one resolution, steps that raise the cost are
-rejected, and the pose has a covariance.
+configuration. Unlike PixLoc's code, it computes features of the map's photographs once in
+``prepare``, warps photographs north up and to one resolution, rejects steps that raise the cost,
+and gives the pose a covariance.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
-    best_of,
-    is_answered,
     is_believed,
+    is_believed_and_exact,
+    likeliest,
     select_estimate,
 )
 from objconnect.localization.featuremetric.global_search import (
     CandidateFinder,
     GlobalSearch,
-    is_answer,
+    is_sure_match,
 )
 from objconnect.localization.featuremetric.maps import MapExtractor, Network
 from objconnect.localization.featuremetric.matcher import create_matcher, prepare_matcher
@@ -51,20 +51,20 @@ from objconnect.localization.featuremetric.references import (
 )
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.tracking import Tracking
-from objconnect.localization.matching.retrieval import OnDemand, References
-from objconnect.localization.starts import start_of, starts
+from objconnect.localization.matching.retrieval import NO_REFERENCE, LazyDescriptors, References
+from objconnect.localization.starts import source_of_starts, starts
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, MapPart, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.runtime.tuning import return_freed_above, spare_collector, trim_heap
+from objconnect.scene.runtime.tuning import freeze_objects, return_freed_above, trim_heap
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Maximum number of steps per level; nearly all successful queries take fewer.
 _SOLVER: Final = Options(iterations=100)
-# Trim the heap before a query if resident memory exceeds that of the prepared map by so much (MB).
-# Trimming makes the next pass of the network a tenth slower.
+# The heap is trimmed before a query if resident memory exceeds that after preparation by more than
+# this (MB). Trimming makes the next pass of the network a tenth slower.
 _RETURN_FREED_MB: Final = 290
 
 
@@ -76,11 +76,11 @@ class FeaturemetricLocalizer:
         network: the trained network.
         weights_sha256: digest of its weights.
         config: options of the method.
-        other: a finder of candidates beside the coarse search; None for none.
+        extra_finder: finds candidates in addition to the coarse search; None for none.
 
     Raises:
-        InputError: this processor cannot run the network quantized, or a calibration file beside
-            the weights is damaged.
+        InputError: this processor cannot run the network quantized, an option has no effect beside
+            the others, or a calibration file beside the weights is damaged.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class FeaturemetricLocalizer:
         network: Network,
         weights_sha256: str,
         config: FeaturemetricConfig,
-        other: CandidateFinder | None = None,
+        extra_finder: CandidateFinder | None = None,
     ) -> None:
         if config.quantized:
             assert isinstance(network, nn.Module)
             require_quantizable(network)
-        config = config.with_calibration()
+        config = config.in_effect().with_calibration()
         assert config.search.acceptance is not None
         self.name = name
         self.weights_sha256: str | None = weights_sha256
@@ -102,17 +102,17 @@ class FeaturemetricLocalizer:
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._acceptance: AcceptanceModel = config.search.acceptance
         self._damping = [factors().detach() for factors in network.damping]
-        self._other = other
+        self._extra_finder = extra_finder
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
-        with open_cache(sparse_map, images, cache) as kept:
-            self._prepare_matches(kept)
+        with open_cache(sparse_map, images, cache) as map_cache:
+            self._prepare_matches(map_cache)
             self._preparation()
 
     @property
     def map_state(self) -> MapState:
-        """Return the parts of the map that alignment needs; prepare them if that was deferred."""
+        """Return what alignment needs of the map; prepare it now if that was deferred."""
         return self._preparation()
 
     def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
@@ -122,27 +122,29 @@ class FeaturemetricLocalizer:
         """
         self._prepare_matches(MapCache.of(sparse_map, images, cache))
 
-    def _prepare_matches(self, kept: MapCache) -> None:
-        config, self._map = self.config, kept.sparse_map
+    def _prepare_matches(self, map_cache: MapCache) -> None:
+        """Prepare matches; prepare alignment too if there are no matches, else defer it."""
+        config, self._map = self.config, map_cache.sparse_map
         kept_mb = self._memory_left_mb(config.max_magnification)
-        self._matches = None  # first: it takes more memory than the rest
+        # Matches are prepared first, because they take more memory than the rest.
+        self._matches = None
         if config.multistart and config.matches is not None:
-            least_mb = min(kept_mb, config.matches.memory_mb)
-            of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            self._matches = prepare_matcher(of_matches, kept)
-        self._preparation = Preparation(partial(self._prepare_rest, kept, kept_mb))
+            memory_mb = min(kept_mb, config.matches.memory_mb)
+            matches_config = config.matches.model_copy(update={"memory_mb": memory_mb})
+            self._matches = prepare_matcher(matches_config, map_cache)
+        self._preparation = Preparation(partial(self._prepare_alignment, map_cache, kept_mb))
         if self._matches is None:
             self._preparation()
             return
-        self._settle()
+        self._release_freed_memory()
 
-    def _prepare_rest(self, kept: MapCache, kept_mb: int) -> MapState:
+    def _prepare_alignment(self, map_cache: MapCache, kept_mb: int) -> MapState:
         """Prepare alignment; ``kept_mb`` is the memory left beside a pass of the network."""
-        config, sparse_map = self.config, kept.sparse_map
-        source = self._source(kept)
-        other = self._other if config.multistart else None
-        watch = None if other is None else other.observer(source)
-        observations = load_references(source, kept_mb, watch)
+        config, sparse_map = self.config, map_cache.sparse_map
+        source = self._source(map_cache)
+        extra_finder = self._extra_finder if config.multistart else None
+        observer = None if extra_finder is None else extra_finder.observer(source)
+        observations = load_references(source, kept_mb, observer)
         extract = self._extract
         if config.quantized:
             extract = quantize_extractor(source)
@@ -156,8 +158,8 @@ class FeaturemetricLocalizer:
         )
         options = config.tracking
         tracking = None if options is None else Tracking(problems, config.search, options)
-        # The coarsest features serve for retrieval, too: no other network runs.
-        described = OnDemand(observations.coarse, len(observations))
+        # Retrieval uses the coarsest features, so that no other network has to run.
+        described = LazyDescriptors(observations.coarse, len(observations))
         retrieval = References.build(sparse_map, described)
         refine = Refiner(
             config,
@@ -171,17 +173,17 @@ class FeaturemetricLocalizer:
         coarse = None
         if config.multistart and config.place.candidates:
             coarse = CoarseSearch(self._extract, config.place)
-            coarse.prepare(kept, source.extractor_key)
-        if other is not None:
-            other.prepare(source)
-        self._settle()
-        return MapState(refine, GlobalSearch(refine, sparse_map, coarse, other), tracking)
+            coarse.prepare(map_cache, source.extractor_key)
+        if extra_finder is not None:
+            extra_finder.prepare(source)
+        self._release_freed_memory()
+        return MapState(refine, GlobalSearch(refine, sparse_map, coarse, extra_finder), tracking)
 
-    def _settle(self) -> None:
-        """Release memory that preparing freed, and record the memory that queries start with."""
-        spare_collector()
+    def _release_freed_memory(self) -> None:
+        """Return freed memory to the system, and set the memory above which queries do so too."""
+        freeze_objects()
         trim_heap()
-        self._most_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
+        self._trim_above_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Fill the cache for a part of the photographs; see ``PreparesParts``."""
@@ -189,14 +191,14 @@ class FeaturemetricLocalizer:
         if config.multistart and config.matches is not None:
             create_matcher(config.matches).prepare_part(sparse_map, images, cache, part)
         source = self._source(MapCache.of(sparse_map, images, cache, part))
-        other = self._other if config.multistart else None
-        write_part(source, None if other is None else other.observer(source))
+        extra_finder = self._extra_finder if config.multistart else None
+        write_part(source, None if extra_finder is None else extra_finder.observer(source))
 
-    def _source(self, kept: MapCache) -> ReferenceSource:
+    def _source(self, map_cache: MapCache) -> ReferenceSource:
         """Return the inputs of the reference features of a map."""
         config = self.config
         return ReferenceSource(
-            kept,
+            map_cache,
             self._extract,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             self.name,
@@ -208,41 +210,47 @@ class FeaturemetricLocalizer:
         """Choose reference images and starts, align the image from each, and return the best."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
-        if (side := self._least_side(query)) < LEAST_SIDE:
-            reason = f"the image has a side of {side} pixels; at least {LEAST_SIDE} are needed"
+        if (side := self._compute_shorter_side(query)) < LEAST_SIDE:
+            reason = (
+                f"the shorter side of the image is {side} pixels once the longer side is at most "
+                f"{self.config.longest}; at least {LEAST_SIDE} are needed"
+            )
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
-        if (followed := self._follow(query, clock)) is not None:
-            return followed
-        return_freed_above(self._most_bytes)
-        if self._is_searched(query) and (found := self._search(query, clock)) is not None:
+        if (tracked := self._track(query, clock)) is not None:
+            return tracked
+        return_freed_above(self._trim_above_bytes)
+        if self._needs_search(query) and (found := self._search(query, clock)) is not None:
             return found
         refine = self._preparation.in_query(clock).refine
         with clock.stage("retrieval"):
             chosen = refine.photographs(query)
             if not len(chosen):
-                return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            begin = starts(query.prior, self._map, chosen, self.config.same_place_m)
-        attempts = self._attempts(refine, query, chosen, begin, clock)
-        return select_estimate(attempts, begin, start_of(query.prior), self.config.search, clock)
+                return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
+            poses = starts(query.prior, self._map, chosen, self.config.same_place_m)
+        attempts = self._attempts(refine, query, chosen, poses, clock)
+        return select_estimate(
+            attempts, poses, source_of_starts(query.prior), self.config.search, clock
+        )
 
-    def _is_searched(self, query: Query) -> bool:
+    def _needs_search(self, query: Query) -> bool:
         """Return whether the prior is incomplete, so that the map is searched."""
         return self.config.multistart and query.references is None and not has_pose(query.prior)
 
     def _search(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose by matches if they are sure, else by a global search; None without a
-        candidate."""
+        """Return the pose by matches if ``is_sure_match``, else that of a global search; None if
+        the global search gives none."""
         matched = None
         if self._matches is not None:
             with clock.stage("matches"):
                 matched = self._acceptance.rate(self._matches.localize(query))
-            if is_answer(matched, self.config.search):
+            if is_sure_match(matched, self.config.search):
                 return replace(matched, seconds=clock.seconds)
         return self._preparation.in_query(clock).search(query, matched, clock)
 
-    def _follow(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose near the predicted one of a sequence; None if it is not believed."""
+    def _track(self, query: Query, clock: Stopwatch) -> Estimate | None:
+        """Return the pose aligned from the predicted pose of a sequence; None if the query has no
+        prediction or the pose is not accepted."""
         if self.config.tracking is None or not query.tracked or not has_pose(query.prior):
             return None
         prepared = self._preparation.in_query(clock)
@@ -250,79 +258,93 @@ class FeaturemetricLocalizer:
         attempt = prepared.tracking(query, prepared.refine.photographs(query), clock)
         if attempt is None:
             return None
-        begin, options = [attempt.pose], self.config.search
-        found = select_estimate([attempt], begin, By.TRACKING, options, clock)
+        found = select_estimate([attempt], [attempt.pose], By.TRACKING, self.config.search, clock)
         return replace(found, by=By.TRACKING)
 
-    # More than six parameters: every refinement of a start needs them.
     def _attempts(
         self,
         refine: Refiner,
         query: Query,
         chosen: NDArray[np.int64],
-        begin: Sequence[Pose],
+        poses: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts; if none gives an answer, try once more with more starts and points.
+        """Try starts; if none gives an answer, search once more with more hypotheses and points.
 
         With a complete prior, the second search begins at the same starts; else at the likeliest
-        pose, if its probability exceeds the risk.
+        pose, if its probability exceeds ``search.risk``.
+
+        Args:
+            refine: refines a start.
+            query: the image.
+            chosen: rows of its reference images.
+            poses: starts, ``cam_from_world``.
+            clock: sums the seconds of each stage.
         """
         options = self.config.search
-        attempts = self._try_starts(refine, query, chosen, begin, clock)
-        enough = not self.config.multistart or options.again == 1
-        if enough or is_answered(attempts, options):
+        attempts = self._try_starts(refine, query, chosen, poses, clock)
+        is_single_search = not self.config.multistart or options.again == 1
+        if is_single_search or is_believed_and_exact(attempts, options):
             return attempts
         thorough = refine.wider(options.again)
         if has_pose(query.prior):
-            return attempts + self._try_starts(thorough, query, chosen, begin, clock)
-        best, probability = best_of(attempts)
+            return attempts + self._try_starts(thorough, query, chosen, poses, clock)
+        best, probability = likeliest(attempts)
         if probability > options.risk:
-            attempts.append(thorough.near(self._near_query(query), best.pose, clock))
+            attempts.append(thorough.align_near(self._near_query(query), best.pose, clock))
         return attempts
 
-    def _has_no_position(self, query: Query) -> bool:
-        """Return whether the method searches for a query without a position."""
+    def _searches_position(self, query: Query) -> bool:
+        """Return whether the position of the query is unknown and the method searches for it."""
         return self.config.multistart and not has_position(query.prior)
 
     def _near_query(self, query: Query) -> Query:
-        """Return the query without the reference images it names if these only gave the start."""
-        return replace(query, references=None) if self._has_no_position(query) else query
+        """Return the query for an alignment near a pose.
+
+        If the query's reference images only gave the start, others near the pose replace them.
+        """
+        return replace(query, references=None) if self._searches_position(query) else query
 
     def _try_starts(
         self,
         refine: Refiner,
         query: Query,
         chosen: NDArray[np.int64],
-        begin: Sequence[Pose],
+        poses: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts position by position, until one is believed.
+        """Try starts position by position, until a pose is believed.
 
-        If there were several starts or no known position, the image is aligned once more from the
-        best pose: warped from there, it is rotated and scaled better.
+        If there are several starts or the position is unknown, the image is then aligned once more
+        from the likeliest pose. Warped from that pose, it is rotated and scaled better.
         """
         options, radius = self.config.search, search_radius(query.prior)
         attempts: list[Attempt] = []
-        by_position = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
-        with progress_within("starts aligned", len(begin)) as advance:
+        by_position = groupby(poses, lambda start: start.centre().round(decimals=6).tolist())
+        with progress_within("starts aligned", len(poses)) as advance:
             for _, at_position in by_position:
                 for start in at_position:
                     attempts.append(refine(query, chosen, start, clock, radius))
                     advance(len(attempts))
                 if is_believed(attempts, options):
-                    if len(begin) > 1 or self._has_no_position(query):
-                        best, _ = best_of(attempts)
-                        attempts.append(refine.near(self._near_query(query), best.pose, clock))
+                    if len(poses) > 1 or self._searches_position(query):
+                        best, _ = likeliest(attempts)
+                        attempts.append(
+                            refine.align_near(self._near_query(query), best.pose, clock)
+                        )
                     break
         return attempts
 
     def _memory_left_mb(self, magnification: float) -> int:
-        """Return the rest of ``memory_mb`` beside a pass of the network with a magnification."""
+        """Return how much of ``memory_mb`` is left beside a pass of the network, MB.
+
+        Args:
+            magnification: largest factor by which the pass enlarges a photograph.
+        """
         cameras = (image.camera for image in self._map.images.values())
         return max(1, self.config.memory_mb - self._extract.pass_megabytes(cameras, magnification))
 
-    def _least_side(self, query: Query) -> int:
-        """Return the shorter side (px) of the image at the largest scale the network uses."""
+    def _compute_shorter_side(self, query: Query) -> int:
+        """Return the shorter side (px) of the image after its longer side is limited."""
         camera = query.camera
         return round(min(camera.width, camera.height) * self._extract.largest_scale(camera))

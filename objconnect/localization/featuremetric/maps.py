@@ -21,8 +21,8 @@ from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Peak memory of a pass of the networks, bytes per pixel, beside the output.
 _PASS_BYTES: Final = 320
-# The networks crop an image to a multiple of this many pixels.
-_COARSEST: Final = 16
+# The networks crop the sides of an image to multiples of this many pixels, the coarsest stride.
+_COARSEST_STRIDE: Final = 16
 
 
 class Levels(Protocol):
@@ -30,12 +30,12 @@ class Levels(Protocol):
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """Pixels per cell."""
+        """Pixels per cell of each level."""
         ...
 
     @property
     def dims(self) -> tuple[int, ...]:
-        """Channels."""
+        """Number of channels of each level."""
         ...
 
 
@@ -53,14 +53,15 @@ class Network(Protocol):
         ...
 
     def __call__(
-        self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
+        self, image: Tensor, *, levels: int | None = None, needed: NDArray[np.bool_] | None = None
     ) -> Iterable[tuple[Tensor, Tensor]]:
-        """Return features (B, C, h, w), not normalised, and confidences (B, 1, h, w) in 0..1.
+        """Return, per level from coarse to fine, features (B, C, h, w), not normalised, and
+        confidences (B, 1, h, w) in 0..1.
 
         Args:
             image: (B, 3, H, W) RGB bytes.
             levels: number of levels from the coarsest; None for all.
-            shown: (h, w) cells of the finest level that are needed; None for all.
+            needed: (h, w) cells of the finest level that are needed; None for all.
         """
         ...
 
@@ -114,7 +115,7 @@ class MapExtractor:
         """Return the device of the network and of its maps."""
         return next(self.network.damping.parameters()).device
 
-    def of(self, network: Network) -> MapExtractor:
+    def with_network(self, network: Network) -> MapExtractor:
         """Return an extractor with the same options for another network."""
         return MapExtractor(network, self.longest, self._precision)
 
@@ -130,7 +131,7 @@ class MapExtractor:
         """Warp a photograph and compute its feature maps.
 
         Args:
-            rgb: (H, W, 3), resized to a shorter side of 16 pixels at least.
+            rgb: (H, W, 3); its shorter side has at least 16 pixels after resizing.
             camera: camera of the photograph.
             angle: rotation in the image plane, radians counter-clockwise.
             scale: scale factor.
@@ -140,8 +141,8 @@ class MapExtractor:
         Returns:
             The warped photograph and its levels, coarse to fine.
         """
-        seen = self.warp(rgb, camera, angle, scale, view_from_camera)
-        return seen, self.features(seen, levels)
+        view = self.warp(rgb, camera, angle, scale, view_from_camera)
+        return view, self.features(view, levels)
 
     def warp(
         self,
@@ -158,37 +159,41 @@ class MapExtractor:
         return level_image(rgb, camera, view_from_camera, scale)
 
     @torch.inference_mode()
-    def features(self, seen: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
+    def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
         """Compute the feature maps of a warped photograph, coarse to fine.
 
         Args:
-            seen: the warped photograph.
+            view: the warped photograph.
             levels: number of levels to compute, from the coarsest; None for all.
         """
         strides = self.network.config.strides
-        sides = seen.picture.shape[:2]
-        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in sides)
-        finest = None if seen.is_filled else _covered_cells(seen, size, strides[-1])
-        made, maps = self._pass(seen, levels, finest), []
+        sides = view.picture.shape[:2]
+        size = tuple(side // _COARSEST_STRIDE * _COARSEST_STRIDE // strides[-1] for side in sides)
+        needed = None if view.is_filled else _find_covered_cells(view, size, strides[-1])
+        outputs, maps = self._pass(view, levels, needed), []
         for stride in strides[:levels]:
-            features, confidence = made.pop(0)  # frees the network's output once it is converted
+            features, confidence = outputs.pop(0)  # frees the network's output once it is converted
             confidence = confidence.float()
-            if finest is not None:
-                last = stride == strides[-1]
-                shown = finest if last else _covered_cells(seen, confidence.shape[-2:], stride)
+            if needed is not None:
+                is_finest = stride == strides[-1]
+                shown = (
+                    needed
+                    if is_finest
+                    else _find_covered_cells(view, confidence.shape[-2:], stride)
+                )
                 confidence = confidence * torch.from_numpy(shown).to(self.device)
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
 
     def _pass(
-        self, seen: WarpedImage, levels: int | None, shown: NDArray[np.bool_] | None
+        self, view: WarpedImage, levels: int | None, needed: NDArray[np.bool_] | None
     ) -> list[tuple[Tensor, Tensor]]:
         """Run the network; see ``Network.__call__``."""
-        # Pixels of RGB are channels-last already.
-        picture = np.require(seen.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
+        # The RGB picture (h, w, 3) is channels-last in memory already, as convolutions want it.
+        picture = np.require(view.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
         image = torch.from_numpy(picture).to(self.device).permute(2, 0, 1)[None]
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self._bfloat16):
-            return list(self.network(image, levels=levels, shown=shown))
+            return list(self.network(image, levels=levels, needed=needed))
 
     def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
         """Return the largest scale of photographs of a camera: ``magnification``, or less if
@@ -196,7 +201,8 @@ class MapExtractor:
         return min(magnification, self.longest / max(camera.width, camera.height))
 
     def pass_megabytes(self, cameras: Iterable[Camera], magnification: float) -> int:
-        """Return the approximate memory (MB) of a pass for rotated photographs of any camera."""
+        """Return the approximate peak memory (MB) of a pass on a photograph of any of the cameras,
+        rotated by any angle and enlarged by at most ``magnification``."""
         sides = (
             self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
             for camera in cameras
@@ -204,8 +210,8 @@ class MapExtractor:
         return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)
 
 
-def _covered_cells(seen: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
+def _find_covered_cells(view: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
     """Return which cells (h, w) of a level show the photograph."""
     height, width = size
     x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)
-    return seen.shows(np.stack([x, y], -1))
+    return view.shows(np.stack([x, y], -1))

@@ -1,10 +1,11 @@
-"""Localization by SIFT matches, which gives starts of the alignment."""
+"""Localization by SIFT matches, whose pose is the start of an alignment."""
 
 from __future__ import annotations
 
 import logging
 
 from objconnect.localization.cache.map_cache import MapCache
+from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.sift import Sift
 from objconnect.localization.matching.structure import (
     NoKeypointOnPointError,
@@ -17,10 +18,12 @@ log = logging.getLogger(__name__)
 
 def create_matcher(config: StructureConfig) -> StructureLocalizer:
     """Return the localizer by SIFT matches, not yet prepared."""
-    return StructureLocalizer(config, Sift(config.max_features), interpolate=False)
+    sift = Sift(config.max_features)
+    matcher = NearestNeighbours(sift, config.ratio)
+    return StructureLocalizer(config, sift, matcher, interpolate=False)
 
 
-def prepare_matcher(config: StructureConfig, kept: MapCache) -> StructureLocalizer | None:
+def prepare_matcher(config: StructureConfig, map_cache: MapCache) -> StructureLocalizer | None:
     """Return the prepared localizer by SIFT matches; None if the map was not built from SIFT.
 
     Raises:
@@ -29,8 +32,8 @@ def prepare_matcher(config: StructureConfig, kept: MapCache) -> StructureLocaliz
     """
     localizer = create_matcher(config)
     try:
-        localizer.prepare_from(kept)
+        localizer.prepare_from(map_cache)
     except NoKeypointOnPointError as error:
-        log.warning("no starts from matches: %s", error)
+        log.warning("the alignment has no starts from SIFT matches: %s", error)
         return None
     return localizer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
@@ -14,25 +14,33 @@ from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.localization.featuremetric.corners import CornerOptions
 from objconnect.localization.matching.structure import StructureConfig
 from objconnect.scene.config import Config, with_default
+from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.device import AUTO, Device
 
 
 class SearchOptions(Config):
-    """When a pose is believed, and how far a search goes until then."""
+    """When a pose is accepted, and how far a search goes until then."""
 
     risk: float = Field(
         0.05,
         gt=0,
         le=1,
-        description="Largest probability that a believed pose is wrong by more than 5 m or 10 deg. "
-        "It bounds each answer; of all answers far fewer are wrong. A search ends at the first "
-        "believed pose. 1 believes every pose.",
+        description="Largest probability that an accepted pose is wrong by more than 5 m or 10 "
+        "deg. It bounds each answer; of all answers far fewer are wrong. A search ends at the "
+        "first pose within this risk. 1 accepts every pose.",
     )
     most_sigma_m: float = Field(
         1.0,
         gt=0,
         description="Largest predicted standard deviation of the position of an aligned pose, m; "
         "a pose with a larger one is no answer.",
+    )
+    least_peak: float = Field(
+        3.5,
+        ge=0,
+        description="Least peak-to-sidelobe ratio of a rough alignment at which a candidate of a "
+        "search is aligned in full; 0 aligns all candidates, which takes longer. The first "
+        "candidate is always aligned in full.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,
@@ -57,7 +65,7 @@ class SearchOptions(Config):
         2,
         ge=1,
         description="Factor on the numbers of starts and points of a second search, if no pose "
-        "around a prior, or around the reference images that a query names, is believed; 1 for no "
+        "around a prior, or around the reference images that a query names, is accepted; 1 for no "
         "second search.",
     )
 
@@ -90,7 +98,9 @@ class FeaturemetricConfig(Config):
     """Options of a localizer by alignment."""
 
     weights: Path | None = Field(
-        None, description="File of the network's weights; None for the shipped ones."
+        None,
+        description="File of the network's weights, or published weights: a folder or "
+        "hf://OWNER/NAME@COMMIT; None for the shipped ones.",
     )
     device: Device = AUTO
     references: int = Field(
@@ -138,22 +148,46 @@ class FeaturemetricConfig(Config):
     )
     matches: StructureConfig | None = Field(
         None,
-        description="SIFT matches, which are tried before the search; None for none.",
+        description="SIFT matches, which are tried before the search; None for none. They need "
+        "``multistart``.",
     )
     search: SearchOptions = Field(
-        SearchOptions(), description="When a pose is believed, and how far the search goes."
+        SearchOptions(), description="When a pose is accepted, and how far the search goes."
     )
     tracking: TrackingOptions | None = Field(
         TrackingOptions(),
         description="Alignment of an image of a sequence from its predicted pose. If its pose is "
-        "not believed, or with None, the image is localized as any other with a prior.",
+        "not accepted, or with None, the image is localized as any other with a prior.",
     )
     most_tilt_deg: ClassVar[float | None] = None
-    """Angle by which an image may be tilted more than its reference images; beyond, the image is
-    warped to that tilt. None warps no image."""
+    """An image whose tilt exceeds the median tilt of its reference images by more than this angle
+    (degrees) is warped to a tilt that exceeds it by exactly this angle. None warps no image."""
     same_place_m: ClassVar[float | None] = None
     """Without any prior, reference images farther apart than this (metres) are separate starts
     though they share a heading; None for never."""
+
+    def in_effect(self) -> Self:
+        """Return the options with those switched off that need ``multistart`` and have no effect.
+
+        Raises:
+            InputError: a given option switches on what has no effect without ``multistart``.
+        """
+        off = {} if self.multistart else self._switched_off()
+        for name, value in off.items():
+            if name in self.model_fields_set and getattr(self, name) != value:
+                raise InputError(
+                    f"option {name} has no effect without multistart: give multistart=true, or "
+                    f"leave {name} out"
+                )
+        return self.model_copy(update=off)
+
+    def _switched_off(self) -> dict[str, Any]:
+        """Return the values that switch off what needs ``multistart``, by their options."""
+        return {
+            "place": self.place.model_copy(update={"candidates": 0}),
+            "matches": None,
+            "max_magnification": 1.0,
+        }
 
     def with_calibration(self) -> Self:
         """Return the options with the acceptance and covariance models of their weights.
@@ -163,16 +197,16 @@ class FeaturemetricConfig(Config):
         """
         search = self.search
         read = {
-            "acceptance": search.acceptance or AcceptanceModel.beside(self.weights),
-            "covariance": search.covariance or CovarianceModel.beside(self.weights),
+            "acceptance": search.acceptance or AcceptanceModel.load_beside(self.weights),
+            "covariance": search.covariance or CovarianceModel.load_beside(self.weights),
         }
         return self.model_copy(update={"search": search.model_copy(update=read)})
 
 
 class SearchingConfig(FeaturemetricConfig):
-    """Options of a localizer that searches around its start, and the map where no prior gives one.
+    """Options of a localizer that searches around a prior, and the whole map without one.
 
-    It aligns to more reference images: snow may hide in one what another shows.
+    It aligns to more reference images, because snow may hide in one what another shows.
     """
 
     references: int = with_default(FeaturemetricConfig, "references", 8)

@@ -1,4 +1,4 @@
-"""The prepared parts of a map for alignment, which may be deferred to the first query."""
+"""A map prepared for alignment, either at once or when the first query needs it."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class MapState:
     """The parts of a localizer that are prepared for a map.
 
     Attributes:
+        refine: refines a start of any image.
         search: localizes images with an incomplete prior.
         tracking: aligns images of a sequence from their predicted pose; None if switched off.
     """
@@ -41,7 +42,7 @@ class Preparation:
         """Return the prepared map; the first call prepares it."""
         with self._lock:
             if self._done is None:
-                # A query runs in inference mode, whose tensors serve nothing else.
+                # A query runs in inference mode. Tensors made there cannot be used outside of it.
                 with torch.inference_mode(False):
                     self._done = self._prepare()
             return self._done

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -11,10 +12,10 @@ from objconnect.localization.align.options import SearchRadius
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior
 
-AROUND: Final = SearchRadius(8.0, 10.0)
-"""Search radius around a start of unknown uncertainty."""
-# Largest search radius around a start: a wider grid has gaps.
-_FARTHEST: Final = SearchRadius(40.0, 30.0)
+DEFAULT_RADIUS: Final = SearchRadius(8.0, 10.0)
+"""Search radius (metres, degrees) around a start of unknown uncertainty."""
+# Largest search radius (metres, degrees), because the grid of a wider search would have gaps.
+_LARGEST_RADIUS: Final = SearchRadius(40.0, 30.0)
 # Search radius in standard deviations of a prior.
 _PRIOR_SIGMAS: Final = 2.0
 # Distance from a prior's position, in standard deviations, within which candidates are accepted.
@@ -44,22 +45,33 @@ def has_pose(prior: Prior | None) -> bool:
     return prior is not None and prior.has_position and prior.has_heading
 
 
+def region(prior: Prior | None) -> tuple[float, float, float] | None:
+    """Return the region of a prior's position: east, north and radius, metres.
+
+    It is None if the position or its sigma is unknown.
+    """
+    if prior is None or prior.horizontal_sigma is None:
+        return None
+    east, north = (float(each) for each in prior.position[:2])
+    return east, north, DEFAULT_RADIUS.metres + _CANDIDATE_SIGMAS * prior.horizontal_sigma
+
+
 def is_near_prior(prior: Prior | None, pose: Pose) -> bool:
     """Return whether a pose agrees with a prior's position; True if its sigma is unknown."""
-    if prior is None or prior.horizontal_sigma is None:
+    if (around := region(prior)) is None:
         return True
-    away = np.linalg.norm(pose.centre().numpy()[:2] - prior.position[:2])
-    return bool(away <= AROUND.metres + _CANDIDATE_SIGMAS * prior.horizontal_sigma)
+    east, north, _ = pose.centre().tolist()
+    return math.hypot(east - around[0], north - around[1]) <= around[2]
 
 
 def search_radius(prior: Prior | None) -> SearchRadius:
     """Return the search radius around a prior, from its standard deviations if they are known."""
     if prior is None:
-        return AROUND
-    metres = AROUND.metres
+        return DEFAULT_RADIUS
+    metres = DEFAULT_RADIUS.metres
     if prior.position_sigma is not None:
         # An axis that was not measured has an infinite sigma and does not widen the search.
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
         metres = max([metres, *(_PRIOR_SIGMAS * float(sigma) for sigma in known)])
-    degrees = max(AROUND.degrees, _PRIOR_SIGMAS * (prior.attitude_sigma_deg or 0.0))
-    return SearchRadius(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
+    degrees = max(DEFAULT_RADIUS.degrees, _PRIOR_SIGMAS * (prior.attitude_sigma_deg or 0.0))
+    return SearchRadius(min(metres, _LARGEST_RADIUS.metres), min(degrees, _LARGEST_RADIUS.degrees))

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.align.local_frame import Local
+from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level, robust_cost
@@ -28,9 +28,9 @@ from objconnect.scene.localizer import Query
 from objconnect.scene.maps.sparse_map import SparseMap
 
 # Numerical guard: a cost by chance below this means that all features are equal.
-_NOTHING: Final = 1e-12
+_MIN_CHANCE_COST: Final = 1e-12
 LEAST_SIDE: Final = 16
-"""Least side of an image, pixels: that of one cell of the coarsest level."""
+"""Least side of an image, pixels: one cell of the coarsest level."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Levelling:
 
     Attributes:
         tilts: (N,) tilts of the photographs, radians.
-        most_tilt: radians by which an image may be tilted more; infinite to level none.
+        most_tilt: angle by which the tilt of an image may exceed the median tilt of its reference
+            images, radians; infinite to level no image.
     """
 
     tilts: NDArray[np.float64]
@@ -47,7 +48,7 @@ class Levelling:
 
     @staticmethod
     def of(sparse_map: SparseMap, most_tilt_deg: float | None) -> Levelling:
-        """Return the levelling for a map; None levels no image."""
+        """Return the levelling for a map; ``most_tilt_deg`` None levels no image."""
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
         most = math.inf if most_tilt_deg is None else math.radians(most_tilt_deg)
         return Levelling(np.array([tilt(pose[:3, :3]) for pose in poses]), most)
@@ -60,8 +61,8 @@ class Levelling:
             chosen: rows of its reference images.
         """
         rotation = start.rotation.numpy()
-        least = float(np.median(self.tilts[chosen])) + self.most_tilt
-        return level_rotation(rotation, least) @ rotation.T if tilt(rotation) > least else None
+        limit = float(np.median(self.tilts[chosen])) + self.most_tilt
+        return level_rotation(rotation, limit) @ rotation.T if tilt(rotation) > limit else None
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,12 @@ class ProblemBuilder:
     """Builds alignment problems of images, reference images and starts (``cam_from_world``).
 
     Attributes:
+        extract: computes feature maps.
         observations: observations of the map's photographs, by row.
         centres: (M, 3) camera centres of the photographs, world metres.
-        damping: damping of every level.
-        levelling: levels tilted images; None for no image.
+        damping: (6,) damping factors of every level, coarse to fine.
+        options: options of the alignment.
+        levelling: levels tilted images; None levels no image.
     """
 
     extract: MapExtractor
@@ -97,28 +100,29 @@ class ProblemBuilder:
             camera: camera of the image.
             chosen: rows of its reference images.
             start: ``cam_from_world``.
-            view_from_camera: (3, 3) rotation of the camera for the view; None for none.
-            coarser: wanted metres per pixel relative to the photographs; None does not resize if
-                both are nearly equal.
+            view_from_camera: (3, 3) rotation that levels the image; None if it is not levelled.
+            coarser: wanted metres per pixel as a multiple of the photographs'; None for that of
+                the photographs, without resizing an image that nearly has it.
             magnification: the largest scale.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
-        own = metres_per_pixel(start, camera, points, view_from_camera)
+        resolution = metres_per_pixel(start, camera, points, view_from_camera)
         largest = self.extract.largest_scale(camera, magnification)
-        # The view must not fall below what the network needs.
+        # The network needs a view of at least this shorter side.
         least = LEAST_SIDE / min(camera.width, camera.height)
-        wanted = self.observations.metres_per_pixel
+        wanted = self.observations.target_resolution
         same = SAME_RESOLUTION
         if coarser is not None:
             wanted, same = coarser * wanted, 1.0
-        return max(scale_to(wanted, own, largest, same), least)
+        return max(scale_to(wanted, resolution, largest, same), least)
 
     def view(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
     ) -> tuple[WarpedImage, list[FeatureMap]]:
-        """Warp an image north up to the map's resolution, if a start is right; extract features.
+        """Warp an image for a start and extract its features.
 
-        An image that is tilted much more than its reference images is levelled.
+        If the start is right, the warped image is north up and has the map's resolution. An image
+        that is tilted much more than its reference images is levelled.
 
         Args:
             query: the image.
@@ -139,10 +143,10 @@ class ProblemBuilder:
         start: Pose,
         coarser: float | None = None,
     ) -> WarpedImage:
-        """Warp an image as ``view`` does, with the same arguments; ``coarser`` as in ``scale``."""
-        turn = self._turn(chosen, start)
-        scale = self.scale(query.camera, chosen, start, turn, coarser)
-        return self._warp(query, start, scale, turn)
+        """Warp an image as ``view`` does; ``coarser`` is that of ``scale``."""
+        view_from_camera = self._view_from_camera(chosen, start)
+        scale = self.scale(query.camera, chosen, start, view_from_camera, coarser)
+        return self._warp(query, start, scale, view_from_camera)
 
     def magnify(
         self,
@@ -162,27 +166,31 @@ class ProblemBuilder:
             magnification: the largest scale.
 
         Returns:
-            The warped image; None if ``view`` nearly has that resolution.
+            The warped image; None if ``view`` nearly has the photographs' resolution.
         """
-        turn = self._turn(chosen, start)
-        scale = self.scale(query.camera, chosen, start, turn, magnification=magnification)
+        view_from_camera = self._view_from_camera(chosen, start)
+        scale = self.scale(
+            query.camera, chosen, start, view_from_camera, magnification=magnification
+        )
         if scale < SAME_RESOLUTION * view.scale:
             return None
-        return self._warp(query, start, scale, turn)
+        return self._warp(query, start, scale, view_from_camera)
 
-    def _turn(self, chosen: NDArray[np.int64], start: Pose) -> NDArray[np.float64] | None:
+    def _view_from_camera(
+        self, chosen: NDArray[np.int64], start: Pose
+    ) -> NDArray[np.float64] | None:
         return self.levelling(start, chosen) if self.levelling else None
 
     def _warp(
-        self, query: Query, start: Pose, scale: float, turn: NDArray[np.float64] | None
+        self, query: Query, start: Pose, scale: float, view_from_camera: NDArray[np.float64] | None
     ) -> WarpedImage:
         angle = north_angle(start.rotation.numpy())
-        return self.extract.warp(query.image, query.camera, angle, scale, turn)
+        return self.extract.warp(query.image, query.camera, angle, scale, view_from_camera)
 
     def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
         """Return feature maps of a view, of unit length."""
         maps = self.extract.features(view, levels)
-        for each in maps:  # once for all problems with these maps
+        for each in maps:  # here, because several problems may be built from these maps
             torch.nn.functional.normalize(each.features, dim=1, out=each.features)
         return maps
 
@@ -196,10 +204,10 @@ class ProblemBuilder:
     ) -> Problem:
         """Build the problem of a view with at most ``count`` points, those in view first.
 
-        The points are chosen on the CPU; the problem is on the device of the maps. The points cover
-        the image evenly, though reference images overlap most in its middle: only points far from
-        there separate a tilt of the camera from a shift. A point in several reference images counts
-        once for each of them, as in PixLoc's code.
+        The points are chosen on the CPU; the problem is on the device of the maps. The reference
+        images overlap most in the middle of the image, but the chosen points cover the image
+        evenly, because only points far from the middle tell a rotation of the camera from a shift.
+        A point in several reference images counts once for each of them, as in PixLoc's code.
 
         Args:
             view: the warped image.
@@ -211,14 +219,14 @@ class ProblemBuilder:
         from_world = view.pose(start)
         observed = [self.observations[int(row)] for row in chosen]
         xyz = np.concatenate([each.xyz for each in observed])
-        turn = np.concatenate([np.arange(len(each.xyz)) for each in observed])
+        rank = np.concatenate([np.arange(len(each.xyz)) for each in observed])
         in_camera = from_world.transform(torch.from_numpy(xyz))
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
         seen = np.flatnonzero(visible)
         size = np.array([view.camera.width, view.camera.height])
-        order = order_by_coverage(projected.xy.numpy()[seen] / size, -turn[seen])
+        order = order_by_coverage(projected.xy.numpy()[seen] / size, -rank[seen])
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]
@@ -247,9 +255,11 @@ class ProblemBuilder:
 
 
 def fit(problem: Problem, pose: Pose) -> float:
-    """Return the cost at a pose as a share of the cost with features of other points.
+    """Return the cost at a pose as a share of the cost by chance.
 
-    It is 1 if all features are equal, and infinite if no point is in view.
+    The cost by chance is the cost at the same pose after the points in view have swapped their
+    features. The result is 1 if all features are equal. It is infinite if no point is in view or
+    too few have confidence.
 
     Args:
         problem: problem of one image.
@@ -263,26 +273,28 @@ def fit(problem: Problem, pose: Pose) -> float:
     seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
     if not bool(seen.any()):
         return math.inf
-    # The chance cost: points in view swap features and keep their confidences. In a picture that
-    # looks the same everywhere they still fit. Neighbours in the list lie far apart in the picture.
+    # For the cost by chance, points get the reference features of points that are far from them in
+    # the list; neighbours in the list are far apart in the picture. Where the picture looks the
+    # same everywhere, these features fit as well.
     order = torch.nonzero(seen)[:, 0]
-    other = torch.roll(order, len(order) // 2)
-    local = Local.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
+    swapped = torch.roll(order, len(order) // 2)
+    local = LocalProblem.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
     cost = local.cost(level, options)
-    values, trust = cost.sample(local.start)
+    values, confidence = cost.sample(local.start)
 
-    def mean_cost(which: torch.Tensor) -> float:
-        weight = trust
+    def mean_cost(rows: torch.Tensor) -> float:
+        """Return the mean cost with the reference features of the points in these rows."""
+        weight = confidence
         if level.reference_confidence is not None:
-            weight = trust * level.reference_confidence[:, which]
+            weight = confidence * level.reference_confidence[:, rows]
         if int((weight > 0).sum()) < options.min_points:
             return math.inf
-        squared = ((values - level.reference[:, which].to(values)) ** 2).sum(-1)
+        squared = ((values - level.reference[:, rows].to(values)) ** 2).sum(-1)
         each = weight * robust_cost(squared, options.robust_scale)
         return float(each.sum() / weight.sum())
 
-    chance = mean_cost(other)
+    chance = mean_cost(swapped)
     if not math.isfinite(chance):
         return math.inf
     # Equal features cost nothing at any pose and do not localize.
-    return mean_cost(order) / chance if chance > _NOTHING else 1.0
+    return mean_cost(order) / chance if chance > _MIN_CHANCE_COST else 1.0

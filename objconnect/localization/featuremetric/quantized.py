@@ -11,18 +11,18 @@ from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import MapViews, ReferenceSource
 
 # Numerical guard for a layer that returns only zeros.
-_SMALLEST: Final = 1e-6
-# Photographs that calibrate the largest values: more hardly raise them.
+_MIN_LARGEST: Final = 1e-6
+# Number of photographs from which the largest values are taken; more would hardly raise them.
 _PHOTOGRAPHS: Final = 8
-# Lower bound of a channel's largest value, as a share of that of all channels: a query may show
-# what the photographs do not.
-_LEAST_SHARE: Final = 0.02
+# Lower bound of the largest value of a channel, as a share of the largest value of its layer. A
+# query may show things that the map's photographs do not.
+_MIN_SHARE: Final = 0.02
 
 
 def channel_scales(largest: Channelwise) -> Channelwise:
-    """Return the quantization step of each channel for the largest values."""
+    """Return the quantization steps of the channels of each layer, given their largest values."""
     return {
-        name: values.clamp(min=max(_LEAST_SHARE * float(values.max()), _SMALLEST)) * (1 / 255)
+        name: values.clamp(min=max(_MIN_SHARE * float(values.max()), _MIN_LARGEST)) * (1 / 255)
         for name, values in largest.items()
     }
 
@@ -36,11 +36,11 @@ def quantize_extractor(source: ReferenceSource) -> MapExtractor:
     Raises:
         InputError: a photograph is missing or broken, or the network cannot be quantized here.
     """
-    sparse_map, extract, views = source.kept.sparse_map, source.extract, MapViews(source)
+    sparse_map, extract, views = source.map_cache.sparse_map, source.extract, MapViews(source)
     names = sparse_map.names
     network = extract.network
     assert isinstance(network, nn.Module)
     with largest_values(network) as largest:
         for name in names[:: -(-len(names) // _PHOTOGRAPHS)]:
             views(sparse_map.images[name])
-    return extract.of(quantize(network, channel_scales(largest), network.config.strides))
+    return extract.with_network(quantize(network, channel_scales(largest), network.config.strides))

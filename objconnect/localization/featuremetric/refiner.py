@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
-from objconnect.localization.align.options import WIDTH, SearchRadius, Width
+from objconnect.localization.align.options import SEARCH_WIDTH, SearchRadius, SearchWidth
 from objconnect.localization.featuremetric.attempt import (
     AlignedView,
     Attempt,
@@ -20,16 +20,17 @@ from objconnect.localization.featuremetric.attempt import (
 )
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
-from objconnect.localization.featuremetric.priors import AROUND, exact_prior, has_position
+from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_prior, has_position
 from objconnect.localization.featuremetric.problem import ProblemBuilder
-from objconnect.localization.featuremetric.references import POINTS
+from objconnect.localization.featuremetric.references import MAX_POINTS
 from objconnect.localization.matching.retrieval import References
 from objconnect.localization.matching.structure import StructureLocalizer
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
 from objconnect.scene.runtime.tuning import return_freed_above
 
-# Number of levels, from the coarsest, on which starts are compared: the finest takes most time.
+# Number of levels, from the coarsest, on which hypotheses are compared. The finest level is left
+# out because it takes most of the time.
 _COMPARED_LEVELS: Final = 2
 
 
@@ -38,11 +39,15 @@ class Refiner:
     """Refines starts of queries in one map.
 
     Attributes:
-        matches: retrieval by SIFT; None if the map was not built from SIFT.
+        config: options of the localizer.
+        extract: computes feature maps.
+        problems: builds alignment problems.
+        retrieval: finds reference images.
+        matches: finds reference images by SIFT; None if the map was not built from SIFT.
         kept_bytes: resident memory above which the heap is trimmed before a pass of the network.
             Trimming costs time.
-        kept_magnified_bytes: the same before a pass of a magnified image.
-        width: numbers of starts and points that a search compares.
+        kept_magnified_bytes: the same before a pass on a magnified image.
+        width: numbers of hypotheses and points that a search compares.
     """
 
     config: FeaturemetricConfig
@@ -52,7 +57,7 @@ class Refiner:
     matches: StructureLocalizer | None
     kept_bytes: int
     kept_magnified_bytes: int
-    width: Width = WIDTH
+    width: SearchWidth = SEARCH_WIDTH
 
     def __call__(
         self,
@@ -68,50 +73,53 @@ class Refiner:
             query: the image.
             chosen: rows of the reference images.
             start: ``cam_from_world``.
-            clock: takes the time.
-            radius: search radius around the start.
+            clock: sums the seconds of each stage.
+            radius: search radius around the start, for ``config.multistart``.
         """
         return_freed_above(self.kept_bytes)
         with clock.stage("features"):
             view, maps = self.problems.view(query, chosen, start)
-        many = self.config.multistart
-        count = min(self.width.compared_points, POINTS) if many else POINTS
+        multistart = self.config.multistart
+        count = min(self.width.compared_points, MAX_POINTS) if multistart else MAX_POINTS
         with clock.stage("points"):
             problem = self.problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
-            if many:
-                few = problem.at_levels(slice(_COMPARED_LEVELS))
-                aligned = AlignedView(view, problem, align_from_many(few, radius, self.width))
+            if multistart:
+                coarse = problem.at_levels(slice(_COMPARED_LEVELS))
+                aligned = AlignedView(view, problem, align_from_many(coarse, radius, self.width))
             else:
                 aligned = AlignedView(view, problem, align(problem, with_covariance=False))
-        if many and not aligned.alignment.has_failed[0]:
+        if multistart and not aligned.alignment.has_failed[0]:
             aligned = self._realign(query, maps, aligned, clock)
         with clock.stage("alignment"):
             return evaluate_alignment(aligned, self.config.search)
 
     def wider(self, factor: int) -> Refiner:
-        """Return a refiner whose searches compare ``factor`` times the starts and points."""
-        return replace(self, width=self.width.times(factor))
+        """Return a refiner whose searches compare ``factor`` times the hypotheses and points."""
+        return replace(self, width=self.width.multiply(factor))
 
-    def near(
+    def align_near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
     ) -> Attempt:
-        """Refine a start that replaces the query's prior."""
-        near = replace(query, prior=exact_prior(start))
-        return self(near, self.photographs(near), start, clock, radius or AROUND)
+        """Refine a start that replaces the query's prior; ``radius`` None is ``DEFAULT_RADIUS``."""
+        query = replace(query, prior=exact_prior(start))
+        return self(query, self.photographs(query), start, clock, radius or DEFAULT_RADIUS)
 
     def photographs(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of a query's reference images.
 
-        Without a position, SIFT retrieves them: the network was trained on views from above.
+        Without a position, SIFT retrieves them if it can: the network is trained on views from
+        above only, and the query may be oblique.
         """
         most = self.config.references
         if self.matches is not None and query.references is None and not has_position(query.prior):
             return self.matches.similar(query, most)
-        return self.retrieval.choose(query, most, lambda: self.describe(query), tilted=False)
+        return self.retrieval.choose(
+            query, most, lambda: self.describe(query), tilt_invariant=False
+        )
 
     def describe(self, query: Query) -> NDArray[np.float32]:
-        """Return unit features (n, C) of all coarse cells of the image without rotation."""
+        """Return unit features (n, C) of all coarse cells of the unrotated image."""
         _, maps = self.extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).cpu().numpy()
@@ -119,10 +127,11 @@ class Refiner:
     def _realign(
         self, query: Query, maps: list[FeatureMap], aligned: AlignedView, clock: Stopwatch
     ) -> AlignedView:
-        """Align once more, to all points in view from the aligned pose.
+        """Align once more, from the aligned pose and to the points in view from there.
 
-        A start far off has other points and reference images. Images coarser than the map are
-        magnified only now: in a larger picture a search reaches less far and takes longer.
+        If the start was far off, its points and reference images were others. An image coarser than
+        the map is magnified only now, because a search reaches less far in a larger picture and
+        takes longer.
         """
         view, most = aligned.view, self.config.max_magnification
         pose = photograph_pose(view, aligned.alignment)
@@ -133,11 +142,11 @@ class Refiner:
             with clock.stage("features"):
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):
-            after = self.problems.build(view, maps, chosen, pose, POINTS)
-            # The coarsest level cannot improve a pose that the next one gave.
-            skipped = larger is None and len(after.levels) > 1
-            final = align(after.finer() if skipped else after, with_covariance=False)
+            problem = self.problems.build(view, maps, chosen, pose, MAX_POINTS)
+            # The coarsest level cannot improve a pose that the next finer level gave.
+            skips_coarsest = larger is None and len(problem.levels) > 1
+            final = align(problem.finer() if skips_coarsest else problem, with_covariance=False)
         if final.has_failed[0]:
             return aligned
         iterations = aligned.alignment.iterations + final.iterations
-        return AlignedView(view, after, replace(final, iterations=iterations))
+        return AlignedView(view, problem, replace(final, iterations=iterations))

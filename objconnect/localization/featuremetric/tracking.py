@@ -1,8 +1,7 @@
 """Alignment of an image of a sequence from its predicted pose.
 
 It uses one start, a few reference images, the middle of the image, and no level coarser than the
-prediction needs. It returns None if the prediction is too uncertain to start from, or if the pose
-fails the acceptance test (probability and precision).
+uncertainty of the prediction needs.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from objconnect.localization.featuremetric.attempt import (
     AlignedView,
     Attempt,
     evaluate_alignment,
-    is_answered,
+    is_believed_and_exact,
 )
 from objconnect.localization.featuremetric.options import SearchOptions, TrackingOptions
 from objconnect.localization.featuremetric.priors import pose_of
@@ -29,7 +28,7 @@ from objconnect.localization.featuremetric.problem import ProblemBuilder
 from objconnect.scene.localizer import Prior, Query, Stopwatch
 
 # Alignment starts on the finest level on which the prediction's sigma is less than this many cells.
-# If there is none, the image is not tracked.
+# If there is no such level, the image is not tracked.
 _REACH_CELLS: Final = 3.0
 # Coarser levels use at most this many points, and their convergence thresholds are multiplied by
 # this factor. The finest level recovers the lost accuracy.
@@ -46,15 +45,15 @@ class Tracking:
     options: TrackingOptions
 
     def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
-        """Align an image from its prior alone.
+        """Align an image from its prior, the predicted pose.
 
-        Returns None if the prediction is too uncertain to start from, or if the pose fails the
-        acceptance test (probability and precision).
+        The result is None if the prediction is too uncertain to start from, or if the pose fails
+        the acceptance test (probability and standard deviation).
 
         Args:
             query: the image; its prior has a position and an attitude.
             chosen: rows of its reference images, best first.
-            clock: takes the time.
+            clock: sums the seconds of each stage.
         """
         prior, options = query.prior, self.options
         assert prior is not None
@@ -62,7 +61,7 @@ class Tracking:
         with clock.stage("features"):
             view = self.problems.warp(query, chosen, start, options.coarser)
             longer = max(query.camera.width, query.camera.height)
-            view = view.middle(math.ceil(options.side * longer * view.scale))
+            view = view.crop_middle(math.ceil(options.side * longer * view.scale))
             maps = self.problems.features(view)
         with clock.stage("points"):
             problem = self.problems.build(view, maps, chosen, start, options.points)
@@ -72,11 +71,11 @@ class Tracking:
                 return None
             aligned = AlignedView(view, problem, _align(problem, first))
             attempt = evaluate_alignment(aligned, self.search)
-        return attempt if is_answered([attempt], self.search) else None
+        return attempt if is_believed_and_exact([attempt], self.search) else None
 
 
 def _prior_sigma_px(problem: Problem, prior: Prior) -> float:
-    """Return the standard deviation (px) of points that are projected by a prior's pose."""
+    """Return the standard deviation (px) of the projections of points by a prior's pose."""
     depth = float(problem.start.transform(problem.points)[0, :, 2].median())
     metres = 0.0 if prior.position_sigma is None else float(np.max(prior.position_sigma))
     radians = math.radians(prior.attitude_sigma_deg or 0.0)
@@ -85,7 +84,7 @@ def _prior_sigma_px(problem: Problem, prior: Prior) -> float:
 
 
 def _first_level(problem: Problem, prior_sigma_px: float) -> int | None:
-    """Return the number of the finest level that converges from the prediction; None if none."""
+    """Return the index of the finest level that converges from the prediction; None if none."""
     for number in reversed(range(len(problem.levels))):
         stride = problem.levels[number].stride
         if prior_sigma_px < _REACH_CELLS * float(np.max(stride)):

@@ -1,4 +1,4 @@
-"""Training of networks with features for alignment: contrastive loss and unrolled poses."""
+"""Losses and parameter groups that train networks with features for alignment."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from torch.nn import functional
 from objconnect.learning.training.contrastive import contrastive, mean_over, sample
 from objconnect.learning.training.options import LOSSES, LossOptions
 from objconnect.learning.training.pairs import PairBatch
-from objconnect.learning.training.pose_loss import Seen, in_pixels, reprojection_error
+from objconnect.learning.training.pose_loss import VisiblePoints, in_pixels, reprojection_error
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Level
 from objconnect.scene.geometry.pose import Pose
 
-# Numerical guard of the logarithm.
-_LEAST_TRUST: Final = 1e-3
+# Numerical guard: confidences are clamped to this distance from 0 and 1 before the logarithm.
+_CONFIDENCE_MARGIN: Final = 1e-3
 # Unrolled iterations of the alignment per level, for the pose loss.
 _ITERATIONS: Final = 8
 # Learning rate of the damping relative to the filters'. It is large because a factor is shared by
@@ -39,53 +39,62 @@ def stack_images(batch: PairBatch) -> Tensor:
     return images.to(memory_format=torch.channels_last)
 
 
-def view_of_b(batch: PairBatch) -> Seen:
-    """Return the points of a batch in the view of the cameras b."""
-    return Seen(batch.points, batch.intrinsics_b, batch.valid)
+def points_in_b(batch: PairBatch) -> VisiblePoints:
+    """Return the points of a batch in view of the cameras b."""
+    return VisiblePoints(batch.points, batch.intrinsics_b, batch.valid)
 
 
-def contrast_of(
+def contrastive_and_confidence_loss(
     maps: Sequence[tuple[Tensor, Tensor]],
     strides: Sequence[int],
     batch: PairBatch,
     options: LossOptions = LOSSES,
 ) -> tuple[Tensor, dict[str, float]]:
-    """Return the contrastive loss plus that of the confidence, means over levels, and log values.
+    """Return the contrastive loss plus the loss of the confidence, means over levels, and the
+    values to log.
 
     The confidence is trained to predict, from one image, the probability that a point is matched.
-    Points that snow or another hour changes then have small weights. If the confidence is trained
-    by the pose loss alone, as in PixLoc, it stays uniform for a long time.
+    Points whose look snow or another hour of the day changes then have small weights. If the
+    confidence is trained by the pose loss alone, as in PixLoc, it stays uniform for a long time.
 
     Args:
-        maps: features and confidences of both halves of the batch, level by level.
+        maps: features (2B, C, h, w) and confidences (2B, 1, h, w) of the images a, then of the
+            images b, level by level.
         strides: strides of the levels.
-        batch: the pairs.
+        batch: the B pairs.
         options: weights of the losses.
     """
-    losses, doubts = [], []
+    losses, confidence_losses = [], []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
         cells = batch.xy_a / stride, batch.xy_b / stride
-        lost = contrastive(a, b, *cells, batch.valid)
-        losses.append(mean_over(batch.valid, lost))
-        likely = torch.exp(-lost.detach())
-        for half, places in zip(confidence.chunk(2), cells, strict=True):
-            said = sample(half, places)[..., 0].clamp(_LEAST_TRUST, 1 - _LEAST_TRUST)
-            doubt = functional.binary_cross_entropy(said, likely, reduction="none")
-            doubts.append(mean_over(batch.valid, doubt))
-    figures = {
+        negative_log = contrastive(a, b, *cells, batch.valid)
+        losses.append(mean_over(batch.valid, negative_log))
+        probability = torch.exp(-negative_log.detach())
+        for half, xy in zip(confidence.chunk(2), cells, strict=True):
+            predicted = sample(half, xy)[..., 0]
+            predicted = predicted.clamp(_CONFIDENCE_MARGIN, 1 - _CONFIDENCE_MARGIN)
+            entropy = functional.binary_cross_entropy(predicted, probability, reduction="none")
+            confidence_losses.append(mean_over(batch.valid, entropy))
+    log_values = {
         f"contrastive/{stride}": float(loss.detach())
         for stride, loss in zip(strides, losses, strict=True)
     }
-    doubt = torch.stack(doubts).mean()
-    figures["confidence"] = float(doubt.detach())
-    return torch.stack(losses).mean() + options.trust_share * doubt, figures
+    confidence_loss = torch.stack(confidence_losses).mean()
+    log_values["confidence"] = float(confidence_loss.detach())
+    return torch.stack(losses).mean() + options.trust_share * confidence_loss, log_values
 
 
-def levels_of(
+def alignment_levels(
     maps: Sequence[tuple[Tensor, Tensor]], strides: Sequence[int], batch: PairBatch
 ) -> list[Level]:
-    """Return the levels that align images b to the points of images a."""
+    """Return the levels that align images b to the points of images a.
+
+    Args:
+        maps: features (2B, C, h, w) and confidences (2B, 1, h, w) of both halves of the batch.
+        strides: strides of the levels.
+        batch: the B pairs.
+    """
     levels = []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
@@ -103,23 +112,33 @@ def levels_of(
     return levels
 
 
-def unroll(
+def unroll_alignment(
     levels: Sequence[Level],
     batch: PairBatch,
     damping: Iterable[nn.Module],
 ) -> tuple[Pose, ...]:
-    """Return the poses after each level, differentiable in features and damping."""
+    """Align images b to images a in a fixed number of steps.
+
+    Returns:
+        The poses ``b_from_a`` after each level, differentiable in features and damping.
+    """
     factors = [each() for each in damping]
-    place = batch.points, batch.intrinsics_b, batch.start
+    inputs = batch.points, batch.intrinsics_b, batch.start
     options = Options(iterations=_ITERATIONS, careful=False)
-    return align(Problem(levels, *place, factors, options, batch.valid)).by_level
+    return align(Problem(levels, *inputs, factors, options, batch.valid)).by_level
 
 
-def pixels_of(
+def median_pixel_errors(
     errors: Sequence[Tensor], strides: Sequence[int], batch: PairBatch
 ) -> dict[str, float]:
-    """Return the median errors in pixels, at the start and after each level, for the log."""
-    start = reprojection_error(batch.start, batch.b_from_a, *view_of_b(batch))
+    """Return the median errors in pixels, at the start and after each level, for the log.
+
+    Args:
+        errors: reprojection errors after each level, as ``pose_loss`` returns them.
+        strides: strides of the levels.
+        batch: the pairs.
+    """
+    start = reprojection_error(batch.start, batch.b_from_a, *points_in_b(batch))
     named = zip(("start", *strides), (start, *errors), strict=True)
     return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
 
@@ -127,7 +146,13 @@ def pixels_of(
 def filters_and_damping(
     network: nn.Module, damping: nn.Module, rate: float
 ) -> list[dict[str, Any]]:
-    """Return the parameter groups of a network and its damping, which has a larger rate."""
+    """Return the parameter groups of a network and of its damping, which learns faster.
+
+    Args:
+        network: the network, with its damping.
+        damping: the damping of its levels.
+        rate: learning rate of the filters.
+    """
     fast = list(damping.parameters())
     known = set(fast)
     filters = [p for p in network.parameters() if p not in known]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.localization.cache.map_cache import Earlier, MapCache
+from objconnect.localization.cache.map_cache import EarlierRows, MapCache
 from objconnect.localization.cache.store import Arrays, Rows, Store
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
@@ -27,29 +27,38 @@ from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 
-# Number of photographs whose features are in memory during extraction.
-_TOGETHER = 64
+# Number of photographs whose features are extracted, and in memory, at once.
+_AT_ONCE = 64
 _ARRAYS = ("xy", "scale", "descriptors")
 
 
 class Extractor(ABC):
     """Detects and describes keypoints.
 
-    The descriptors of this class are vectors that are compared by their angle. Subclasses with
-    other descriptors override ``unit`` and ``match``.
+    By default, descriptors are vectors that are compared by their angle. Subclasses with other
+    descriptors override ``unit`` and ``match``.
 
     Attributes:
-        name: name of the kind of feature, and of its cache.
-        options: all other settings that change the features, as text.
-        weights_sha256: digest of learned weights, or None.
+        name: name of the kind of feature, and of its cache files.
+        options: all settings that change the features, as text.
         rotation_invariant: whether features are invariant to rotation and scale. If not, they are
             extracted from pictures that are rotated north up and resized to the map's resolution.
+        tilt_invariant: whether features are matched across tilts. If not, reference images of
+            similar tilt come first where the query's attitude is known.
+        headings: number of evenly spaced headings that are tried where the heading is unknown; 0
+            for those of the reference images. Only for features that are not rotation-invariant.
     """
 
     name: str
     options: str
-    weights_sha256: str | None = None
     rotation_invariant: bool = True
+    tilt_invariant: bool = True
+    headings: int = 0
+
+    @property
+    def weights_sha256(self) -> str | None:
+        """Return the digest of learned weights; None if there are none."""
+        return None
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -58,7 +67,7 @@ class Extractor(ABC):
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
-        """Extract the features of an image (H, W, 3) uint8."""
+        """Extract the features of an image (H, W, 3) uint8 RGB; pixels are COLMAP's."""
 
     def extract_warped(
         self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
@@ -88,7 +97,7 @@ class Extractor(ABC):
             root: folder of the photographs.
             names: names of the photographs.
             on_progress: receives the number of finished photographs.
-            beside: folder for temporary files, as in ``scratch.scratch``.
+            beside: folder in which temporary files are made, as in ``scratch.scratch``.
 
         Raises:
             InputError: a photograph is missing or damaged.
@@ -100,18 +109,28 @@ class Extractor(ABC):
         return features
 
     def unit(self, descriptors: NDArray[Any]) -> Tensor:
-        """Convert to (N, D) float32 of unit length for ``match`` and retrieval."""
+        """Convert descriptors to (N, D) float32 of unit length for ``match`` and retrieval."""
         return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Return rows (K, 2) of mutual nearest neighbours of ``unit`` that pass the ratio test."""
+        """Return rows (K, 2) of mutual nearest neighbours that pass the ratio test.
+
+        Args:
+            a: (N, D) from ``unit``.
+            b: (M, D) from ``unit``.
+            ratio: largest ratio of nearest to second nearest distance.
+        """
         return match(a, b, ratio)
 
 
-class KeptFeatures(Mapping[str, Features]):
-    """Features of photographs in a file of the cache, each read on access.
+class CachedFeatures(Mapping[str, Features]):
+    """Features of photographs by name, in a file of the cache; each is read on access.
 
     Threads may share it.
+
+    Args:
+        store: the file.
+        keys: key of the row of each photograph.
     """
 
     def __init__(self, store: Store, keys: Mapping[str, str]) -> None:
@@ -127,75 +146,80 @@ class KeptFeatures(Mapping[str, Features]):
         return len(self._keys)
 
 
-def map_features(kept: MapCache, extractor: Extractor) -> Mapping[str, Features]:
-    """Return features of the map's photographs, extracted unless map or cache holds them.
+def map_features(map_cache: MapCache, extractor: Extractor) -> Mapping[str, Features]:
+    """Return features of the map's photographs, extracted unless the map or the cache holds them.
 
-    For a cache of a part, they are at least those of its photographs.
+    If the cache is for a part of the photographs, features of the others may be missing.
 
     Raises:
         InputError: a photograph is damaged or changed meanwhile, or a file of the cache is damaged.
     """
-    if (built_from := _reuse_map_features(kept, extractor)) is not None:
+    if (built_from := _reuse_map_features(map_cache, extractor)) is not None:
         return built_from
-    if kept.holds(extractor.name, *extractor.identity):
-        kept = kept.whole
-    keys = {name: _key(kept, extractor, name) for name in kept.names}
+    if map_cache.holds(extractor.name, *extractor.identity):
+        map_cache = map_cache.whole
+    keys = {name: _key(map_cache, extractor, name) for name in map_cache.names}
 
-    def rows(earlier: Earlier) -> Rows:
-        names, together = kept.names, _TOGETHER if extractor.rotation_invariant else 1
+    def rows(earlier: EarlierRows) -> Rows:
+        names, at_once = map_cache.names, _AT_ONCE if extractor.rotation_invariant else 1
         with progress_bar(f"{extractor.name} map features", len(names)) as advance:
-            for first in range(0, len(names), together):
-                some = names[first : first + together]
+            for first in range(0, len(names), at_once):
+                batch = names[first : first + at_once]
                 features: dict[str, Arrays] = {
                     name: known
-                    for name in some
+                    for name in batch
                     if (known := earlier(keys[name], _ARRAYS)) is not None
                 }
-                left = [name for name in some if name not in features]
-                if left:
+                missing = [name for name in batch if name not in features]
+                if missing:
 
                     def advance_by(done: int, before: int = first + len(features)) -> None:
                         advance(before + done)
 
-                    features |= _extract_all(extractor, kept, left, advance_by)
-                yield from ((keys[name], features[name]) for name in some)
-                advance(first + len(some))
+                    features |= _extract_all(extractor, map_cache, missing, advance_by)
+                yield from ((keys[name], features[name]) for name in batch)
+                advance(first + len(batch))
 
-    return KeptFeatures(kept.store(extractor.name, *extractor.identity, rows=rows), keys)
+    return CachedFeatures(map_cache.store(extractor.name, *extractor.identity, rows=rows), keys)
 
 
-def _key(kept: MapCache, extractor: Extractor, name: str) -> str:
+def _key(map_cache: MapCache, extractor: Extractor, name: str) -> str:
     """Return a digest of all inputs of a photograph's features."""
-    image = kept.sparse_map.images[name]
-    seen: tuple[object, ...] = ()
+    image = map_cache.sparse_map.images[name]
+    warp: tuple[object, ...] = ()
     if not extractor.rotation_invariant:
-        seen = north_angle(image.cam_from_world[:3, :3]), image.camera
-    return digest_of(*extractor.identity, kept.digests[name], *seen)
+        warp = north_angle(image.cam_from_world[:3, :3]), image.camera
+    return digest_of(*extractor.identity, map_cache.digests[name], *warp)
 
 
 def _extract_all(
-    extractor: Extractor, kept: MapCache, names: Sequence[str], on_progress: Callable[[int], None]
+    extractor: Extractor,
+    map_cache: MapCache,
+    names: Sequence[str],
+    on_progress: Callable[[int], None],
 ) -> dict[str, Arrays]:
-    """Extract features of photographs, all of which are in memory at once."""
+    """Extract features of photographs and return them all, by name."""
     if extractor.rotation_invariant:
-        by_name = extractor.of_photographs(kept.images, names, on_progress, kept.folder)
+        by_name = extractor.of_photographs(map_cache.images, names, on_progress, map_cache.folder)
         return {name: vars(features) for name, features in by_name.items()}
     extracted: dict[str, Arrays] = {}
     for name in names:
-        image = kept.sparse_map.images[name]
-        rgb = read_rgb(kept.images / name, image.camera)
+        image = map_cache.sparse_map.images[name]
+        rgb = read_rgb(map_cache.images / name, image.camera)
         angle = north_angle(image.cam_from_world[:3, :3])
         extracted[name] = vars(extractor.extract_warped(rgb, image.camera, angle))
     return extracted
 
 
-def _reuse_map_features(kept: MapCache, extractor: Extractor) -> FeatureFile | None:
+def _reuse_map_features(map_cache: MapCache, extractor: Extractor) -> FeatureFile | None:
     """Return the features that a map was built from if the extractor would give the same."""
-    path = kept.sparse_map.features
+    path = map_cache.sparse_map.features
     if path is None or extractor.weights_sha256 is not None or not extractor.rotation_invariant:
         return None
     try:
         file = FeatureFile(path)
-    except InputError:  # They are extracted instead.
+    except InputError:  # The file is damaged; the features are extracted instead.
         return None
-    return file if file.inputs_digest == features_key(kept.digests, extractor.options) else None
+    return (
+        file if file.inputs_digest == features_key(map_cache.digests, extractor.options) else None
+    )

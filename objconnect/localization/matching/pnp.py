@@ -25,15 +25,15 @@ class PnpConfig(Config):
         12, ge=4, description="Minimum number of inliers; with fewer the pose fails."
     )
     use_gnss: bool = Field(
-        True, description="Use a position prior of known sigma in the refinement of the pose."
+        True, description="Use the prior's position, if its sigma is known, to refine the pose."
     )
     error_reach: float = Field(
         0.09,
         ge=0,
         le=1,
-        description="Matches closer than this share of the longer image side are treated as "
-        "having correlated errors. The correlation is estimated from their residuals, and it "
-        "enlarges the pose covariance. 0 treats matches as independent.",
+        description="Matches closer to each other than this share of the longer image side are "
+        "treated as having correlated errors. The correlation is estimated from the residuals, and "
+        "it enlarges the pose covariance. 0 treats matches as independent.",
     )
 
 

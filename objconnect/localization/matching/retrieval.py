@@ -8,7 +8,7 @@ other data.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Protocol
@@ -19,30 +19,35 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.nearest import Nearest
-from objconnect.scene.geometry.views import upright
+from objconnect.scene.geometry.views import rotate_north_up
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import SparseMap
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Rows = NDArray[np.int64]
+QueryDescriptors = NDArray[np.float32] | Sequence[NDArray[np.float32]]
+"""Unit descriptors (n, D) of a query, or one such array for each rotation of its picture."""
 
-
-# Number of visual words of the VLAD, and maximum number of descriptors to cluster.
+NO_REFERENCE: Final = "no reference image: the map has no photograph, or the query names none"
+"""Reason of the failure of a query without a reference image."""
+# Number of visual words of the VLAD.
 _WORDS: Final = 64
+# Maximum number of descriptors that are clustered to visual words.
 _TRAINING_DESCRIPTORS: Final = 40_000
-# Photographs whose VLADs span the space in which larger maps are described, which bounds memory.
+# Maximum number of photographs whose VLADs span the space of the global descriptors. It bounds
+# memory for large maps.
 _SPANNING: Final = 512
 # Distance from a prior's position, in standard deviations, within which photographs are candidates.
 _REACH_SIGMAS: Final = 2.0
-# Least height above the ground that a camera is assumed to have, metres.
+# Lower bound of the height of a camera above the ground, metres.
 _MIN_HEIGHT_M: Final = 2.0
 # Lower bound of the cosine of the tilt when an optical axis is intersected with the ground.
 _MIN_TILT_COSINE: Final = 0.3
 
 
-class Described(Protocol):
-    """A sequence of unit descriptors (n, D), one entry per photograph."""
+class Descriptors(Protocol):
+    """A sequence of arrays of unit descriptors (n, D), one array per photograph."""
 
     def __len__(self) -> int: ...
 
@@ -50,7 +55,7 @@ class Described(Protocol):
 
 
 @dataclass(frozen=True)
-class OnDemand:
+class LazyDescriptors:
     """Descriptors of ``count`` photographs, each read on access."""
 
     read: Callable[[int], NDArray[np.float32]]
@@ -70,8 +75,8 @@ class VladIndex:
     Attributes:
         words: (K, D) visual words.
         basis: (K*D, L) orthonormal basis of the space that the VLADs of L photographs span.
-        vectors: (N, L) VLADs in that space, one per photograph. They are exact if L is N, else
-            Nystrom's approximation (Williams and Seeger, NIPS 2000).
+        vectors: (N, L) VLADs of all photographs, projected to that space. The projection is exact
+            if L is N, else Nystrom's approximation (Williams and Seeger, NIPS 2000).
     """
 
     words: NDArray[np.float32]
@@ -79,15 +84,17 @@ class VladIndex:
     vectors: NDArray[np.float32]
 
     @staticmethod
-    def build(descriptors: Described, words: int = _WORDS, spanning: int = _SPANNING) -> VladIndex:
+    def build(
+        descriptors: Descriptors, words: int = _WORDS, spanning: int = _SPANNING
+    ) -> VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
-            descriptors: descriptors of each photograph, read one photograph at a time.
+            descriptors: descriptors of the photographs, which are read one photograph at a time.
             words: maximum number of visual words.
             spanning: maximum number of photographs that span the space of the VLADs.
 
-        Example:
+        Examples:
             Two photographs with two descriptors each; a query like the second finds it:
 
             >>> first = np.array([[1.0, 0.0], [0.8, 0.6]], np.float32)
@@ -96,9 +103,9 @@ class VladIndex:
             >>> index.rank(second, k=1).tolist()
             [1]
         """
-        some = _training_sample(descriptors, _TRAINING_DESCRIPTORS)
-        # Without any keypoint there are no words, and all VLADs are equal.
-        learned = _cluster(some, min(words, len(some))) if len(some) else some
+        sample = _training_sample(descriptors, _TRAINING_DESCRIPTORS)
+        # If no photograph has a keypoint, there are no words, and all VLADs are empty.
+        learned = _cluster(sample, min(words, len(sample))) if len(sample) else sample
         count = len(descriptors)
         rows = np.linspace(0, count - 1, min(count, spanning)).astype(int)
         span = np.stack([_vlad(descriptors[int(row)], learned) for row in rows])
@@ -106,33 +113,36 @@ class VladIndex:
         vectors = [_vlad(descriptors[row], learned) @ basis for row in range(count)]
         return VladIndex(learned, basis, np.stack(vectors))
 
-    def rank(self, descriptors: NDArray[np.float32], k: int, among: Rows | None = None) -> Rows:
+    def rank(self, descriptors: QueryDescriptors, k: int, among: Rows | None = None) -> Rows:
         """Return the rows of the ``k`` most similar photographs, best first.
 
         Args:
-            descriptors: (n, D) unit descriptors of the query.
+            descriptors: (n, D) unit descriptors of the query, or one such array for each rotation
+                of its picture. Of several rotations, the one most similar to a photograph counts.
             k: number of photographs.
             among: rows of the photographs to choose from; None for all.
         """
         vectors = self.vectors if among is None else self.vectors[among]
-        best = _least(-(vectors @ (_vlad(descriptors, self.words) @ self.basis)), k)
+        views = [descriptors] if isinstance(descriptors, np.ndarray) else descriptors
+        similarity = [vectors @ (_vlad(view, self.words) @ self.basis) for view in views]
+        best = _smallest(-np.max(similarity, axis=0), k)
         return best if among is None else among[best]
 
 
-def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
-    """Return all descriptors, or a random sample of ``most``."""
-    every = range(len(descriptors))
-    ends = np.cumsum([len(descriptors[row]) for row in every])
-    if ends[-1] <= most:
-        return np.concatenate([descriptors[row] for row in every])
-    rows = np.random.default_rng(0).choice(ends[-1], most, replace=False)
+def _training_sample(descriptors: Descriptors, count: int) -> NDArray[np.float32]:
+    """Return all descriptors (n, D), or a random sample if they are more than ``count``."""
+    photographs = range(len(descriptors))
+    ends = np.cumsum([len(descriptors[row]) for row in photographs])
+    if ends[-1] <= count:
+        return np.concatenate([descriptors[row] for row in photographs])
+    rows = np.random.default_rng(0).choice(ends[-1], count, replace=False)
     owner = np.searchsorted(ends, rows, "right")
-    some = np.empty((len(rows), descriptors[int(owner[0])].shape[1]), np.float32)
+    sample = np.empty((len(rows), descriptors[int(owner[0])].shape[1]), np.float32)
     for row in np.unique(owner):
-        taken = np.flatnonzero(owner == row)
-        # Negative: counted from the end of a photograph's own.
-        some[taken] = descriptors[int(row)][rows[taken] - ends[row]]
-    return some
+        in_sample = np.flatnonzero(owner == row)
+        # The index is negative; it counts from the end of the photograph's descriptors.
+        sample[in_sample] = descriptors[int(row)][rows[in_sample] - ends[row]]
+    return sample
 
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
@@ -145,9 +155,10 @@ def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
 
 
 def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the VLAD (K*D,) of descriptors (n, D) over words (K, D), of unit length or 0."""
     if not len(descriptors) or not len(words):
         return np.zeros(words.size, np.float32)
-    # Nearest word by squared distance, without the descriptor's own constant length.
+    # The nearest word by squared distance; the descriptor's length is the same for all words.
     nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
     vlad = np.zeros_like(words)
     np.add.at(vlad, nearest, descriptors - words[nearest])
@@ -168,9 +179,11 @@ class Viewpoints:
         self._map = sparse_map
         self._nearest = Nearest(sparse_map.centres[:, :2])
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
-        self._upright = np.array([upright(pose[:3, :3]) for pose in poses]).reshape(-1, 3, 3)
+        self._rotations_north_up = np.array(
+            [rotate_north_up(pose[:3, :3]) for pose in poses]
+        ).reshape(-1, 3, 3)
 
-    def near(self, position: Vector, k: int) -> Rows:
+    def nearest(self, position: Vector, k: int) -> Rows:
         """Return the rows of the ``k`` cameras horizontally nearest to a position (3,).
 
         The nearest comes first. Altitude is ignored: it has little influence on the ground in view,
@@ -182,31 +195,31 @@ class Viewpoints:
         """Return the rows of the cameras within a horizontal distance of a position (3,)."""
         return self._nearest.within(position[:2], metres)
 
-    def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
+    def most_similar(self, position: Vector, rotation: Matrix, k: int) -> Rows:
         """Return rows of the ``k`` cameras whose view, north up, is most like that of a pose.
 
-        The distance of two views is that between their centres on the ground in heights above it,
-        plus the remaining angle between the cameras in radians: a picture is about as wide as its
-        camera is high, and differs about as much when it is tilted by 60 degrees. The best comes
-        first.
+        The distance of two views is the distance of their centres on the ground divided by the
+        height above ground, plus the angle between the cameras rotated north up, in radians. It is
+        about 1 if the centres differ by the width of a picture, or the tilts by 60 degrees. The
+        best comes first.
 
         Args:
             position: (3,) camera centre, world metres.
             rotation: (3, 3) ``cam_from_world``.
             k: number of photographs.
         """
-        rotation = upright(rotation)
+        rotation = rotate_north_up(rotation)
         height = max(self._map.height_above(position), _MIN_HEIGHT_M)
         ground = position[2] - height
-        middles = _middle(self._map.centres, self._upright, ground)
-        own = _middle(position[None], rotation[None], ground)
-        shift = np.linalg.norm(middles - own, axis=1)
-        cosine = (self._upright.reshape(-1, 9) @ rotation.ravel() - 1) / 2
-        turn = np.arccos(np.clip(cosine, -1, 1))
-        return _least(shift / height + turn, k)
+        view_centres = _view_centres(self._map.centres, self._rotations_north_up, ground)
+        view_centre = _view_centres(position[None], rotation[None], ground)
+        shift = np.linalg.norm(view_centres - view_centre, axis=1)
+        cosine = (self._rotations_north_up.reshape(-1, 9) @ rotation.ravel() - 1) / 2
+        angle = np.arccos(np.clip(cosine, -1, 1))
+        return _smallest(shift / height + angle, k)
 
 
-def _least(values: NDArray[Any], k: int) -> Rows:
+def _smallest(values: NDArray[Any], k: int) -> Rows:
     """Return the rows of the ``k`` least values in ascending order; ties keep their order."""
     if k >= len(values):
         return np.argsort(values, kind="stable")
@@ -214,8 +227,14 @@ def _least(values: NDArray[Any], k: int) -> Rows:
     return np.asarray(rows[np.argsort(values[rows], kind="stable")][:k])
 
 
-def _middle(centres: Vector, rotations: Matrix, ground: float) -> Vector:
-    """Return where optical axes meet level ground, (N, 2); for flat views, a point ahead."""
+def _view_centres(centres: Vector, rotations: Matrix, ground: float) -> Vector:
+    """Return where optical axes meet level ground, (N, 2); for flat views, a point ahead of it.
+
+    Args:
+        centres: (N, 3) camera centres, world metres.
+        rotations: (N, 3, 3) ``cam_from_world``.
+        ground: height of the ground, world metres.
+    """
     axis = rotations[:, 2]
     reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _MIN_TILT_COSINE)
     return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
@@ -223,14 +242,20 @@ def _middle(centres: Vector, rotations: Matrix, ground: float) -> Vector:
 
 @dataclass(frozen=True)
 class References:
-    """Chooses the reference images of a query among the photographs of a map."""
+    """Chooses the reference images of a query among the photographs of a map.
+
+    Attributes:
+        names: names of the photographs.
+        viewpoints: positions of the photographs.
+        index: global descriptors of the photographs.
+    """
 
     names: tuple[str, ...]
     viewpoints: Viewpoints
     index: VladIndex
 
     @staticmethod
-    def build(sparse_map: SparseMap, descriptors: Described) -> References:
+    def build(sparse_map: SparseMap, descriptors: Descriptors) -> References:
         """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
         index = VladIndex.build(descriptors)
         return References(sparse_map.names, Viewpoints(sparse_map), index)
@@ -239,22 +264,23 @@ class References:
         self,
         query: Query,
         k: int,
-        describe: Callable[[], NDArray[np.float32]],
-        tilted: bool = True,
+        describe: Callable[[], QueryDescriptors],
+        tilt_invariant: bool = True,
     ) -> NDArray[np.int64]:
-        """Return rows of ``names``, best first.
+        """Return the rows of reference images in ``names``, best first.
 
-        They are those the query names; else the ``k`` nearest to its prior; else the ``k`` most
-        similar ones. If more than ``k`` photographs lie within two standard deviations of the
-        prior, they are the most similar of these, because the nearest are no better than the
-        others.
+        They are the images that the query names. If it names none, they are the ``k`` photographs
+        nearest to its prior, and without a prior position the ``k`` most similar photographs. If
+        more than ``k`` photographs lie within two standard deviations of the prior, they are the
+        most similar of these, because the nearest are no better than the others.
 
         Args:
             query: the query.
             k: number of photographs.
-            describe: returns unit descriptors (n, D) of the query; called only when needed.
-            tilted: whether features are invariant to tilt. If not, photographs near the prior with
-                a similar tilt come first.
+            describe: returns the query's descriptors for ``VladIndex.rank``; called only when
+                needed.
+            tilt_invariant: whether features are invariant to tilt. If not, and if the prior has a
+                heading, the photographs with the most similar views come first.
 
         Raises:
             InputError: the query names a photograph that the map does not have.
@@ -262,21 +288,24 @@ class References:
         if query.references is not None:
             unknown = [name for name in query.references if name not in self._row]
             if unknown:
-                raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
+                raise InputError(
+                    f"{query.name}: the map has no photograph {unknown[0]}, which is named as a "
+                    "reference image"
+                )
             return np.array([self._row[name] for name in query.references], np.int64)
         if query.prior is not None and query.prior.has_position:
             rotation = query.prior.cam_from_world_rotation
-            if rotation is not None and query.prior.has_heading and not tilted:
-                return self.viewpoints.alike(query.prior.position, rotation, k)
-            within = self._within_reach(query.prior)
-            if len(within) > k and len(described := describe()):
-                return self.index.rank(described, k, within)
-            return self.viewpoints.near(query.prior.position, k)
+            if rotation is not None and query.prior.has_heading and not tilt_invariant:
+                return self.viewpoints.most_similar(query.prior.position, rotation, k)
+            near = self._within_reach(query.prior)
+            if len(near) > k and any(map(len, described := describe())):
+                return self.index.rank(described, k, near)
+            return self.viewpoints.nearest(query.prior.position, k)
         return self.index.rank(describe(), k)
 
     def _within_reach(self, prior: Prior) -> Rows:
-        """Return the rows of the photographs within reach of a prior; none if its sigma is
-        unknown."""
+        """Return the rows of the photographs within two standard deviations of a prior; none if its
+        sigma is unknown."""
         sigma = prior.horizontal_sigma
         if sigma is None:
             return np.zeros(0, np.int64)

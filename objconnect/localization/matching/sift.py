@@ -1,7 +1,8 @@
 """COLMAP's DoG SIFT with RootSIFT descriptors (Arandjelovic and Zisserman, CVPR 2012).
 
-The map is built from the same keypoints, so its points belong to them without interpolation.
-pycolmap is imported at the first extraction: it takes 60 MB, and most maps hold their features.
+Maps are built from the same keypoints, so that keypoints have 3D points without interpolation.
+pycolmap, which takes 60 MB, is imported at the first extraction, because most maps hold their
+features already.
 """
 
 from __future__ import annotations
@@ -50,4 +51,4 @@ class Sift(Extractor):
         """Extract on all cores; see ``Extractor``."""
         from objconnect.scene.colmap.sift import extract_sift
 
-        return extract_sift(root, names, self._options, on_progress, beside=beside)
+        return extract_sift(root, names, self._options, on_progress, parent=beside)

@@ -1,18 +1,17 @@
 """Structure-based localization: PnP from matches to 3D points of the reference images.
 
-All local features use this pipeline. A method is an extractor and a configuration.
+All methods with local features use it. A method is an extractor, a matcher and a configuration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache as cached
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -20,36 +19,38 @@ from objconnect.localization.cache.map_cache import MapCache, open_cache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import find_observations, interpolate_points
+from objconnect.localization.matching.matcher import Keypoints, Matcher, turn_keypoints
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
-from objconnect.localization.matching.retrieval import OnDemand, References
+from objconnect.localization.matching.retrieval import NO_REFERENCE, LazyDescriptors, References
 from objconnect.localization.resolution import map_resolution, metres_per_pixel, scale_to
-from objconnect.localization.starts import starts
+from objconnect.localization.starts import list_angles, starts
 from objconnect.scene.errors import InputError
+from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import north_angle
 from objconnect.scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.storage.lru_cache import LruCache, room
+from objconnect.scene.storage.lru_cache import LruCache, free_cache_bytes
 
-# Version of the cache files. Another number rebuilds them.
-_FORMAT = 2
-_ARRAYS = ("points", "xyz", "descriptors")
+# Version of the format of the cache files. Files of another version are not used.
+_FORMAT = 3
+_ARRAYS = ("points", "xyz", "xy", "descriptors")
 
 
 class NoKeypointOnPointError(InputError):
-    """No keypoint of a map's photographs lies at a map point: the map is not built from them."""
+    """No keypoint of a map's photographs lies at a map point.
+
+    The map was then built from other keypoints or other photographs.
+    """
 
 
-class StructureConfig(PnpConfig):
-    """Options of a structure-based localizer."""
+class MatchingConfig(PnpConfig):
+    """Options of a structure-based localizer with any matcher."""
 
     references: int = Field(
         5, ge=1, description="Number of reference images that are matched with the query."
-    )
-    ratio: float = Field(
-        0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
     )
     max_features: int = Field(8192, ge=100, description="Maximum number of features of an image.")
     memory_mb: int = Field(
@@ -66,20 +67,35 @@ class StructureConfig(PnpConfig):
     )
 
 
+class StructureConfig(MatchingConfig):
+    """Options of a structure-based localizer that matches nearest neighbours."""
+
+    ratio: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="Largest ratio of nearest to second nearest descriptor distance.",
+    )
+
+
 class StructureLocalizer:
     """Localizes images by matches to 3D points. Implements ``Localizer``."""
 
-    def __init__(self, config: StructureConfig, extractor: Extractor, interpolate: bool) -> None:
-        """Keep the configuration and the extractor.
+    def __init__(
+        self, config: MatchingConfig, extractor: Extractor, matcher: Matcher, interpolate: bool
+    ) -> None:
+        """Create the localizer; ``prepare`` reads the map.
 
         Args:
             config: configuration of the method.
-            extractor: extractor of its features.
+            extractor: extractor of the features.
+            matcher: matcher of the features.
             interpolate: whether 3D points of keypoints are interpolated between the map's
-                observations, for features that the map was not built from.
+                observations. Features that the map was not built from need it.
         """
         self.config = config
         self._extractor = extractor
+        self._matcher = matcher
         self._interpolate = interpolate
 
     @property
@@ -94,19 +110,19 @@ class StructureLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and associate them with its points."""
-        with open_cache(sparse_map, images, cache) as kept:
-            self.prepare_from(kept)
+        with open_cache(sparse_map, images, cache) as map_cache:
+            self.prepare_from(map_cache)
 
-    def prepare_from(self, kept: MapCache) -> None:
-        """Prepare the map of a cache."""
-        sparse_map, unit = kept.sparse_map, self._extractor.unit
-        features = map_features(kept, self._extractor)
-        store = kept.store(
+    def prepare_from(self, map_cache: MapCache) -> None:
+        """Prepare the map of a cache, as ``prepare`` does."""
+        sparse_map, unit = map_cache.sparse_map, self._extractor.unit
+        features = map_features(map_cache, self._extractor)
+        store = map_cache.store(
             f"{self.name}-points",
             _FORMAT,
             *self._extractor.identity,
             self._interpolate,
-            rows=lambda _: self._lift(kept, features),
+            rows=lambda _: self._lift(map_cache, features),
         )
         self._map = sparse_map
 
@@ -116,18 +132,21 @@ class StructureLocalizer:
         def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted = LruCache(lift_features, room(self.config.memory_mb))
+        self._lifted = LruCache(lift_features, free_cache_bytes(self.config.memory_mb))
         self._resolution = map_resolution(sparse_map, lambda camera: 1.0)
-        self._references = References.build(sparse_map, OnDemand(describe, len(store)))
+        self._references = References.build(sparse_map, LazyDescriptors(describe, len(store)))
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Fill the cache for a part of the photographs; see ``PreparesParts``."""
         map_features(MapCache.of(sparse_map, images, cache, part), self._extractor)
 
-    def _lift(self, kept: MapCache, features: Mapping[str, Features]) -> Rows:
-        """Yield the keypoints with a 3D point, which is one of the map or interpolated."""
-        sparse_map = kept.sparse_map
-        end, carried = len(sparse_map.xyz), 0
+    def _lift(self, map_cache: MapCache, features: Mapping[str, Features]) -> Rows:
+        """Yield, for each photograph, its keypoints that have a 3D point.
+
+        The point is one of the map, or interpolated.
+        """
+        sparse_map = map_cache.sparse_map
+        end, lifted_count = len(sparse_map.xyz), 0
         for name in sparse_map.names:
             image, keypoints = sparse_map.images[name], features[name]
             if self._interpolate:
@@ -139,12 +158,13 @@ class StructureLocalizer:
                 rows = find_observations(keypoints.xy, image)
                 lifted = np.flatnonzero(rows >= 0)
                 points, xyz = rows[lifted], sparse_map.xyz[rows[lifted]]
-            carried += len(lifted)
-            yield "", vars(_Lifted(points, xyz, keypoints.descriptors[lifted]))
-        if not carried and _is_observed(sparse_map):
+            lifted_count += len(lifted)
+            xy, descriptors = keypoints.xy[lifted], keypoints.descriptors[lifted]
+            yield "", vars(_Lifted(points, xyz, xy, descriptors))
+        if not lifted_count and _is_observed(sparse_map):
             raise NoKeypointOnPointError(
-                f"no keypoint of the photographs in {kept.images} lies at a point of the map: give "
-                "the photographs that the map was built from, in their original size"
+                f"no keypoint of the photographs in {map_cache.images} lies at a point of the map: "
+                "give the photographs that the map was built from, in their original size"
             )
 
     def localize(self, query: Query) -> Estimate:
@@ -155,32 +175,28 @@ class StructureLocalizer:
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
-        clock = Stopwatch()
-
-        @cached
-        def extract_upright() -> Features:
-            with clock.stage("features"):
-                return self._extractor(query.image)
-
-        if self._extractor.rotation_invariant:
-            extract_upright()
+        clock, extractor = Stopwatch(), self._extractor
+        pictures = _Pictures(extractor, query, clock)
+        if extractor.rotation_invariant:
+            _ = pictures.original  # extracted here, so that the time does not count as retrieval
         with clock.stage("retrieval"):
             chosen = self._references.choose(
                 query,
                 self.config.references,
-                lambda: self._extractor.unit(extract_upright().descriptors).numpy(),
+                lambda: self._describe(query, pictures),
+                tilt_invariant=extractor.tilt_invariant,
             )
         if not len(chosen):
-            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-        if self._extractor.rotation_invariant:
-            return self._solve(query, extract_upright(), chosen, clock)
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
+        if extractor.rotation_invariant:
+            return self._solve(query, pictures.original, chosen, clock)
         estimates: list[Estimate] = []
-        begin = starts(query.prior, self._map, chosen)
-        with progress_within("starts matched", len(begin)) as advance:
-            for start in begin:
-                with clock.stage("features"):
-                    features = self._extract(query, chosen, start)
-                estimates.append(self._solve(query, features, chosen, clock))
+        poses = starts(query.prior, self._map, chosen, headings=extractor.headings)
+        with progress_within("starts matched", len(poses)) as advance:
+            for start in poses:
+                angle = north_angle(start.rotation.numpy())
+                picture = pictures.rotate(angle, self._scale(query, chosen, start))
+                estimates.append(self._solve(query, picture, chosen, clock))
                 advance(len(estimates))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
@@ -189,36 +205,55 @@ class StructureLocalizer:
         described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
         return self._references.index.rank(described, count)
 
-    def _extract(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
-        """Extract features of the query, rotated and resized for a start."""
-        around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
-        own = metres_per_pixel(start, query.camera, around)
-        scale = scale_to(self._resolution, own, self.config.max_magnification)
-        angle = north_angle(start.rotation.numpy())
-        return self._extractor.extract_warped(query.image, query.camera, angle, scale)
+    def _describe(self, query: Query, pictures: _Pictures) -> list[NDArray[np.float32]]:
+        """Return unit descriptors (n, D) of the query for retrieval, an array per heading tried."""
+        unit, headings = self._extractor.unit, self._extractor.headings
+        if not headings:
+            return [unit(pictures.original.features.descriptors).numpy()]
+        angles = list_angles(headings)
+        if query.prior is not None and query.prior.has_heading:
+            angles = [north_angle(np.asarray(query.prior.cam_from_world_rotation))]
+        rotated = (pictures.rotate(angle, 1.0) for angle in angles)
+        return [unit(picture.features.descriptors).numpy() for picture in rotated]
+
+    def _scale(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> float:
+        """Return the scale that gives the query the map's resolution if a start is right."""
+        xyz = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
+        resolution = metres_per_pixel(start, query.camera, xyz)
+        return scale_to(self._resolution, resolution, self.config.max_magnification)
 
     def _solve(
-        self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
+        self, query: Query, picture: _Picture, chosen: NDArray[np.int64], clock: Stopwatch
     ) -> Estimate:
         """Match features to the chosen photographs and estimate the pose."""
         with clock.stage("matching"):
-            unit = self._extractor.unit(features.descriptors)
-            keypoints, xyz = self._correspondences(unit, chosen)
-        return solve_pose(query, features.xy[keypoints].astype(np.float64), xyz, self.config, clock)
+            keypoints, xyz = self._correspondences(picture.keypoints(query.camera), chosen)
+        xy = picture.features.xy[keypoints].astype(np.float64)
+        return solve_pose(query, xy, xyz, self.config, clock)
 
     def _correspondences(
-        self, descriptors: torch.Tensor, references: NDArray[np.int64]
+        self, query: Keypoints, references: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Match descriptors to all reference images.
+        """Match keypoints to all reference images.
 
         Returns:
-            Unique pairs: rows of the query's keypoints (K,) and their points (K, 3).
+            Unique pairs: rows of the query's keypoints (K,) and their points (K, 3), world metres.
         """
+        all_lifted = [self._lifted(int(reference)) for reference in references]
+        images = [self._map.images[self._map.names[int(reference)]] for reference in references]
+        rotates = not self._extractor.rotation_invariant
+        reference_keypoints = [
+            turn_keypoints(
+                lifted.xy,
+                lifted.descriptors,
+                image.camera,
+                north_angle(image.cam_from_world[:3, :3]) if rotates else 0.0,
+            )
+            for lifted, image in zip(all_lifted, images, strict=True)
+        ]
         matches, points = [], []
-        for reference in references:
-            lifted = self._lifted(int(reference))
-            unit = self._extractor.unit(lifted.descriptors)
-            pairs = self._extractor.match(descriptors, unit, self.config.ratio)
+        matched = self._matcher(query, reference_keypoints)
+        for lifted, pairs in zip(all_lifted, matched, strict=True):
             matches.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
             points.append(lifted.xyz[pairs[:, 1]])
         unique, first = np.unique(np.concatenate(matches), axis=0, return_index=True)
@@ -226,27 +261,73 @@ class StructureLocalizer:
 
 
 @dataclass(frozen=True)
+class _Picture:
+    """Features of a query's picture that was rotated and resized.
+
+    Attributes:
+        features: the features, in pixels of the query.
+        angle: counter-clockwise rotation of the picture, rad.
+        scale: factor by which the picture was resized.
+    """
+
+    features: Features
+    angle: float = 0.0
+    scale: float = 1.0
+
+    def keypoints(self, camera: Camera) -> Keypoints:
+        """Return the keypoints in the rotated picture, as a matcher takes them."""
+        features = self.features
+        return turn_keypoints(features.xy, features.descriptors, camera, self.angle, self.scale)
+
+
+class _Pictures:
+    """Features of a query's picture, extracted once for each rotation and scale."""
+
+    def __init__(self, extractor: Extractor, query: Query, clock: Stopwatch) -> None:
+        self._extractor, self._query, self._clock = extractor, query, clock
+        self._known: dict[tuple[float, float], _Picture] = {}
+
+    @cached_property
+    def original(self) -> _Picture:
+        """Features of the picture as it is."""
+        with self._clock.stage("features"):
+            return _Picture(self._extractor(self._query.image))
+
+    def rotate(self, angle: float, scale: float) -> _Picture:
+        """Return features of the picture rotated counter-clockwise by ``angle`` (rad), resized."""
+        key = round(angle, 4), round(scale, 4)
+        if key not in self._known:
+            with self._clock.stage("features"):
+                query = self._query
+                features = self._extractor.extract_warped(query.image, query.camera, angle, scale)
+            self._known[key] = _Picture(features, angle, scale)
+        return self._known[key]
+
+
+@dataclass(frozen=True)
 class _Lifted:
     """The N keypoints of a photograph of the map that have a 3D point.
 
     Attributes:
-        points: (N,) numbers of their points; several photographs may share one.
-        xyz: (N, 3) points, world metres.
-        descriptors: (N, D) descriptors as extracted; as unit vectors in float32 they would take two
-            to thirty-two times the memory.
+        points: (N,) numbers of the points; several photographs may observe one point.
+        xyz: (N, 3) the points, world metres.
+        xy: (N, 2) float32 COLMAP pixels of the keypoints.
+        descriptors: (N, D) as extracted. As unit vectors in float32 they would take two to
+            thirty-two times the memory.
     """
 
     points: NDArray[np.int64]
     xyz: NDArray[np.float64]
+    xy: NDArray[np.float32]
     descriptors: NDArray[Any]
 
     @property
     def nbytes(self) -> int:
-        return self.points.nbytes + self.xyz.nbytes + self.descriptors.nbytes
+        return sum(each.nbytes for each in (self.points, self.xyz, self.xy, self.descriptors))
 
 
 def _is_observed(sparse_map: SparseMap) -> bool:
     """Return whether the photographs of a map observe enough points for a pose."""
-    seen = [image.point_rows for image in sparse_map.images.values()]
-    rows = np.unique(np.concatenate(seen))
+    observed = [image.point_rows for image in sparse_map.images.values()]
+    rows = np.unique(np.concatenate(observed))
     return int((rows >= 0).sum()) >= MIN_MATCHES

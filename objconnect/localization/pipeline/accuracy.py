@@ -1,4 +1,4 @@
-"""Accuracy of a position on earth: that of the pose in the map plus that of the map itself."""
+"""Accuracy of a position on earth, from the accuracies of the pose in the map and of the map."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class EarthAccuracy:
     """The uncertainty of a position on earth; each part is None if unknown.
 
     Attributes:
-        eph_m: horizontal standard deviation, metres: the root of the sum of the variances to the
-            east and north.
+        eph_m: horizontal standard deviation, metres: the square root of the sum of the variances to
+            the east and to the north.
         epv_m: vertical standard deviation, metres.
         covariance: (3, 3) of the position to the east, north and up, m^2.
     """

@@ -34,16 +34,23 @@ from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile
 
-# The header and the first columns identify files of this command, which may be replaced.
+# First line of a file of poses. It identifies files of this command, which may be replaced.
 _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
-_WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
-_FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
-_LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
-_LAST: Final = ("camera", "focal_px", "seconds", "by", "probability")
-_COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
-_COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
+_POSITION_COLUMNS: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
+# First columns of a table. They identify tables of this command, which may be replaced.
+_FIRST_COLUMNS: Final = ("name", "status", *_POSITION_COLUMNS, "sigma_m", "inliers", "reason")
+_ATTITUDE_COLUMNS: Final = ("yaw_deg", "pitch_deg", "roll_deg")
+_COLUMNS: Final = (
+    *_FIRST_COLUMNS,
+    *("time", "sea_level_m", *_ATTITUDE_COLUMNS, "eph_m", "epv_m"),
+    "covariance",
+    *("camera", "focal_px", "seconds", "by", "probability"),
+)
+# Columns of a table with a coordinate reference system.
+_CRS_COLUMNS: Final = ("x", "y", "h", "crs", "h_above")
+# Text by which further files of this command are recognised; they may be replaced.
 _MARK: Final = "poses by objconnect localize"
-_TABLE: Final = ".csv"
+_TABLE_SUFFIX: Final = ".csv"
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 log = logging.getLogger(__name__)
@@ -56,7 +63,7 @@ class Geography:
     Attributes:
         undulation_m: height of the geoid above the ellipsoid; None leaves out heights above sea
             level.
-        projection: coordinate reference system; None for none.
+        projection: coordinate reference system of the projected coordinates; None for none.
         georeference: accuracy of the map's position on earth; None if unknown.
     """
 
@@ -65,7 +72,7 @@ class Geography:
     georeference: Georeference | None = None
 
     def values(self, place: Geodetic) -> dict[str, str | float]:
-        """Return the height above sea level and the projected coordinates of a position."""
+        """Return height above sea level and projected coordinates of a position, by column."""
         known: dict[str, str | float] = {}
         if self.undulation_m is not None:
             known["sea_level_m"] = round(place.altitude - self.undulation_m, 3)
@@ -82,9 +89,12 @@ class Located:
     """A photograph with its estimate.
 
     Attributes:
+        name: name of the photograph.
+        estimate: the estimate.
         place: position of the camera on earth; None if unknown.
-        time: when it was taken; None if unknown.
-        camera: its camera; None if the photograph cannot be read.
+        time: when the photograph was taken; None if unknown.
+        camera: camera of the photograph; None if the photograph cannot be read.
+        source: source of the camera; None without a camera.
         seconds: time from the start of its sequence; None without a sequence.
         gps: position that a receiver measured, in the map's frame; None without one.
         doubts: uncertain metadata of the photograph that were used nevertheless.
@@ -103,9 +113,9 @@ class Located:
     @property
     def reason(self) -> str:
         """Return the reason of the estimate, then the doubts about the metadata."""
-        own = self.estimate.reason
-        more = (doubt for doubt in self.doubts if doubt not in own)
-        return "; ".join(each for each in (own, *more) if each)
+        reason = self.estimate.reason
+        doubts = (doubt for doubt in self.doubts if doubt not in reason)
+        return "; ".join(each for each in (reason, *doubts) if each)
 
     @property
     def is_localized(self) -> bool:
@@ -139,21 +149,25 @@ class Located:
         return combine_accuracies(self.covariance, geography.georeference)
 
     def to_stamped(self, geography: Geography) -> StampedPose | None:
-        """Return the pose with its time, which is taken as UTC; None if either is unknown."""
+        """Return the pose with its time, which is taken as UTC.
+
+        None if the photograph was not localized, or if its position on earth or time is unknown.
+        """
         pose, centre = self.estimate.cam_from_world, self.centre
         if not self.is_localized or pose is None or centre is None or self.place is None:
             return None
         if self.time is None or (time := self.time.replace(tzinfo=UTC)) < _EPOCH:
             return None
-        since = (time - _EPOCH) // timedelta(microseconds=1)
-        rotation = pose.rotation.numpy().T
+        microseconds = (time - _EPOCH) // timedelta(microseconds=1)
+        world_from_cam = pose.rotation.numpy().T
+        accuracy = self.accuracy(geography)
         return StampedPose(
-            since, self.place, centre, rotation, self.covariance, self.accuracy(geography)
+            microseconds, self.place, centre, world_from_cam, self.covariance, accuracy
         )
 
     def values(self, geography: Geography) -> dict[str, str | float]:
-        """Return the table's values that are known: time, heights, coordinates, attitude,
-        uncertainty, camera and method."""
+        """Return the known values of the table's later columns: time, heights, coordinates,
+        attitude, uncertainty, camera and method."""
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
@@ -164,7 +178,9 @@ class Located:
         pose = self.estimate.cam_from_world
         if pose is not None:
             angles = gimbal_angles(pose)
-            known |= dict(zip(_LATER[2:5], (round(angle, 4) for angle in angles), strict=True))
+            known |= dict(
+                zip(_ATTITUDE_COLUMNS, (round(angle, 4) for angle in angles), strict=True)
+            )
         accuracy = self.accuracy(geography)
         if accuracy.eph_m is not None:
             known["eph_m"] = round(accuracy.eph_m, 4)
@@ -172,9 +188,9 @@ class Located:
             known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
-            # A fallback pose does not determine an estimated focal length.
-            estimated = self.is_localized and self.estimate.inliers > 0
-            if estimated or self.source is not CameraSource.ESTIMATED:
+            # An estimated focal length is known only if the photograph was localized by points.
+            has_points = self.is_localized and self.estimate.inliers > 0
+            if has_points or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
         if self.estimate.by is not None:
             known["by"] = self.estimate.by.value
@@ -184,28 +200,30 @@ class Located:
 
 
 def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
-    """Return the files of ``encode_files``: poses, the table beside them, and further files.
+    """Return the files that ``encode_files`` makes: poses, the table beside them, further files.
 
     Args:
         poses: text file of the poses.
-        also: further files; the ending selects the format, one of ``FURTHER``.
+        also: further files, whose endings select the formats; see ``FURTHER_FORMATS``.
 
     Raises:
         InputError: ``poses`` ends in .csv, an ending is unknown, or the package that a format needs
             is not installed.
     """
-    if not poses.name or poses.suffix.lower() == _TABLE:
+    if not poses.name:
+        raise InputError(f"{poses} is a folder: give a file whose name ends in .txt")
+    if poses.suffix.lower() == _TABLE_SUFFIX:
         raise InputError(
             f"{poses} is the name of the table: give the poses a name that ends in .txt"
         )
     for path in also:
-        if path.suffix.lower() not in FURTHER:
-            raise InputError(f"{path} must end in {' or '.join(FURTHER)}")
+        if path.suffix.lower() not in FURTHER_FORMATS:
+            raise InputError(f"{path} must end in {' or '.join(FURTHER_FORMATS)}")
         _PACKAGES.get(path.suffix.lower(), lambda: None)()
-    table = poses.with_suffix(_TABLE)
+    table = poses.with_suffix(_TABLE_SUFFIX)
     return [
         OutputFile(poses, _HEADER.encode()),
-        OutputFile(table, ",".join(_FIRST).encode()),
+        OutputFile(table, ",".join(_FIRST_COLUMNS).encode()),
         *(OutputFile(path, _MARK.encode()) for path in also),
     ]
 
@@ -218,7 +236,7 @@ def encode_files(
     yield poses, _pose_lines(located).encode()
     yield table, _table(located, geography).encode()
     for path in also:
-        yield path, FURTHER[path.suffix.lower()](located, geography)
+        yield path, FURTHER_FORMATS[path.suffix.lower()](located, geography)
 
 
 def _pose_lines(located: Sequence[Located]) -> str:
@@ -232,7 +250,7 @@ def _pose_lines(located: Sequence[Located]) -> str:
 
 def _table(located: Sequence[Located], geography: Geography) -> str:
     text = io.StringIO()
-    columns = _COLUMNS if geography.projection is None else (*_COLUMNS, *_COORDINATES)
+    columns = _COLUMNS if geography.projection is None else (*_COLUMNS, *_CRS_COLUMNS)
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(_row(item, geography) for item in located)
@@ -240,12 +258,12 @@ def _table(located: Sequence[Located], geography: Geography) -> str:
 
 
 def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
-    """Return the table's row of a photograph without the columns that are unknown."""
+    """Return the table's row of a photograph; columns of unknown values are left out."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
     row |= {"inliers": str(estimate.inliers), "reason": for_terminal(item.reason)}
     if item.centre is not None:
-        row |= {k: f"{x:.4f}" for k, x in zip("enu", item.centre, strict=True)}
+        row |= {axis: f"{x:.4f}" for axis, x in zip("enu", item.centre, strict=True)}
         sigma = estimate.sigma_position()
         row["sigma_m"] = "" if sigma is None else f"{sigma:.4f}"
     if item.place is not None:
@@ -261,7 +279,7 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
 
 
 def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return GeoJSON (RFC 7946): a point for each photograph, null if it was not localized.
+    """Return GeoJSON (RFC 7946): a feature for each photograph, without geometry if not localized.
 
     Altitudes are above the ellipsoid, as the standard requires.
     """
@@ -276,17 +294,17 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
             sigma = item.estimate.sigma_position()
             values |= {} if sigma is None else {"sigma_m": round(sigma, 4)}
             values |= item.values(geography)
-        at = None if place is None else [place.longitude, place.latitude, place.altitude]
-        geometry = None if at is None else {"type": "Point", "coordinates": at}
+        xyz = None if place is None else [place.longitude, place.latitude, place.altitude]
+        geometry = None if xyz is None else {"type": "Point", "coordinates": xyz}
         features.append({"type": "Feature", "geometry": geometry, "properties": values})
-    whole = {"type": "FeatureCollection", "generator": _MARK, "features": features}
-    return (json.dumps(whole, indent=1, allow_nan=False) + "\n").encode()
+    collection = {"type": "FeatureCollection", "generator": _MARK, "features": features}
+    return (json.dumps(collection, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _kml(located: Sequence[Located], geography: Geography) -> bytes:
-    """Return KML 2.2: a placemark for each localized photograph, and their path.
+    """Return KML 2.2: a placemark for each localized photograph, and the path through them.
 
-    Altitudes are above sea level. Where the geoid is unknown, the marks are clamped to the ground.
+    Altitudes are above sea level. If the geoid is unknown, placemarks are clamped to the ground.
     """
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
@@ -311,7 +329,7 @@ def _kml(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _stamp(time: datetime) -> str:
-    """Return a time in ISO 8601 without zone, to the millisecond."""
+    """Return a time in ISO 8601, to the millisecond and without time zone."""
     return time.replace(tzinfo=None).isoformat(timespec="milliseconds")
 
 
@@ -340,7 +358,7 @@ def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
 
 
 def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
-    """Return the localized photographs that have a time, sorted by it."""
+    """Return the poses of the localized photographs that have a time, sorted by time."""
     found = [item for item in located if item.is_localized]
     poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
@@ -352,7 +370,7 @@ def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[Stam
     return sorted(poses, key=lambda stamped: stamped.microseconds)
 
 
-FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {
+FURTHER_FORMATS: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {
     ".geojson": _geojson,
     ".kml": _kml,
     ".tlog": _tlog,
@@ -360,7 +378,7 @@ FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = 
 }
 """Formats of further files by their ending."""
 
-# Importers that fail, before any work, if the package of a format is not installed.
+# Functions that raise InputError if the package of a format is not installed.
 _PACKAGES: Final[Mapping[str, Callable[[], object]]] = {
     ".tlog": import_dialect,
     ".mcap": import_rosbags,

@@ -1,4 +1,4 @@
-"""The camera of a photograph: from the map, the maker's calibration, EXIF, or estimated."""
+"""The camera of a photograph, from the map, the maker's calibration or EXIF, or estimated."""
 
 from __future__ import annotations
 
@@ -19,26 +19,27 @@ from objconnect.scene.storage.images import Exif
 
 # Focal ratios f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of view.
 _FOCAL_RATIOS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
-# Relative standard deviation of an estimated focal length, for a pinhole
-# (docs/evidence/robustness.md has an example) and for a camera of the map.
-_FOCAL_SHARE: Final = 0.06
-_MAP_SHARE: Final = 0.005
+# Relative standard deviation of the focal length of an estimated pinhole camera
+# (docs/evidence/robustness.md has an example).
+_PINHOLE_FOCAL_SIGMA: Final = 0.06
+# Relative standard deviation of the focal length if the estimated camera is one of the map.
+_MAP_FOCAL_SIGMA: Final = 0.005
 # Maximum number of map points that give the distance to the ground.
 _POINTS: Final = 20_000
-# Sigma of a focal length with which localization fails, as a multiple of the largest sigma of those
-# with which it succeeds.
+# Rotation sigma of a camera with which localization fails, as a multiple of the largest sigma of
+# the cameras with which it succeeds.
 _FAILED_SIGMA: Final = 2.0
 
 
 class CameraSource(StrEnum):
     """The source of a photograph's camera."""
 
-    GIVEN = "given"
-    MAP = "map"
-    CALIBRATED = "calibrated"
-    SCALED = "scaled"
-    EXIF = "exif"
-    ESTIMATED = "estimated"
+    GIVEN = "given"  # by the user
+    MAP = "map"  # a camera of the map
+    CALIBRATED = "calibrated"  # the maker's calibration in XMP
+    SCALED = "scaled"  # a camera of the map, resized
+    EXIF = "exif"  # a pinhole with the focal length in EXIF
+    ESTIMATED = "estimated"  # the candidate that fits the map best
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Calibration:
     """The camera of a photograph and its source.
 
     Attributes:
+        camera: the camera; the first candidate if the camera must be estimated.
+        source: source of the camera.
         others: further candidates; empty unless the camera must be estimated.
     """
 
@@ -59,9 +62,9 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
 
     The first that exists is used: the map's camera of the photograph's size; the calibration in
     XMP; the map's camera of another size, scaled; a pinhole with the focal length in EXIF. A camera
-    of the map is used only if its focal length agrees with EXIF, or if EXIF has none and it is the
-    only one of the photograph's size. If none exists, or if fields of EXIF contradict each other,
-    the camera must be estimated against the map.
+    of the map is used only if its focal length agrees with EXIF, or if EXIF has no focal length and
+    the map has a single camera of the photograph's size. If none of these exists, or if fields of
+    EXIF contradict each other, the camera must be estimated against the map.
 
     Args:
         size: width and height of the photograph, pixels.
@@ -70,23 +73,23 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     """
     if exif.focals:
         return _candidates(size, exif.focals, cameras)
-    alike = [camera for camera in cameras if _same_aspect((camera.width, camera.height), size)]
-    alike.sort(key=lambda camera: (_difference_from_exif(camera, exif), str(camera)))
-    same = [camera for camera in alike if (camera.width, camera.height) == size]
-    if same and (
-        _difference_from_exif(same[0], exif) < SAME_LENS
-        or (exif.focal_ratio is None and len(same) == 1)
+    same_aspect = [c for c in cameras if _same_aspect((c.width, c.height), size)]
+    same_aspect.sort(key=lambda camera: (_difference_from_exif(camera, exif), str(camera)))
+    same_size = [camera for camera in same_aspect if (camera.width, camera.height) == size]
+    if same_size and (
+        _difference_from_exif(same_size[0], exif) < SAME_LENS
+        or (exif.focal_ratio is None and len(same_size) == 1)
     ):
-        return Calibration(same[0], CameraSource.MAP)
+        return Calibration(same_size[0], CameraSource.MAP)
     calibrated = exif.xmp.camera
     if calibrated is not None and _same_aspect((calibrated.width, calibrated.height), size):
         return Calibration(_fit_to_size(calibrated, size), CameraSource.CALIBRATED)
-    if alike and _difference_from_exif(alike[0], exif) < SAME_LENS:
-        return Calibration(_fit_to_size(alike[0], size), CameraSource.SCALED)
+    if same_aspect and _difference_from_exif(same_aspect[0], exif) < SAME_LENS:
+        return Calibration(_fit_to_size(same_aspect[0], size), CameraSource.SCALED)
     focal = exif.focal_ratio
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
-    candidates = [_fit_to_size(camera, size) for camera in alike]
+    candidates = [_fit_to_size(camera, size) for camera in same_aspect]
     candidates += [_pinhole(size, focal) for focal in _FOCAL_RATIOS]
     return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
@@ -96,15 +99,20 @@ def _candidates(
 ) -> Calibration:
     """Return candidate cameras of a photograph whose EXIF fields contradict each other.
 
-    If a focal length agrees with a camera of the map, that camera is also a candidate. These
-    candidates come first.
+    Each focal ratio gives a pinhole camera. If it agrees with a camera of the map, that camera is a
+    candidate too. Candidates of focal ratios that agree with a camera of the map come first.
+
+    Args:
+        size: width and height of the photograph, pixels.
+        focals: focal ratios f / max(w, h) by the contradicting fields.
+        cameras: cameras of the map.
     """
-    alike = sorted(
+    same_aspect = sorted(
         (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
     )
     candidates: list[Camera] = []
-    for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
-        camera = _nearest(focal, alike)
+    for focal in sorted(focals, key=lambda each: not _nearest(each, same_aspect)):
+        camera = _nearest(focal, same_aspect)
         candidates += [] if camera is None else [_fit_to_size(camera, size)]
         candidates.append(_pinhole(size, focal))
     candidates = list(dict.fromkeys(candidates))
@@ -112,14 +120,14 @@ def _candidates(
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera with the nearest focal length; None if it belongs to another lens."""
-    off = {camera: _relative_difference(camera, focal) for camera in cameras}
-    best = min(off, key=lambda camera: off[camera], default=None)
-    return best if best is not None and off[best] < SAME_LENS else None
+    """Return the camera whose focal ratio is nearest to ``focal``; None if all are other lenses."""
+    difference = {camera: _relative_difference(camera, focal) for camera in cameras}
+    best = min(difference, key=lambda camera: difference[camera], default=None)
+    return best if best is not None and difference[best] < SAME_LENS else None
 
 
 def _relative_difference(camera: Camera, focal: float) -> float:
-    """Return the relative difference of a camera's focal length from a focal ratio ``focal``."""
+    """Return the relative difference of a camera's focal ratio f / max(w, h) from ``focal``."""
     ratio = camera.focal[0] / max(camera.width, camera.height) / focal
     return max(ratio, 1 / ratio) - 1
 
@@ -129,10 +137,11 @@ def estimate_camera(
 ) -> Camera:
     """Return the camera with which photographs of one lens fit a map best.
 
-    The misfit of a photograph is the standard deviation of its rotation about the optical axis. It
-    grows with the residuals of the inliers and, unlike that of the position, not with the focal
-    length. Like log-likelihoods, the logarithms are added, weighted by the numbers of inliers.
-    Between the pinholes of the range, a parabola through the misfits interpolates the focal length.
+    The misfit of a photograph is the logarithm of the standard deviation of its rotation about the
+    optical axis, weighted by the number of inliers. This standard deviation grows with the
+    residuals of the inliers but not with the focal length, as that of the position does. The
+    misfits of photographs are added like log-likelihoods. Between neighbouring pinholes, a parabola
+    through the misfits interpolates the focal length.
 
     Args:
         cameras: candidates (``calibration_of``). Pinholes of ``_FOCAL_RATIOS`` come last, shortest
@@ -151,8 +160,8 @@ def estimate_camera(
     best = int(misfit.argmin())
     first = len(cameras) - len(_FOCAL_RATIOS)
     size = cameras[0].width, cameras[0].height
-    row = first >= 0 and cameras[first] == _pinhole(size, _FOCAL_RATIOS[0])
-    if not row or not first < best < len(cameras) - 1:
+    has_pinholes = first >= 0 and cameras[first] == _pinhole(size, _FOCAL_RATIOS[0])
+    if not has_pinholes or not first < best < len(cameras) - 1:
         return cameras[best]
     near = slice(best - 1, best + 2)
     focals = np.log([camera.focal[0] for camera in cameras[near]])
@@ -174,22 +183,23 @@ def with_focal_error(
         estimate: pose that was computed with the estimated camera.
         camera: the estimated camera.
         cameras: cameras of the map; the error is smaller if ``camera`` is one of them.
-        xyz: points (N, 3) of the map.
+        xyz: points (N, 3) of the map, world metres.
     """
     pose, covariance = estimate.cam_from_world, estimate.covariance
     if pose is None or covariance is None:
         return estimate
     size = (camera.width, camera.height)
-    of_map = any(
+    is_of_map = any(
         _same_aspect((c.width, c.height), size) and _fit_to_size(c, size) == camera for c in cameras
     )
     rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
-    some = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
+    sampled = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
     half = np.array(size) / 2 / camera.focal[0]
-    seen = (some[:, 2] > 0) & (np.abs(some[:, :2]) <= half * some[:, 2:]).all(1)
+    seen = (sampled[:, 2] > 0) & (np.abs(sampled[:, :2]) <= half * sampled[:, 2:]).all(1)
     if not seen.any():
         return estimate
-    sigma = (_MAP_SHARE if of_map else _FOCAL_SHARE) * float(np.median(some[seen, 2]))
+    relative_sigma = _MAP_FOCAL_SIGMA if is_of_map else _PINHOLE_FOCAL_SIGMA
+    sigma = relative_sigma * float(np.median(sampled[seen, 2]))
     wider = covariance.copy()
     wider[5, 5] += sigma**2
     return replace(estimate, covariance=wider)
@@ -201,7 +211,7 @@ def _rotation_sigma(estimate: Estimate) -> float:
     if estimate.status is not Status.OK:
         return math.inf
     variance = math.nan if estimate.covariance is None else float(estimate.covariance[2, 2])
-    # A method without covariance reports at least its number of inliers.
+    # Without a covariance, the number of inliers gives the sigma up to a factor.
     return math.sqrt(variance if variance > 0 else 1 / max(estimate.inliers, 1))
 
 
@@ -224,7 +234,15 @@ def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
 def _change(
     camera: Camera, size: tuple[int, int], focal: float, centre: float, lower: float
 ) -> Camera:
-    """Scale focal length and principal point of a camera, and move the latter down by ``lower``."""
+    """Return a camera of another size.
+
+    Args:
+        camera: the camera.
+        size: width and height of the result, pixels.
+        focal: factor on the focal length.
+        centre: factor on the principal point.
+        lower: pixels by which the principal point is then moved down.
+    """
     scales = {"f": focal, "fx": focal, "fy": focal, "cx": centre, "cy": centre}
     params = tuple(
         value * scales.get(name, 1.0) + (lower if name == "cy" else 0.0)

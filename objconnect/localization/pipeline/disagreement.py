@@ -13,14 +13,15 @@ from objconnect.localization.pipeline.answers import Geography, Located
 
 log = logging.getLogger(__name__)
 
-# With fewer photographs, all of them may have a bad fix.
+# Least number of photographs that are compared, because a few may all have a bad GPS fix.
 _MIN_PHOTOGRAPHS: Final = 5
-# Standard deviations of one axis. An error that all photographs share exceeds them with a
-# probability of 1 / 90 horizontally and of 1 / 370 vertically.
-_FAR: Final = 3.0
-# A receiver without corrections is off by less at 95 % of sites (m; GPS SPS standard of 2020).
+# Median distance, in standard deviations of one axis, from which a warning is given. An error that
+# all photographs share exceeds it with a probability of 1 / 90 horizontally and 1 / 370 vertically.
+_FAR_SIGMAS: Final = 3.0
+# Horizontal error (m) of a receiver without corrections that is not exceeded at 95 % of sites (GPS
+# SPS standard of 2020).
 _RECEIVER_M: Final = 8.0
-# No receiver has a smaller standard deviation (m).
+# Lower bound of standard deviations, metres; no receiver has a smaller one.
 _MIN_SIGMA_M: Final = 1e-3
 
 
@@ -32,11 +33,11 @@ class Disagreement(NamedTuple):
         across_m: median horizontal distance, metres.
         up_m: median height of the estimates above the measurements, metres; None if no height
             was measured.
-        height_error_m: median absolute difference of the heights, metres; None as ``up_m``.
-        far_across: whether the horizontal distances are far larger than the sigmas.
-        far_up: whether the height differences are far larger than the sigmas.
+        height_error_m: median absolute difference of the heights, metres; None if ``up_m`` is.
+        far_across: whether the horizontal distances are far larger than their sigmas.
+        far_up: whether the height differences are far larger than their sigmas.
         far_within: whether the map's accuracy on earth is unknown, and the horizontal distances are
-            larger than those of a receiver, and far larger than the sigmas within the map.
+            larger than a receiver's errors and far larger than the sigmas within the map.
     """
 
     photographs: int
@@ -48,7 +49,17 @@ class Disagreement(NamedTuple):
     far_within: bool
 
 
-class _Compared(NamedTuple):
+class _Distances(NamedTuple):
+    """Distances of one photograph's estimate from its measured position.
+
+    Attributes:
+        across_m: horizontal distance, metres.
+        across_sigmas: the same in standard deviations of the difference, one axis.
+        within_sigmas: the same in standard deviations of the estimate within the map, one axis.
+        up_m: height of the estimate above the measurement, metres; NaN if unknown.
+        up_sigmas: absolute height difference in standard deviations; NaN if unknown.
+    """
+
     across_m: float
     across_sigmas: float
     within_sigmas: float
@@ -59,8 +70,9 @@ class _Compared(NamedTuple):
 def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
     """Compare estimated with measured positions; None if fewer than five photographs have both.
 
-    Distances are divided by the standard deviation of their difference. The estimate's standard
-    deviation includes the map's georeference if the accuracy of that is known.
+    Distances are divided by the standard deviation of the difference between estimate and
+    measurement. The estimate's standard deviation includes that of the map on earth if it is known.
+    ``far_within`` compares with the estimate's standard deviation within the map alone.
     """
     compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
     if len(compared) < _MIN_PHOTOGRAPHS:
@@ -70,18 +82,20 @@ def measure_disagreement(located: Sequence[Located], geography: Geography) -> Di
     up, height_error, far_up = None, None, False
     if len(heights) >= _MIN_PHOTOGRAPHS:
         up, height_error = float(np.median(heights[:, 3])), float(np.median(abs(heights[:, 3])))
-        far_up = bool(np.median(heights[:, 4]) > _FAR)
-    unplaced = geography.georeference is None and across > _RECEIVER_M
-    far_within = unplaced and within_sigmas > _FAR
-    far_across = across_sigmas > _FAR
+        far_up = bool(np.median(heights[:, 4]) > _FAR_SIGMAS)
+    is_unexplained = geography.georeference is None and across > _RECEIVER_M
+    far_within = is_unexplained and within_sigmas > _FAR_SIGMAS
+    far_across = across_sigmas > _FAR_SIGMAS
     return Disagreement(len(compared), across, up, height_error, far_across, far_up, far_within)
 
 
 def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
-    """Warn in one line if estimates are much farther from measured positions than the sigmas.
+    """Warn in one line if estimates are much farther from measured positions than their sigmas.
 
-    If the accuracy of the map's georeference is unknown, sigmas are relative to the map. The line
-    then states the distance of the estimates from the measured positions.
+    If median distances exceed 3 sigmas of estimate and measurement, the line says that the map's
+    georeference or the GPS is wrong. Otherwise there is a line only if the accuracy of the map on
+    earth is unknown and the horizontal distance exceeds 8 m and 3 sigmas within the map. It states
+    the distance and blames neither, because the sigmas do not include the error of the map.
     """
     errors = measure_disagreement(located, geography)
     if errors is None:
@@ -97,9 +111,10 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
         return
     parts = [f"{errors.across_m:.1f} m beside"] if errors.far_across else []
     if errors.far_up and errors.up_m is not None and errors.height_error_m is not None:
-        # Heights that scatter have a median near 0, which would falsely suggest agreement.
-        scattered = abs(errors.up_m) < errors.height_error_m / 2
-        where = "above or below" if scattered else "above" if errors.up_m > 0 else "below"
+        # Differences of both signs have a median near 0, so the median absolute difference is
+        # shown.
+        has_both_signs = abs(errors.up_m) < errors.height_error_m / 2
+        where = "above or below" if has_both_signs else "above" if errors.up_m > 0 else "below"
         parts.append(f"{errors.height_error_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
@@ -110,7 +125,7 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
     )
 
 
-def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Compared]:
+def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Distances]:
     """Yield distances in metres and in standard deviations; NaN for unknown heights."""
     for item in located:
         gps, centre = item.gps, item.centre
@@ -118,7 +133,10 @@ def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Comp
             continue
         if not gps.has_position or not np.isfinite(gps.position[:2]).all():
             continue
+        # If the estimate has no sigmas, the distance is compared with those of GPS alone. Within
+        # the map there is then nothing to compare with, and an infinite sigma prevents a warning.
         accuracy, within = item.accuracy(geography), item.sigmas or (0.0, 0.0)
+        within_sigma = item.sigmas[0] / math.sqrt(2) if item.sigmas else math.inf
         eph = within[0] if accuracy.eph_m is None else accuracy.eph_m
         epv = within[1] if accuracy.epv_m is None else accuracy.epv_m
         east, north, up = (centre - gps.position).tolist()
@@ -126,10 +144,10 @@ def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Comp
         across_sigma = math.hypot(eph / math.sqrt(2), gps.horizontal_sigma or 0.0)
         up_sigma = math.hypot(epv, float(gps.position_sigma[2]))
         up = up if math.isfinite(up_sigma) else math.nan
-        yield _Compared(
+        yield _Distances(
             across,
             across / max(across_sigma, _MIN_SIGMA_M),
-            across / max((item.sigmas or (math.inf,))[0] / math.sqrt(2), _MIN_SIGMA_M),
+            across / max(within_sigma, _MIN_SIGMA_M),
             up,
             abs(up) / max(up_sigma, _MIN_SIGMA_M),
         )

@@ -1,4 +1,4 @@
-"""Convert exceptions of a method to failures, and retry a failed query without its attitude."""
+"""Localization of one query: exceptions become failures, and failures are retried once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
 
     Raises:
         InputError: the method cannot read its input.
-        PreparationError: the method prepares the map with the first query, and cannot.
+        PreparationError: the method prepares the map with the first query, and this failed.
     """
     try:
         with one_step():
@@ -39,12 +39,14 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
     if not bool(matrix.isfinite().all()):
         return Estimate(Status.FAILED, reason="the pose is not finite")
     if bool((matrix.abs() > FARTHEST_M).any()):
-        return Estimate(Status.FAILED, reason=f"the pose is more than {FARTHEST_M:g} m away")
+        return Estimate(
+            Status.FAILED, reason=f"the pose is more than {FARTHEST_M:g} m from the map's origin"
+        )
     return estimate
 
 
 def localize_retrying(localizer: Localizer, query: Query) -> Estimate:
-    """Localize a query; if that fails, retry without its attitude prior.
+    """Localize a query; if that fails, retry without the prior's attitude.
 
     The attitude may be wrong, for example if the image was rotated after capture. Arguments and
     errors are those of ``localize_safely``.

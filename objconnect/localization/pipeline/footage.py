@@ -1,4 +1,4 @@
-"""A video with the telemetry in its subtitles: the camera and the telemetry of each frame."""
+"""A video with telemetry in its subtitles: the camera and the telemetry of each frame."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ from objconnect.scene.storage.video import Video, VideoFrame, read_video
 
 log = logging.getLogger(__name__)
 
+# Endings of files of subtitles beside a video.
 _SIDECARS: Final = (".SRT", ".srt", ".Srt")
+# Width of 35 mm film, to which equivalent focal lengths refer.
 _FILM_MM: Final = 36.0
-# Frame rates, and numbers of frames, agree if they differ relatively by less than this.
+# Frame rates, numbers of frames and durations agree if they differ relatively by less than this.
 _SAME_RATE: Final = 0.05
-# Largest deviation of square pixels' aspect ratio from 1.
+# Largest deviation from 1 of the aspect ratio of pixels that count as square.
 _SQUARE: Final = 0.005
-# Smallest share by which a focal length changes on zoom.
-_ZOOMED: Final = 0.005
+# Least relative change of the focal length that counts as zoom.
+_MIN_ZOOM_CHANGE: Final = 0.005
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,11 @@ class Footage:
     """A video with its telemetry, to be localized.
 
     Attributes:
+        path: file of the video.
+        video: metadata of the video.
         srt: file of the subtitles; None without subtitles.
         telemetry: entries of the subtitles; empty without subtitles.
+        rate_hz: number of frames to localize per second.
     """
 
     path: Path
@@ -60,8 +65,8 @@ class Footage:
 
         Args:
             path: file of the video.
-            srt: its subtitles; None takes those of the same name beside it, if there are any.
-            rate_hz: frames a second to localize.
+            srt: file of its subtitles; None for the file of the same name beside it, if it exists.
+            rate_hz: number of frames to localize per second.
             localization_map: map that resolves ambiguities of the telemetry, such as the order of
                 coordinates.
 
@@ -95,7 +100,7 @@ class Footage:
 
 
 def _map_position(localization_map: LocalizationMap | None) -> Pair | None:
-    """Return latitude and longitude of a map, degrees."""
+    """Return latitude and longitude of a map's origin, degrees; None if unknown."""
     if localization_map is None or localization_map.origin is None:
         return None
     return localization_map.origin.latitude, localization_map.origin.longitude
@@ -122,9 +127,10 @@ class FrameCameras:
 
     Attributes:
         base: camera without digital zoom.
-        focal_mm: 35 mm equivalent focal length (mm) that telemetry has for ``base``; None if
+        focal_mm: 35 mm equivalent focal length (mm) that the telemetry states for ``base``; None if
             unknown.
-        constant_zoom: zoom of all frames, a ratio to the base; None if it changes or is unknown.
+        constant_zoom: factor on the focal length of ``base`` for all frames; None if it changes or
+            is unknown.
         is_given: whether the user gives the camera, which is then used for all frames.
     """
 
@@ -152,34 +158,37 @@ def cameras_of_frames(
 ) -> FrameCameras:
     """Return the cameras of a video's frames.
 
-    If the user gives none, it is the map's camera of the frames' size and focal length, else one
-    with the focal length of the telemetry, scaled from the map's camera if its lens is the same.
-    Zoom in the telemetry multiplies the focal length.
+    If the user gives no camera, it is the map's camera of the frames' size and focal length. If
+    there is none, it is the map's camera of the same lens and another size, scaled, or else a
+    pinhole with the telemetry's focal length. Zoom in the telemetry multiplies the focal length.
 
     Raises:
         InputError: the given camera has another size, or the focal length is unknown.
     """
     size = (footage.video.width, footage.video.height)
-    shape = f"{footage.path} is {size[0]} x {size[1]} pixels and "
+    subject = f"{footage.path} is {size[0]} x {size[1]} pixels and "
     hint = ": give its calibration with --camera 'MODEL width height params...'"
     if camera is not None:
         if (camera.width, camera.height) != size:
-            raise InputError(f"{shape}its camera {camera.width} x {camera.height}{hint}")
+            raise InputError(
+                f"{subject}the camera of --camera {camera.width} x {camera.height}: give one of "
+                "the video's size"
+            )
         _warn_of_zoom(footage)
         return FrameCameras(Calibration(camera, CameraSource.GIVEN), is_given=True)
     aspect = footage.video.pixel_aspect
     if abs(aspect - 1) > _SQUARE:
-        raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
+        raise InputError(f"{subject}its pixels are {aspect:.3f} times as wide as high{hint}")
     focal = _reference_focal(footage.telemetry, _map_focals(localization_map, footage.video))
     base = calibration_of(size, Exif(None, None, focal_35mm=focal), localization_map.cameras)
     if base.source is CameraSource.ESTIMATED:
         zooms = [item.zoom for item in footage.telemetry]
-        what = "focal length" if all(zooms) else "focal length and zoom (dzoom_ratio)"
-        raise InputError(f"{shape}has no {what}{hint}")
+        missing = "focal length" if all(zooms) else "focal length and zoom (dzoom_ratio)"
+        raise InputError(f"{subject}has no {missing}{hint}")
     scales = {_scale(item, focal) for item in footage.telemetry} or {1.0}
     if scales == {None} and all(item.zoom is None for item in footage.telemetry):
         if base.source is not CameraSource.MAP:
-            raise InputError(f"{shape}has no zoom (dzoom_ratio){hint}")
+            raise InputError(f"{subject}has no zoom (dzoom_ratio){hint}")
         log.warning("%s: the zoom is unknown; the map's camera is used without zoom", footage.srt)
         scales = {1.0}
     _warn_of_another_lens(footage, focal, base, localization_map)
@@ -187,7 +196,11 @@ def cameras_of_frames(
 
 
 def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
-    """Return the stated focal length nearest to one of the map's, else the most frequent one."""
+    """Return the focal length (mm) of the telemetry that is nearest to one of the map's.
+
+    If several are equally near, or none is near, it is the most frequent. None without any.
+    ``lenses`` are the 35 mm equivalent focal lengths (mm) of the map's cameras.
+    """
     focals = Counter(item.focal_mm for item in telemetry if item.focal_mm is not None)
     if not focals:
         return None
@@ -200,7 +213,7 @@ def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) ->
 
 
 def _scale(telemetry: Telemetry, focal_mm: float | None) -> float | None:
-    """Return the factor on the base focal length for a frame; None if it is unknown."""
+    """Return a frame's focal length, zoom included, divided by ``focal_mm``; None if unknown."""
     if focal_mm is None or telemetry.zoom is None:
         return telemetry.zoom
     return None if telemetry.focal_mm is None else telemetry.zoom * telemetry.focal_mm / focal_mm
@@ -220,7 +233,7 @@ def _apply_zoom(camera: Camera, scale: float) -> Camera:
 def _warn_of_zoom(footage: Footage) -> None:
     """Warn if one camera is given for frames of several focal lengths."""
     focals = [item.effective_mm for item in footage.telemetry if item.effective_mm is not None]
-    if focals and max(focals) > (1 + _ZOOMED) * min(focals):
+    if focals and max(focals) > (1 + _MIN_ZOOM_CHANGE) * min(focals):
         log.warning(
             "%s states a zoom from %.1f to %.1f mm, but --camera is used for all frames",
             footage.srt,
@@ -233,29 +246,29 @@ def _warn_of_another_lens(
     footage: Footage, focal: float | None, base: Calibration, localization_map: LocalizationMap
 ) -> None:
     """Warn if the map has a camera of the frames' size and telemetry names another lens."""
-    same = [
+    same_size = [
         camera
         for camera in localization_map.cameras
         if (camera.width, camera.height) == (footage.video.width, footage.video.height)
     ]
-    if focal is not None and same and base.source is not CameraSource.MAP:
+    if focal is not None and same_size and base.source is not CameraSource.MAP:
         log.warning(
             "%s has a focal length of %.1f mm, which is used; the map's camera of this size has "
-            "%.1f mm: give --camera if that is right",
+            "%.1f mm: give --camera if the map's is right",
             footage.srt,
             focal,
-            _equivalent_focal(same[0]),
+            _equivalent_focal(same_size[0]),
         )
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The assignment of subtitles to frames of a video.
+    """The assignment of subtitles to the frames of a video.
 
     Attributes:
-        by_frame: whether subtitles are matched to frames by frame number instead of by time (slow
-            motion makes times unusable).
-        is_known: whether frame numbers or times fit the video.
+        by_frame: whether subtitles are assigned to frames by frame number, as in slow motion,
+            instead of by time.
+        is_known: whether frame numbers or times of the subtitles fit the video.
     """
 
     by_frame: bool = False
@@ -265,9 +278,9 @@ class Timing:
     def of(telemetry: Sequence[Telemetry], video: Video) -> Timing:
         """Compare the times and frame numbers of the subtitles with those of the video.
 
-        If frame numbers and subtitle times imply different frame rates, use whichever ends where
-        the video ends: frame numbers first, then times. If neither does, ignore the subtitles and
-        warn.
+        If frame numbers and times of the subtitles imply another frame rate than the video's, frame
+        numbers are used if the last one is that of the video's end, else times if the last one is
+        the video's end. If neither is, the subtitles are ignored with a warning.
         """
         numbered = [(item.frame, item.start_s) for item in telemetry if item.frame is not None]
         ascending = all(first[0] < second[0] for first, second in pairwise(numbered))

@@ -1,4 +1,4 @@
-"""The frames of a video as queries, with priors from its telemetry."""
+"""The frames of a video as queries, with priors from the telemetry in its subtitles."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ class TelemetryReader:
     """Converts telemetry to priors in the frame of a map.
 
     Attributes:
+        localization_map: the map.
         options: standard deviations of positions and attitudes.
         undulation_m: height of the geoid above the ellipsoid; None leaves altitudes unknown.
     """
@@ -47,15 +48,15 @@ class TelemetryReader:
     undulation_m: float | None
 
     def __call__(self, telemetry: Telemetry | None) -> Prior | None:
-        """Return the prior in the map's frame; None if telemetry has neither a position near the
-        map nor an attitude."""
+        """Return the prior in the map's frame; None if the telemetry has neither a position near
+        the map nor an attitude."""
         if telemetry is None:
             return None
         prior = self._position(telemetry)
         if telemetry.gimbal is None:
             return prior
         if prior is None:
-            # An attitude needs a position: the middle of the map's cameras, with infinite sigma.
+            # A prior needs a position. It is the middle of the map's cameras with infinite sigma.
             prior = Prior(
                 np.median(self.localization_map.sparse_map.centres, 0), np.full(3, np.inf)
             )
@@ -66,11 +67,14 @@ class TelemetryReader:
         )
 
     def _position(self, telemetry: Telemetry) -> Prior | None:
+        """Return the prior of the position alone; None if it is unknown or far from the map."""
         origin = self.localization_map.origin
         if telemetry.place is None or origin is None:
             return None
-        known = telemetry.abs_alt is not None and self.undulation_m is not None
-        altitude = (telemetry.abs_alt or 0.0) + (self.undulation_m or 0.0) if known else np.nan
+        has_altitude = telemetry.abs_alt is not None and self.undulation_m is not None
+        altitude = np.nan
+        if has_altitude:
+            altitude = (telemetry.abs_alt or 0.0) + (self.undulation_m or 0.0)
         fix, sigma = Geodetic(*telemetry.place, altitude), np.full(3, self.options.gps_sigma_m)
         prior = Prior(*self.localization_map.locate(fix, origin, sigma))
         return None if np.hypot(*prior.position[:2]) > REACH_M else prior
@@ -78,7 +82,13 @@ class TelemetryReader:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video at a rate."""
+    """The frames of a video that are localized, at the rate of ``footage``.
+
+    Attributes:
+        footage: the video and its telemetry.
+        cameras: cameras of the frames.
+        reader: converts telemetry to priors.
+    """
 
     footage: Footage
     cameras: FrameCameras
@@ -96,7 +106,7 @@ class VideoFrames:
         Args:
             video: MP4 or another file that FFmpeg reads.
             localization_map: map to localize in.
-            options: what is known of the video.
+            options: options of the video: subtitles, rate, camera and standard deviations.
             undulation_m: height of the geoid above the ellipsoid; None if unknown.
 
         Raises:
@@ -116,13 +126,16 @@ class VideoFrames:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return the description of the source for the record of a sequence."""
+        """Return the description of the video for the record of a sequence."""
         video, srt = self.footage.path.name, self.footage.srt
         srt_name = None if srt is None else srt.name
         return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}
 
     def images(self, localize: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
-        """Yield the frames with the priors of their telemetry; ``localize`` is not used."""
+        """Yield the frames with the priors of their telemetry.
+
+        ``localize`` is not used; it is an argument because photographs need it to estimate cameras.
+        """
         footage = self.footage
         clock, timing = _clock(footage), Timing.of(footage.telemetry, footage.video)
         for frame in decode_frames(footage.path, footage.rate_hz):
@@ -156,7 +169,9 @@ def _doubts(
     if reader.localization_map.origin is not None:
         doubts = [*telemetry.place_doubts, *doubts]
         if telemetry.place is not None and reader(replace(telemetry, gimbal=None)) is None:
-            doubts.append(f"its position is more than {REACH_M / 1000:.0f} km from the map")
+            doubts.append(
+                f"the position in the telemetry is more than {REACH_M / 1000:.0f} km from the map"
+            )
     return tuple(doubts)
 
 
@@ -164,8 +179,8 @@ def warn_of_far_telemetry(footage: Footage, reader: TelemetryReader) -> None:
     """Warn if no position of the telemetry is near the map."""
     fixes = [item for item in footage.telemetry if item.place is not None]
     if fixes and reader.localization_map.origin is not None and reader(fixes[0]) is None:
-        places = [replace(item, gimbal=None) for item in fixes]
-        if all(reader(item) is None for item in places):
+        positions = [replace(item, gimbal=None) for item in fixes]
+        if all(reader(item) is None for item in positions):
             log.warning(
                 "%s has no position within %.0f km of the map: its positions are not used",
                 footage.srt,

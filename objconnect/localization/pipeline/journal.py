@@ -15,12 +15,12 @@ from typing import Generic, TypeVar
 from pydantic import ValidationError
 
 from objconnect.scene.errors import WriteError
-from objconnect.scene.storage.answers import Named
+from objconnect.scene.storage.answers import NamedRecord
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
 from objconnect.scene.storage.files import parse_json
 from objconnect.scene.storage.locks import hold_lock
 
-Entry = TypeVar("Entry", bound=Named)
+Entry = TypeVar("Entry", bound=NamedRecord)
 
 
 def journal_path(results: Path) -> Path:
@@ -36,8 +36,8 @@ class Journal(Generic[Entry]):
 
     Attributes:
         done: finished queries by name.
-        dropped: digests of the parts of the data set of an earlier run whose key differs, so that
-            its queries are discarded; None without such a run, or if they are unknown.
+        dropped: if the queries of an earlier run with another key are discarded, digests of the
+            parts of its data set; None without such a run, or if the digests are unknown.
     """
 
     def __init__(
@@ -47,9 +47,10 @@ class Journal(Generic[Entry]):
 
         Args:
             path: path of the file.
-            key: digest of everything that decides the results.
+            key: digest of all inputs of the results.
             model: class of the entries.
-            parts: digests of the parts of the data set; a later run compares them with its own.
+            parts: digests of the parts of the data set by name, which a later run compares with its
+                own to say what changed.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -60,10 +61,11 @@ class Journal(Generic[Entry]):
         """Open the file and read the entries of an earlier run.
 
         Raises:
-            InputError: the file cannot be written, or another run is writing it.
+            InputError: another run is writing the file.
+            WriteError: the file cannot be written.
         """
-        above = (self.path.parent, self.path.parent.parent)
-        self._made = [folder for folder in above if not folder.exists()]
+        parents = (self.path.parent, self.path.parent.parent)
+        self._made_folders = [folder for folder in parents if not folder.exists()]
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -72,34 +74,34 @@ class Journal(Generic[Entry]):
             lock = self.path.with_name(f"{TEMPORARY_PREFIX}lock-{self.path.name}")
             opened.enter_context(hold_lock(lock, self.path))
             try:
-                # A damaged byte makes its line invalid, and lines after it are dropped.
+                # A damaged byte must not raise here; it makes its line invalid in ``_read``.
                 self._file = opened.enter_context(
                     self.path.open("a+", encoding="utf-8", errors="surrogateescape", newline="\n")
                 )
             except OSError as error:
                 raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
-            self._begin()
+            self._read()
             self._opened = opened.pop_all()
         return self
 
-    def _begin(self) -> None:
-        """Keep the entries of an earlier run with the same key, and discard everything else."""
+    def _read(self) -> None:
+        """Read the entries of an earlier run with the same key, and discard everything else."""
         self._file.seek(0)
         # str.splitlines would also split at characters that names may contain.
         lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
-        good = 0
+        kept_bytes = 0
         header = _header(lines[0]) if lines else {}
         if header.get("key") != self._key:
             self.dropped = _parts(header) if _parse_entries(lines[1:], self._model) else None
         else:
             entries = _parse_entries(lines[1:], self._model)
             self.done = {entry.name: entry for entry in entries}
-            good = sum(
+            kept_bytes = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
             )
-        # What follows is truncated by a crash, or belongs to another run.
-        self._file.truncate(good)
-        if not good:
+        # The rest is a line that a crash cut short, or belongs to another run.
+        self._file.truncate(kept_bytes)
+        if not kept_bytes:
             self._append(json.dumps({"key": self._key, "parts": self._parts}))
 
     def __exit__(
@@ -108,11 +110,11 @@ class Journal(Generic[Entry]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file, and remove it unless the run failed after its first query."""
+        """Close the file. Remove it if the run is complete or finished no query."""
         if kind is None or not self.done:
             self.path.unlink(missing_ok=True)
         self._opened.close()
-        for folder in self._made:
+        for folder in self._made_folders:
             with suppress(OSError):  # the folder is not empty
                 folder.rmdir()
 
@@ -128,7 +130,8 @@ class Journal(Generic[Entry]):
     def _append(self, line: str) -> None:
         data = (line + "\n").encode()
         try:
-            # A buffered write that failed would be tried again when the file is closed.
+            # Unbuffered, because a buffered write that failed is tried again when the file is
+            # closed.
             if os.write(self._file.fileno(), data) < len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
@@ -147,7 +150,7 @@ def _header(line: str) -> dict[str, object]:
 def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
     """Return the parts of the data set in a header; None if they are missing or damaged."""
     parts = header.get("parts")
-    if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
+    if not isinstance(parts, dict) or not all(isinstance(digest, str) for digest in parts.values()):
         return None
     return parts
 

@@ -22,6 +22,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geode
 from objconnect.scene.localizer import Estimate
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.storage.files import require_folder
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +32,10 @@ class LocalizationMap:
     """A sparse map, its photographs, and its position on earth.
 
     Attributes:
-        origin: position of its origin on earth; None if unknown.
-        georeference: accuracy of that position; None if unknown.
+        sparse_map: the map.
+        images: folder of the photographs.
+        origin: position of the map's origin on earth; None if unknown.
+        georeference: accuracy of the map's position on earth; None if unknown.
     """
 
     sparse_map: SparseMap
@@ -50,7 +53,13 @@ class LocalizationMap:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return a position on earth in the map's frame, (3,) metres, and its standard deviations.
 
-        If the altitude is unknown, the height is that of the map's cameras with infinite sigma.
+        If the altitude is unknown, the height is the median of the map's cameras with infinite
+        sigma.
+
+        Args:
+            place: the position; its altitude is NaN if unknown.
+            origin: position of the map's origin on earth.
+            sigma: (3,) standard deviations to the east, north and up, metres.
         """
         if not np.isnan(place.altitude):
             return enu_from_geodetic(place, origin), sigma
@@ -69,7 +78,8 @@ def open_map(path: Path) -> LocalizationMap:
     """Open a scene with its map, or a flight, to localize photographs in it.
 
     Raises:
-        InputError: the path is neither, or its map is missing, damaged or empty.
+        InputError: the path does not exist, is neither a scene nor a flight, or its map is missing,
+            damaged or empty.
     """
     if is_scene(path):
         scene = Scene.open(path)
@@ -82,7 +92,10 @@ def open_map(path: Path) -> LocalizationMap:
         return LocalizationMap(
             read_model(path / "sparse" / "map"), path / "images", read_origin(path)
         )
-    raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
+    require_folder(path, "map folder")
+    raise InputError(
+        f"{path} is no map: give a scene (a folder with scene.json) or a folder with sparse/map"
+    )
 
 
 def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) -> Geography:
@@ -93,16 +106,16 @@ def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) ->
             coordinate reference system.
     """
     undulation_m, projection = options.undulation_m, options.projection
-    asked = [*options.also, *([] if projection is None else [projection.name])]
+    geographic_outputs = [*options.also, *([] if projection is None else [projection.name])]
     if localization_map.origin is None:
-        if asked:
+        if geographic_outputs:
             raise InputError(
-                f"{asked[0]} cannot be written because the map has no position on earth: add "
-                "origin.json (lat, lon, alt) to the folder of the map"
+                f"{geographic_outputs[0]} cannot be written because the map has no position on "
+                "earth: add origin.json (lat, lon, alt) to the folder of the map"
             )
         return Geography(undulation_m)
     if projection is not None and not projection.reaches(localization_map.origin):
-        raise InputError(f"the map lies outside {projection.name}: give the CRS of its zone")
+        raise InputError(f"the map lies outside {projection.name}: give the CRS of the map's zone")
     if projection is not None and (doubt := projection.doubt_at(localization_map.origin)):
         log.warning("%s", doubt)
     if undulation_m is None:

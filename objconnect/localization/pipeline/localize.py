@@ -29,7 +29,7 @@ from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status, p
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.answers import Named, PoseNumbers
+from objconnect.scene.storage.answers import NamedRecord, PoseNumbers
 from objconnect.scene.storage.atomic import atomic_write, write_text
 from objconnect.scene.storage.digests import digest_of, digests_in
 from objconnect.scene.storage.names import quote_name
@@ -38,6 +38,7 @@ from objconnect.scene.storage.scratch import cache_or_scratch
 
 Source = PhotographFolder | VideoFrames
 
+# Text by which records of this command are recognised; they may be replaced.
 _RECORD: Final = "sequence by objconnect localize"
 _DEFAULTS: Final = LocalizeOptions()
 
@@ -55,19 +56,19 @@ def localize(
     localized photograph. The CSV file beside it has a row for each photograph: status, camera
     centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
     then time, attitude, camera and covariance (``Located.values``, ``Located.covariance``). A
-    photograph that cannot be read is a row with status ``failed`` and the reason. A hidden journal
+    photograph that cannot be read has a row with status ``failed`` and the reason. A hidden journal
     stores finished photographs, so that an interrupted run resumes where it stopped.
 
     With ``options.sequence``, the motion of the camera gives the prior of the next photograph
-    (``Tracker``), the table has the seconds of each, and a JSON file beside the poses records
-    the method and its options.
+    (``Tracker``), the table has the time of each photograph in seconds, and a JSON file beside the
+    poses records the method and its options.
 
     Args:
         localization_map: map to localize in.
         photographs: folder of the photographs.
         localizer: method to run.
-        out: text file of the poses. It and the CSV file replace only files of this command.
-        options: what is known of the photographs, and which further files are written.
+        out: text file of the poses. The text and CSV files replace only files of this command.
+        options: camera and priors of the photographs, and further files to write.
 
     Returns:
         One entry for each photograph.
@@ -76,7 +77,7 @@ def localize(
         InputError: no photograph can be read; the priors cannot be read or name none of the
             photographs; photographs of a sequence have no times; an output cannot be written, lies
             in the folder of the photographs or would replace a file of another program; or a
-            further file needs a position of the map on earth, which it does not have.
+            further file needs a position of the map on earth, and the map has none.
     """
     job = _Job(localization_map, localizer, out, options, options.sequence)
     table = [] if options.priors is None else [options.priors]
@@ -100,7 +101,7 @@ def localize_video(
         video: MP4 or another file that FFmpeg reads.
         localizer: method to run.
         out: text file of the poses.
-        options: what is known of the video, and which further files are written. ``priors`` is not
+        options: camera and telemetry of the video, and further files to write. ``priors`` is not
             used.
 
     Returns:
@@ -118,7 +119,7 @@ def localize_video(
 
 
 def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> str:
-    """Return the digest of a map, its photographs in a folder, a method and its environment."""
+    """Return a digest of a map, its photographs, a method and the versions of packages."""
     method = Method.of(localizer).model_dump_json()
     photographs = digests_in(images, sparse_map.names, "missing")
     return digest_of(method, sparse_map.sha256, photographs, Environment.current())
@@ -126,7 +127,15 @@ def journal_key(sparse_map: SparseMap, images: Path, localizer: Localizer) -> st
 
 @dataclass(frozen=True)
 class _Job:
-    """A call of ``localize``; ``sequence`` is None if photographs are localized independently."""
+    """A call of ``localize`` or ``localize_video``.
+
+    Attributes:
+        localization_map: map to localize in.
+        localizer: method to run.
+        out: text file of the poses.
+        options: options of the call.
+        sequence: options of the sequence; None if photographs are localized independently.
+    """
 
     localization_map: LocalizationMap
     localizer: Localizer
@@ -144,7 +153,7 @@ class _Job:
 
         Args:
             inputs: files that are read.
-            folder: folder in which nothing may be written.
+            folder: folder in which no output may lie; None for none.
 
         Raises:
             InputError: an output cannot be written, would replace an input or a file of another
@@ -158,12 +167,12 @@ class _Job:
             check_outside(files, folder)
 
     def run(self, source: Source, geography: Geography) -> list[Located]:
-        """Localize every image that the journal does not have, and write all answers."""
+        """Localize the images whose answers are not in the journal, and write all answers."""
         localization_map, localizer = self.localization_map, self.localizer
         located: list[Located] = []
         with (
             Journal(journal_path(self.out), self._key(), Answer) as journal,
-            # A scratch cache lies beside the output, whose disk is expected to have room for it.
+            # A scratch cache lies beside the output, because that disk is expected to have room.
             cache_or_scratch(self.options.cache, self.out.parent) as cache_folder,
         ):
             prepare = partial(
@@ -173,11 +182,11 @@ class _Job:
                 localization_map.images,
                 cache_folder,
             )
-            answering = _Answering(self, journal, cache(prepare))
-            images = source.images(answering.localize)
+            image_localizer = _ImageLocalizer(self, journal, cache(prepare))
+            images = source.images(image_localizer.localize)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
                 for image in images:
-                    located.append(self._to_answer(image, answering(image)))
+                    located.append(self._to_answer(image, image_localizer(image)))
                     advance(min(len(located), source.count))
             self._write(source, located, geography)
         source.warn()
@@ -185,11 +194,11 @@ class _Job:
         return located
 
     def _key(self) -> str:
-        """Return the digest of everything but the images that affects the answers."""
-        known = journal_key(
+        """Return a digest of all inputs of the answers except the images to localize."""
+        key = journal_key(
             self.localization_map.sparse_map, self.localization_map.images, self.localizer
         )
-        return digest_of(known, "" if self.sequence is None else self.sequence.model_dump_json())
+        return digest_of(key, "" if self.sequence is None else self.sequence.model_dump_json())
 
     def _to_answer(self, image: QueryImage, estimate: Estimate) -> Located:
         """Combine an estimate with the metadata of its image."""
@@ -234,40 +243,45 @@ class _Job:
         write_text(self.record, json.dumps(values, indent=1) + "\n")
 
 
-class _Answering:
+class _ImageLocalizer:
     """Localizes images in their order, or takes their estimates from the journal.
 
     Args:
         job: the call of ``localize``.
-        journal: answers of the interrupted run and of this one.
-        prepare: prepares the method, once. It is called after the first image was read, so that
-            unreadable input is rejected before the method takes time.
+        journal: answers of an interrupted run and of this run.
+        prepare: prepares the method when it is called first. That happens after the first image was
+            read, so that unreadable input is rejected before the method takes time.
     """
 
     def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
         self._job, self._journal, self._prepare = job, journal, prepare
         self._tracker = None if job.sequence is None else Tracker(job.localizer, job.sequence)
-        self._asked = ""
+        self._asked = ""  # ``Answer.asked`` of the current image
 
     def localize(self, query: Query) -> Estimate:
-        """Localize a single query; if it fails with a gimbal's attitude, retry without it."""
+        """Localize a single query.
+
+        If it fails and its attitude is not from the user's table of priors but from the gimbal, it
+        is localized once more without the attitude.
+        """
         self._prepare()
-        retries = self._job.options.priors is None
-        return (localize_retrying if retries else localize_safely)(self._job.localizer, query)
+        has_gimbal_attitude = self._job.options.priors is None
+        localize_once = localize_retrying if has_gimbal_attitude else localize_safely
+        return localize_once(self._job.localizer, query)
 
     def __call__(self, image: QueryImage) -> Estimate:
         """Return the estimate of the next image."""
         self._prepare()
         # In a sequence an estimate depends on all earlier images.
-        before = "" if self._tracker is None else self._asked
-        self._asked = digest_of(before, image.seconds, *_digest_inputs(image))
+        earlier = "" if self._tracker is None else self._asked
+        self._asked = digest_of(earlier, image.seconds, *_digest_inputs(image))
         estimate = self._estimate(image)
         if self._tracker is not None and image.seconds is not None:
             self._tracker.take(estimate, image.seconds)
         return estimate
 
     def _estimate(self, image: QueryImage) -> Estimate:
-        """Return the estimate in the journal, or localize the image and add it there."""
+        """Return the estimate in the journal, or localize the image and add the estimate to it."""
         if image.query is None:
             return Estimate(Status.FAILED, reason=image.reason)
         answer = self._journal.done.get(quote_name(image.name))
@@ -281,8 +295,10 @@ class _Answering:
         return answer.estimate()
 
 
-class Answer(Named):
-    """The journal's entry of a photograph: the fields of ``Estimate``, and:
+class Answer(NamedRecord):
+    """The journal's entry of a photograph or frame: its estimate and a digest of its inputs.
+
+    Other fields are those of ``Estimate``.
 
     Attributes:
         name: file name, escaped by ``quote_name`` because JSON cannot hold every file name.
@@ -305,7 +321,7 @@ class Answer(Named):
     def of(name: str, asked: str, estimate: Estimate) -> Answer:
         """Return the entry of an estimate."""
         pose, covariance = estimate.cam_from_world, estimate.covariance
-        known = covariance is not None and np.isfinite(covariance).all()
+        is_finite = covariance is not None and np.isfinite(covariance).all()
         return Answer(
             name=quote_name(name),
             asked=asked,
@@ -315,7 +331,7 @@ class Answer(Named):
             if pose is None
             else (*pose.quaternion().tolist(), *pose.translation.tolist()),
             covariance=tuple(covariance.ravel().tolist())
-            if covariance is not None and known
+            if covariance is not None and is_finite
             else None,
             inliers=estimate.inliers,
             by=estimate.by,

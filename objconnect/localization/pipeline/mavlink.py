@@ -18,11 +18,12 @@ from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.geometry.pose import quaternion_from_rotation
 from objconnect.scene.runtime.extras import import_extra
 
-# Rotation from the axes of a map to north, east and down.
+# Rotation from the map's axes (east, north, up) to north, east and down.
 _NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # Rotation from forward (optical axis), right and down to the axes of the camera.
 _CAM_FROM_FRD: Final = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-_VEHICLE: Final = 1
+# MAVLink's system number of the vehicle that sends the messages.
+_SYSTEM: Final = 1
 
 
 def import_dialect() -> ModuleType:
@@ -37,25 +38,25 @@ def import_dialect() -> ModuleType:
 def encode_telemetry_log(
     poses: Sequence[StampedPose], undulation_m: float | None, mark: str
 ) -> bytes:
-    """Return a telemetry log: each message after its time in 8 bytes, microseconds.
+    """Return a telemetry log, in which each message follows its time (8 bytes, microseconds).
 
-    Each pose is a GLOBAL_POSITION_SENSOR, which PX4 uses as auxiliary global position, and an
-    ODOMETRY, the local position from the map's origin in MAV_FRAME_LOCAL_NED. Its attitude is that
-    of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle. Its
-    covariance is within the map, about the axes of the local frame. ``eph`` and ``epv`` are on
-    earth, and NaN if the map's accuracy on earth is unknown. NaN is MAVLink's unknown value.
+    Each pose is written as two messages. GLOBAL_POSITION_SENSOR is what PX4 uses as auxiliary
+    global position; its ``eph`` and ``epv`` are the accuracy on earth. ODOMETRY has the position
+    from the map's origin in MAV_FRAME_LOCAL_NED and the attitude of the camera, not of the vehicle
+    (MAV_FRAME_BODY_FRD: forward is the optical axis); its covariance is within the map, about the
+    axes of the local frame. Unknown values are NaN, as MAVLink specifies.
 
     Args:
         poses: sorted by time.
-        undulation_m: height of the geoid above the ellipsoid; without it, altitudes above sea level
-            are NaN.
+        undulation_m: height of the geoid above the ellipsoid, metres; if None, altitudes above sea
+            level are NaN.
         mark: name of the program that made the log.
 
     Raises:
         InputError: pymavlink is not installed.
     """
     common = import_dialect()
-    link = common.MAVLink(None, _VEHICLE, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
+    link = common.MAVLink(None, _SYSTEM, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
     first = poses[0].microseconds if poses else 0
     text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())
     messages = [(first, text)]
@@ -95,8 +96,8 @@ def _odometry(common: ModuleType, stamped: StampedPose) -> object:
     x, y, z = (_NED_FROM_ENU @ stamped.centre).tolist()
     upper = np.full(21, math.nan)
     if stamped.covariance is not None:
-        turn = np.kron(np.eye(2), _NED_FROM_ENU)
-        upper = (turn @ stamped.covariance @ turn.T)[np.triu_indices(6)]
+        rotation = np.kron(np.eye(2), _NED_FROM_ENU)
+        upper = (rotation @ stamped.covariance @ rotation.T)[np.triu_indices(6)]
     unknown = math.nan
     return common.MAVLink_odometry_message(
         time_usec=stamped.microseconds,

@@ -1,10 +1,10 @@
-"""A Kalman filter of a camera's motion with constant velocity and turn rate.
+"""A Kalman filter of a camera's motion with nearly constant velocity and turn rate.
 
-Accelerations are white noise that is constant between frames (Bar-Shalom, Li and Kirubarajan,
-Estimation with Applications to Tracking and Navigation, 2001, section 6.3.2). Position and attitude
-have separate filters. The attitude's state is a small rotation about the east, north and up axes on
-top of the estimate, to first order (Sola, Quaternion kinematics for the error-state Kalman filter,
-2017).
+Accelerations are random, constant between two frames and independent of those before (Bar-Shalom,
+Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.3.2).
+Position and attitude have separate filters. The attitude filter estimates the error of the
+attitude, a small rotation about the east, north and up axes, to first order (Sola, Quaternion
+kinematics for the error-state Kalman filter, 2017).
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class MotionOptions(Config):
     least_sigma_m: float = Field(
         0.1,
         gt=0,
-        description="Standard deviation per axis that is added to that of a measured position, m: "
-        "the covariance of a pose does not include errors of the map.",
+        description="Standard deviation per axis of errors that the covariance of a pose does not "
+        "include, such as those of the map, m. Its square is added to the variances of the "
+        "position.",
     )
     least_sigma_deg: float = Field(
         0.2,
         gt=0,
-        description="Standard deviation per axis that is added to that of a measured attitude, "
-        "deg.",
+        description="The same for the attitude, deg.",
     )
 
 
@@ -61,17 +61,18 @@ class Motion:
     """The state of the filter: pose, velocity, turn rate and their covariances.
 
     Attributes:
+        seconds: time of the state.
         pose: ``cam_from_world``.
-        velocity: (3,) of the camera centre, m/s.
-        turn: (3,) rate of the camera's attitude about east, north and up, rad/s.
-        position_covariance: (6, 6) of centre and velocity.
-        attitude_covariance: (6, 6) of attitude and turn rate.
+        velocity: (3,) of the camera centre to the east, north and up, m/s.
+        turn_rate: (3,) of the camera's attitude about east, north and up, rad/s.
+        position_covariance: (6, 6) of centre (m) and velocity (m/s).
+        attitude_covariance: (6, 6) of attitude (rad) and turn rate (rad/s).
     """
 
     seconds: float
     pose: Pose
     velocity: Array
-    turn: Array
+    turn_rate: Array
     position_covariance: Array
     attitude_covariance: Array
 
@@ -85,51 +86,51 @@ class Motion:
             covariance: (6, 6) of centre (metres) and attitude (rad), about east, north and up.
             options: initial uncertainty of the velocities.
         """
-        measured = _floor(covariance, options)
-        unknown = options.speed**2, np.radians(options.turn_deg) ** 2
+        measured = _add_variances(covariance, options)
+        rate_variances = options.speed**2, np.radians(options.turn_deg) ** 2
         position, attitude = np.zeros((6, 6)), np.zeros((6, 6))
         position[:3, :3], attitude[:3, :3] = measured[:3, :3], measured[3:, 3:]
-        position[3:, 3:], attitude[3:, 3:] = (rate * np.eye(3) for rate in unknown)
+        position[3:, 3:], attitude[3:, 3:] = (rate * np.eye(3) for rate in rate_variances)
         return Motion(seconds, pose, np.zeros(3), np.zeros(3), position, attitude)
 
-    def after(self, seconds: float, options: MotionOptions) -> Motion:
+    def predict(self, seconds: float, options: MotionOptions) -> Motion:
         """Return the state predicted for a later time."""
         step = seconds - self.seconds
-        flow = np.kron(np.array([[1.0, step], [0.0, 1.0]]), np.eye(3))
-        shape = np.array([[step**4 / 4, step**3 / 2], [step**3 / 2, step**2]])
-        noise = np.kron(shape, np.eye(3))
-        turned = so3_exp(torch.from_numpy(step * self.turn))
-        rotation = self.pose.rotation @ turned.T
+        transition = np.kron(np.array([[1.0, step], [0.0, 1.0]]), np.eye(3))
+        noise_of_axis = np.array([[step**4 / 4, step**3 / 2], [step**3 / 2, step**2]])
+        noise = np.kron(noise_of_axis, np.eye(3))
+        turn = so3_exp(torch.from_numpy(step * self.turn_rate))
+        rotation = self.pose.rotation @ turn.T
         centre = self.pose.centre() + torch.from_numpy(step * self.velocity)
         return replace(
             self,
             seconds=seconds,
             pose=Pose(rotation, -rotation @ centre),
-            position_covariance=flow @ self.position_covariance @ flow.T
+            position_covariance=transition @ self.position_covariance @ transition.T
             + options.acceleration**2 * noise,
-            attitude_covariance=flow @ self.attitude_covariance @ flow.T
+            attitude_covariance=transition @ self.attitude_covariance @ transition.T
             + np.radians(options.turn_acceleration_deg) ** 2 * noise,
         )
 
     def correct(self, pose: Pose, covariance: Array, options: MotionOptions) -> Motion:
-        """Return the state after a pose measured at its time.
+        """Return the state after a pose was measured at the time of the state.
 
         Args:
             pose: measured ``cam_from_world``.
-            covariance: (6, 6) of its centre and attitude, about east, north and up.
+            covariance: (6, 6) of its centre (metres) and attitude (rad), about east, north and up.
             options: noise of the filter.
         """
-        measured = _floor(covariance, options)
+        measured = _add_variances(covariance, options)
         innovation = self.innovation(pose)
-        moved, position = _update(self.position_covariance, innovation[:3], measured[:3, :3])
-        turned, attitude = _update(self.attitude_covariance, innovation[3:], measured[3:, 3:])
-        rotation = self.pose.rotation @ so3_exp(torch.from_numpy(turned[:3])).T
-        centre = self.pose.centre() + torch.from_numpy(moved[:3])
+        shift, position = _update(self.position_covariance, innovation[:3], measured[:3, :3])
+        turn, attitude = _update(self.attitude_covariance, innovation[3:], measured[3:, 3:])
+        rotation = self.pose.rotation @ so3_exp(torch.from_numpy(turn[:3])).T
+        centre = self.pose.centre() + torch.from_numpy(shift[:3])
         return Motion(
             self.seconds,
             Pose(rotation, -rotation @ centre),
-            self.velocity + moved[3:],
-            self.turn + turned[3:],
+            self.velocity + shift[3:],
+            self.turn_rate + turn[3:],
             position,
             attitude,
         )
@@ -142,15 +143,18 @@ class Motion:
         return np.concatenate([centre.numpy(), attitude.numpy()])
 
     def distance(self, pose: Pose, covariance: Array, options: MotionOptions) -> float:
-        """Return the squared Mahalanobis distance of a measured pose, of 6 degrees of freedom."""
-        measured = _floor(covariance, options)
+        """Return the squared Mahalanobis distance of a measured pose (6 degrees of freedom).
+
+        Arguments are those of ``correct``.
+        """
+        measured = _add_variances(covariance, options)
         innovation, total = self.innovation(pose), 0.0
-        for rows, own in (
+        for rows, state in (
             (slice(3), self.position_covariance),
             (slice(3, 6), self.attitude_covariance),
         ):
-            spread = own[:3, :3] + measured[rows, rows]
-            total += float(innovation[rows] @ np.linalg.solve(spread, innovation[rows]))
+            variance = state[:3, :3] + measured[rows, rows]
+            total += float(innovation[rows] @ np.linalg.solve(variance, innovation[rows]))
         return total
 
     @property
@@ -174,19 +178,29 @@ class Motion:
         )
 
 
-def _floor(covariance: Array, options: MotionOptions) -> Array:
+def _add_variances(covariance: Array, options: MotionOptions) -> Array:
     """Return a measured covariance (6, 6) plus the variances of ``least_sigma_*``."""
-    least = [options.least_sigma_m] * 3 + [np.radians(options.least_sigma_deg)] * 3
-    floored: Array = covariance + np.diag(np.square(least))
-    return floored
+    sigmas = [options.least_sigma_m] * 3 + [np.radians(options.least_sigma_deg)] * 3
+    total: Array = covariance + np.diag(np.square(sigmas))
+    return total
 
 
 def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Array, Array]:
-    """Return the Kalman correction (6,) of value and rate, and the covariance (6, 6) after it."""
-    total, crossed = covariance[:3, :3] + measured, covariance[:3]
-    # NumPy would start LAPACK's threads, which takes 2 ms.
-    gain = torch.linalg.solve(torch.from_numpy(total), torch.from_numpy(crossed)).numpy().T
+    """Return the Kalman correction (6,) of value and rate, and the covariance (6, 6) after it.
+
+    Args:
+        covariance: (6, 6) of value and rate before the measurement.
+        innovation: (3,) measured value less the predicted value.
+        measured: (3, 3) covariance of the measured value.
+    """
+    innovation_covariance, crossed = covariance[:3, :3] + measured, covariance[:3]
+    # torch, because NumPy would start LAPACK's threads, which takes 2 ms.
+    gain = (
+        torch.linalg.solve(torch.from_numpy(innovation_covariance), torch.from_numpy(crossed))
+        .numpy()
+        .T
+    )
     remaining = np.eye(6) - gain @ np.eye(3, 6)
-    # Joseph's form stays symmetric and positive.
-    after = remaining @ covariance @ remaining.T + gain @ measured @ gain.T
-    return gain @ innovation, after
+    # In Joseph's form the covariance stays symmetric and positive definite.
+    updated = remaining @ covariance @ remaining.T + gain @ measured @ gain.T
+    return gain @ innovation, updated

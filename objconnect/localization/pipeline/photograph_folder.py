@@ -1,4 +1,4 @@
-"""A folder of photographs as queries, independent or in the order of their times."""
+"""A folder of photographs as queries, independently or as a sequence in the order of time."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.flights.priors import AssumedSigmas, MapFrame
 from objconnect.scene.flights.textfiles import read_priors, require_same_case
 from objconnect.scene.localizer import Estimate, Prior, Query
+from objconnect.scene.storage.files import require_folder
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 
 log = logging.getLogger(__name__)
@@ -38,9 +39,7 @@ def photographs_in(folder: Path) -> dict[str, Path]:
     Raises:
         InputError: the folder does not exist or holds no photograph.
     """
-    if not folder.is_dir():
-        wrong = "is not a folder" if folder.exists() else "does not exist"
-        raise InputError(f"folder of photographs {folder} {wrong}")
+    require_folder(folder, "folder of photographs")
     paths = list_files(folder, PHOTOGRAPHS)
     if not paths:
         raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
@@ -52,9 +51,13 @@ class PhotographFolder:
     """The photographs of a folder.
 
     Attributes:
-        rate_hz: photographs per second of a sequence in the order of names; None for EXIF times.
-        seconds: time of each from the start of the sequence, without those that cannot be read;
-            None if they are localized independently.
+        folder: the folder.
+        paths: the photographs by name.
+        reader: reads photographs.
+        rate_hz: number of photographs per second of a sequence in the order of names; None for the
+            times in EXIF.
+        seconds: time of each photograph of a sequence from its start, without photographs that
+            cannot be read; None if photographs are localized independently.
     """
 
     folder: Path
@@ -75,12 +78,13 @@ class PhotographFolder:
         Args:
             folder: the folder.
             localization_map: map to localize in.
-            options: what is known of the photographs.
-            undulation_m: height of the geoid above the ellipsoid; None if unknown.
+            options: options of the photographs: camera, priors, standard deviations and sequence.
+            undulation_m: height of the geoid above the ellipsoid, metres; None if unknown.
 
         Raises:
-            InputError: there is no photograph; the priors cannot be read or name none of them; or a
-                photograph of a sequence has no time, or the same time as another one.
+            InputError: there is no photograph; the priors cannot be read or name none of the
+                photographs; or a photograph of a sequence has no time, or the same time as another
+                one.
         """
         paths = photographs_in(folder)
         reader = PhotographReader(
@@ -96,18 +100,18 @@ class PhotographFolder:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return the description of the source for the record of a sequence."""
+        """Return the description of the folder for the record of a sequence."""
         return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
 
     def images(self, localize: Callable[[Query], Estimate]) -> Iterator[QueryImage]:
         """Yield the photographs in their order.
 
         Args:
-            localize: function that localizes one query. For unordered photographs it is also
-                called beforehand to estimate unknown intrinsics.
+            localize: localizes one query. It is called to estimate unknown intrinsics before the
+                first photograph is yielded, unless the photographs are a sequence.
 
         Raises:
-            InputError: none of them can be localized.
+            InputError: none of the photographs can be localized.
         """
         self._require_one()
         reader = self.reader
@@ -121,10 +125,10 @@ class PhotographFolder:
         warn_of_doubts(self.reader)
 
     def _require_one(self) -> None:
-        """Check, before any work, that at least one photograph can be localized.
+        """Check that at least one photograph can be read and has a camera.
 
         Raises:
-            InputError: none can.
+            InputError: there is no such photograph.
         """
         reason = ""
         for name in self._order():
@@ -132,8 +136,8 @@ class PhotographFolder:
             if image.query is not None:
                 return
             reason = reason or image.reason
-        several = f"none of the {self.count} photographs in {self.folder} can be localized: "
-        raise InputError((several if self.count > 1 else "") + reason)
+        prefix = f"none of the {self.count} photographs in {self.folder} can be localized: "
+        raise InputError((prefix if self.count > 1 else "") + reason)
 
     def _order(self) -> list[str]:
         """Return the names in the order of their times; photographs without a time come last."""
@@ -141,7 +145,7 @@ class PhotographFolder:
         return sorted(self.paths, key=lambda name: seconds.get(name, math.inf))
 
     def _image(self, reader: PhotographReader, name: str) -> QueryImage:
-        """Read a photograph; if it cannot be localized, return the reason."""
+        """Read a photograph; if it cannot be localized, the result has the reason and no query."""
         path, sequence = self.paths[name], self.seconds
         seconds = None if sequence is None else sequence.get(name)
         try:
@@ -174,11 +178,14 @@ def _priors(
         return None
     stated = read_priors(path)
     require_same_case(path, stated.rows, paths)
-    without = [name for name in paths if name not in stated.rows]
-    if len(without) == len(paths):
-        raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
-    if without:
-        log.warning("%s lacks %d of %d photographs", path, len(without), len(paths))
+    missing = [name for name in paths if name not in stated.rows]
+    if len(missing) == len(paths):
+        raise InputError(
+            f"{path} has none of the photographs, such as {missing[0]!r}: its names must be those "
+            "of the files"
+        )
+    if missing:
+        log.warning("%s lacks %d of %d photographs", path, len(missing), len(paths))
     frame = MapFrame.of(localization_map.sparse_map, localization_map.origin)
     assumed = AssumedSigmas(
         np.full(3, options.gps_sigma_m),
@@ -192,10 +199,10 @@ def _priors(
 def _seconds(
     paths: Mapping[str, Path], reader: PhotographReader, rate_hz: float | None
 ) -> dict[str, float]:
-    """Return seconds from the first photograph, by a rate or by EXIF.
+    """Return the time of each photograph from the first one, in seconds, by a rate or by EXIF.
 
     Raises:
-        InputError: there is no rate, and a photograph has no time or the same time as another one.
+        InputError: ``rate_hz`` is None, and a photograph has no time or the same time as another.
     """
     times: dict[str, datetime | None] = {}
     for name, path in paths.items():

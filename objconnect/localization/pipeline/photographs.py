@@ -33,14 +33,16 @@ from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rg
 
 log = logging.getLogger(__name__)
 
-# DJI's name of a rolling shutter, and the speed (m/s) from which it biases poses noticeably.
-_ROLLING: Final = "electronic"
-_FAST: Final = 5.0
+# DJI's name of a rolling shutter in XMP.
+_ROLLING_SHUTTER: Final = "electronic"
+# Speed (m/s) from which a rolling shutter biases poses noticeably.
+_FAST_MPS: Final = 5.0
 # Maximum number of photographs of one lens from which its camera is estimated.
 _MAX_PHOTOGRAPHS: Final = 5
 
 Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
-"""Maker, model, 35 mm equivalent focal length (mm), contradicting ones, and size in pixels."""
+"""What photographs of one lens share: maker, model, 35 mm equivalent focal length (mm), focal
+ratios of fields that contradict each other, and size in pixels."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,11 @@ class PhotographReader:
     """Reads photographs as queries with camera and prior.
 
     Attributes:
+        localization_map: map to localize in.
         options: the camera of all photographs, and standard deviations.
         priors: priors by name; None takes them from EXIF and XMP.
-        undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
-            are above sea level; None if unknown.
+        undulation_m: height of the geoid above the ellipsoid at the map, metres, which converts
+            altitudes above sea level; None if unknown.
         estimated: estimated cameras by lens.
         metadata: metadata of the photographs that were read.
     """
@@ -67,7 +70,7 @@ class PhotographReader:
         """Read a photograph.
 
         Raises:
-            InputError: it cannot be read, or its size is not that of the given camera.
+            InputError: the photograph cannot be read, or its size is not that of the given camera.
         """
         pixels, exif = read_rgb(path, self.options.camera), self.exif(path)
         calibration = self.calibration(exif, (pixels.shape[1], pixels.shape[0]))
@@ -86,7 +89,7 @@ class PhotographReader:
         """Return the metadata of a photograph, which is read once.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the photograph cannot be read.
         """
         if path not in self.metadata:
             self.metadata[path] = above_ellipsoid(read_exif(path), self.undulation_m)
@@ -103,7 +106,7 @@ class PhotographReader:
     def doubts(self, exif: Exif) -> tuple[str, ...]:
         """Return the uncertain metadata that are used nevertheless.
 
-        The user's camera and table of priors replace metadata, which then cause no doubt.
+        Metadata that the user's camera or table of priors replaces cause no doubt.
         """
         position: tuple[str, ...] = ()
         if self.priors is None and self.localization_map.origin is not None:
@@ -112,19 +115,21 @@ class PhotographReader:
                 *self._distance_doubt(exif, self.localization_map.origin),
             )
         lens = exif.lens_doubts if self.options.camera is None else ()
-        return (*position, *lens, *exif.other_doubts)
+        return (*position, *lens, *exif.capture_doubts)
 
     def _distance_doubt(self, exif: Exif, origin: Geodetic) -> list[str]:
         if exif.position is None:
             return []
-        there = exif.position._replace(altitude=origin.altitude)
-        apart = float(np.linalg.norm(enu_from_geodetic(there, origin)))
-        return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
+        position = exif.position._replace(altitude=origin.altitude)
+        distance = float(np.linalg.norm(enu_from_geodetic(position, origin)))
+        if distance <= REACH_M:
+            return []
+        return [f"its position is {distance / 1000:.0f} km from the map"]
 
     def _read_prior(self, exif: Exif) -> Prior | None:
-        """Return the position in EXIF with the sigma and the attitude in XMP.
+        """Return the prior of the position in EXIF, and the sigma and attitude in XMP.
 
-        It is None if the photograph has no position or the map is not georeferenced.
+        It is None if the photograph has no position or the map no position on earth.
         """
         origin = self.localization_map.origin
         if exif.position is None or origin is None:
@@ -150,9 +155,11 @@ def with_estimates(
 ) -> PhotographReader:
     """Return the reader with estimates of the unknown cameras.
 
+    A few photographs of each lens are localized with every candidate camera.
+
     Args:
         reader: reads photographs.
-        paths: photographs by name. A few of each lens are localized with every candidate camera.
+        paths: photographs by name.
         localize: localizes a query.
     """
     candidates: dict[Lens, tuple[Camera, ...]] = {}
@@ -161,7 +168,7 @@ def with_estimates(
         try:
             exif, size = reader.exif(path), image_size(path)
         except (InputError, OSError):
-            continue  # The answer has a row with the reason.
+            continue  # the table of results has the reason
         lens, calibration = lens_of(exif, size), reader.calibration(exif, size)
         if calibration.others:
             candidates[lens] = (calibration.camera, *calibration.others)
@@ -192,7 +199,7 @@ def _sample(paths: Mapping[str, Path]) -> dict[str, Path]:
 def _read_queries(
     reader: PhotographReader, paths: Mapping[str, Path], advance: Callable[[int], None]
 ) -> Iterator[Query]:
-    """Yield the photographs that can be read."""
+    """Yield the photographs that can be read; ``advance`` receives the number that is done."""
     for done, (name, path) in enumerate(paths.items()):
         advance(done)
         with suppress(InputError, OSError):
@@ -212,7 +219,8 @@ def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
     speeds = [
         exif.xmp.speed
         for exif in photographs
-        if (exif.xmp.shutter or "").lower() == _ROLLING and (exif.xmp.speed or 0.0) >= _FAST
+        if (exif.xmp.shutter or "").lower() == _ROLLING_SHUTTER
+        and (exif.xmp.speed or 0.0) >= _FAST_MPS
     ]
     if speeds:
         log.warning(

@@ -18,11 +18,14 @@ from objconnect.localization.pipeline.stamped_pose import StampedPose
 from objconnect.scene.geometry.pose import quaternion_from_rotation
 from objconnect.scene.runtime.extras import import_extra
 
-# REP 103: the axes of a body point forward (here the optical axis), left and up.
+# Rotation from the axes of a body by REP 103, which point forward (here along the optical axis),
+# left and up, to the axes of the camera.
 _CAM_FROM_BODY: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+# Prefix of the topics.
 _TOPIC: Final = "/objconnect"
-_MAP: Final = "map"
-_CAMERA: Final = "camera_link"
+# Names of the frames of the map and of the camera.
+_MAP_FRAME: Final = "map"
+_CAMERA_FRAME: Final = "camera_link"
 
 
 def import_rosbags() -> tuple[ModuleType, ModuleType]:
@@ -39,11 +42,12 @@ def import_rosbags() -> tuple[ModuleType, ModuleType]:
 def encode_bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
-    Each pose is a ``sensor_msgs/NavSatFix``. Its altitude is above the ellipsoid and its covariance
-    is on earth, of type unknown if the map's accuracy on earth is unknown. If the covariance within
-    the map is known, the pose also is a ``geometry_msgs/PoseWithCovarianceStamped`` in the frame
-    ``map``: metres east, north and up from the map's origin. Body axes follow REP 103 (x forward
-    along the optical axis, y left, z up), and rotations are about the fixed axes of the map.
+    Each pose is written as a ``sensor_msgs/NavSatFix``. The altitude is above the ellipsoid. The
+    covariance is on earth; its type is unknown if the map's accuracy on earth is unknown. If the
+    covariance within the map is known, the pose is also written as a
+    ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``: metres east, north and up from
+    the map's origin. Body axes follow REP 103 (x forward along the optical axis, y left, z up), and
+    rotations of the covariance are about the fixed axes of the map.
 
     Args:
         poses: sorted by time.
@@ -70,14 +74,14 @@ def _write(writer: Any, store: Any, poses: Sequence[StampedPose], mark: str) -> 
         data = store.serialize_cdr(message, connection.msgtype)
         writer.write(connection, microseconds * 1000, data)
 
-    # It comes first, so that the beginning of the file names the program.
+    # This message comes first, so that the beginning of the file names the program.
     text = store.types["std_msgs/msg/String"](data=mark)
     put(topic("made_by", "std_msgs/msg/String"), poses[0].microseconds if poses else 0, text)
     position = topic("fix", "sensor_msgs/msg/NavSatFix")
     pose = topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     for stamped in poses:
         put(position, stamped.microseconds, _position(store.types, stamped))
-        # A filter would take a covariance of zeros for certainty.
+        # An unknown covariance would have to be zeros, which a filter would take for certainty.
         if stamped.covariance is not None:
             put(pose, stamped.microseconds, _pose(store.types, stamped))
 
@@ -93,7 +97,7 @@ def _position(types: Any, stamped: StampedPose) -> Any:
     status = types["sensor_msgs/msg/NavSatStatus"]
     covariance = stamped.accuracy.covariance
     return kind(
-        header=_header(types, stamped, _CAMERA),
+        header=_header(types, stamped, _CAMERA_FRAME),
         status=status(status=status.STATUS_FIX, service=0),  # no satellites
         latitude=stamped.place.latitude,
         longitude=stamped.place.longitude,
@@ -108,14 +112,14 @@ def _position(types: Any, stamped: StampedPose) -> Any:
 def _pose(types: Any, stamped: StampedPose) -> Any:
     assert stamped.covariance is not None
     x, y, z = stamped.centre.tolist()
-    turned = torch.from_numpy(stamped.world_from_cam @ _CAM_FROM_BODY)
-    qw, qx, qy, qz = quaternion_from_rotation(turned).tolist()
+    world_from_body = torch.from_numpy(stamped.world_from_cam @ _CAM_FROM_BODY)
+    qw, qx, qy, qz = quaternion_from_rotation(world_from_body).tolist()
     pose = types["geometry_msgs/msg/Pose"](
         position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
         orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
     )
     covariance = np.ascontiguousarray(stamped.covariance).ravel()
     return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header=_header(types, stamped, _MAP),
+        header=_header(types, stamped, _MAP_FRAME),
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance),
     )

@@ -1,4 +1,4 @@
-"""A pose with time, position on earth and covariance, as autopilots and robots use it."""
+"""A pose with time, position on earth and covariance, for messages to autopilots and robots."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from objconnect.scene.geometry.geodesy import Geodetic
 
 @dataclass(frozen=True)
 class StampedPose:
-    """The pose of a localized camera at its time.
+    """The pose of a localized camera with the time of its photograph.
 
     Attributes:
         microseconds: time since 1970, UTC.
         place: position of the camera on earth.
-        centre: the camera in the map's frame, (3,) metres east, north and up.
+        centre: position of the camera in the map's frame, (3,) metres east, north and up.
         world_from_cam: rotation (3, 3) from the camera's axes (right, down, forward) to the map's.
         covariance: (6, 6) of centre (m) and attitude (rad) within the map, about east, north and
             up; None if unknown.
-        accuracy: accuracy of ``place``, which includes that of the map on earth.
+        accuracy: accuracy of ``place``, which includes the accuracy of the map on earth.
     """
 
     microseconds: int

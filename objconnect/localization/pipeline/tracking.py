@@ -1,8 +1,8 @@
 """Localization of a sequence: the predicted motion of the camera is the prior of the next image.
 
 Every image is localized in the map, so that errors do not accumulate; the motion only gives the
-prior. A pose that contradicts the motion is checked by a search without it. After some
-successive failures the camera is lost, and the next image is localized without the motion.
+prior. A pose that contradicts the motion is checked by a search without the motion. After several
+successive failures the camera counts as lost, and the next image is localized without the motion.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from objconnect.scene.storage.records import Record
 
 # Lower bound of a prior's position sigmas, metres.
 _MIN_SIGMA_M: Final = 1e-3
-# The camera is also lost when the sigma of the predicted attitude exceeds this, degrees per axis.
+# Sigma of the predicted attitude (degrees per axis) above which the camera counts as lost.
 _LOST_SIGMA_DEG: Final = 30.0
 # After this many successive poses that agree with the motion, a search result that contradicts the
 # motion is rejected.
 _CONFIRMED_AFTER: Final = 3
-# Two poses closer than this agree.
-_AGREED_M: Final = 0.5
-_AGREED_DEG: Final = 2.0
-# Sigmas per axis of a pose without covariance: metres, degrees.
+# Two poses within this distance and angle count as the same.
+_SAME_POSE_M: Final = 0.5
+_SAME_POSE_DEG: Final = 2.0
+# Sigmas per axis that a pose without covariance is assumed to have.
 _UNKNOWN_SIGMA_M: Final = 1.0
 _UNKNOWN_SIGMA_DEG: Final = 2.0
 _CONTRADICTED: Final = "the pose contradicts the motion of the camera"
@@ -59,7 +59,7 @@ class SequenceConfig(Config):
 
 
 class _Settings(Record):
-    """The settings of a sequence among those of a method."""
+    """The settings of a command that belong to a sequence."""
 
     sequence: SequenceConfig = SequenceConfig()
 
@@ -71,7 +71,7 @@ def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
         settings: values by key; the keys of the sequence are removed.
 
     Raises:
-        InputError: a key of the sequence is unknown or its value is bad.
+        InputError: a key of the sequence is unknown, or its value is invalid.
     """
     keys = [key for key in settings if key.partition(".")[0] == "sequence"]
     return load_config(_Settings, None, {key: settings.pop(key) for key in keys}).sequence
@@ -80,7 +80,7 @@ def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
 class Tracker:
     """Localizes the images of a sequence, one after the other.
 
-    Its state depends on the estimates alone, so that an interrupted run resumes by passing the
+    The state depends on the estimates alone, so that an interrupted run resumes by passing its
     earlier estimates to ``take``.
 
     Attributes:
@@ -99,7 +99,7 @@ class Tracker:
 
         Args:
             query: the image; its prior, if any, is the measurement of the aircraft.
-            seconds: time of the image, later than those before.
+            seconds: time of the image from the start of the sequence, later than all before.
         """
         predicted = self._predict(seconds)
         if predicted is None:
@@ -118,7 +118,12 @@ class Tracker:
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
     def take(self, estimate: Estimate, seconds: float) -> None:
-        """Update the motion with an estimate of this run or of the one that was interrupted."""
+        """Update the motion with an estimate of this run or of the interrupted run.
+
+        Args:
+            estimate: estimate of the image.
+            seconds: time of the image from the start of the sequence.
+        """
         pose = estimate.cam_from_world
         if estimate.status is not Status.OK or pose is None:
             self._failures += 1
@@ -138,9 +143,9 @@ class Tracker:
         """Return the state at a time; None if the camera is lost."""
         if self._motion is None:
             return None
-        predicted = self._motion.after(seconds, self._config.motion)
-        known = predicted.sigma_m < self._config.lost_sigma_m
-        return predicted if known and predicted.sigma_deg < _LOST_SIGMA_DEG else None
+        predicted = self._motion.predict(seconds, self._config.motion)
+        has_position = predicted.sigma_m < self._config.lost_sigma_m
+        return predicted if has_position and predicted.sigma_deg < _LOST_SIGMA_DEG else None
 
     def _localize_near(self, query: Query, predicted: Motion, tracked: bool) -> Estimate:
         """Localize an image near the predicted pose; if ``tracked``, without a search elsewhere."""
@@ -166,7 +171,8 @@ class Tracker:
         return predicted.distance(pose, covariance, self._config.motion) < self._config.gate
 
     def _agrees_with_prior(self, estimate: Estimate, prior: Prior | None) -> bool:
-        """Return whether an estimate agrees with the position of the prior, if it has one."""
+        """Return whether an estimate agrees with the prior's position; True if its sigma is
+        unknown."""
         pose = estimate.cam_from_world
         if prior is None or prior.position_sigma is None or pose is None:
             return True
@@ -175,13 +181,13 @@ class Tracker:
         return bool(errors @ errors < self._config.gate)
 
     def _is_same_pose(self, estimate: Estimate, other: Estimate) -> bool:
-        """Return whether two estimates have the same pose."""
+        """Return whether two estimates have nearly the same pose."""
         if estimate.status is not Status.OK or other.status is not Status.OK:
             return False
         if estimate.cam_from_world is None or other.cam_from_world is None:
             return False
         metres, degrees = estimate.cam_from_world.error_to(other.cam_from_world)
-        return float(metres) < _AGREED_M and float(degrees) < _AGREED_DEG
+        return float(metres) < _SAME_POSE_M and float(degrees) < _SAME_POSE_DEG
 
     def _covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (6, 6) of an estimate's centre and attitude in the world."""

@@ -55,20 +55,21 @@ from objconnect.scene.storage.lru_cache import LruCache
 from objconnect.scene.storage.resumable import ResumableFolder
 
 UNFINISHED = f"{TEMPORARY_PREFIX}dense"
-KEY = "dense.json"
+KEY_FILE = "dense.json"
 Stereo = Literal["own", "colmap"]
 
 # Depth maps are first estimated one by one, then made consistent with their sources.
 _STAGES: tuple[Stage, ...] = ("photometric", "geometric")
 
 # Bytes of a point of the fused cloud with its visibility count, and of each visibility entry.
-_POINT_BYTES, _LISTED_BYTES = 31, 4
+_POINT_BYTES, _VISIBILITY_BYTES = 31, 4
 # Number of depth maps in the overview picture.
 _SHOWN = 3
-# Times are reported for a map of this many pixels.
-_UNIT = 512 * 512
+# Times are reported for a depth map of this many pixels.
+_REPORT_PIXELS = 512 * 512
 # Capacity of each cache, in photographs or maps of the largest size.
 _CACHED = 64
+# Weights of red, green and blue in grey (ITU-R BT.601), for grey in 0..1.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 
 logger = logging.getLogger(__name__)
@@ -114,10 +115,10 @@ def dense(
     """
     if cluster is not None and device == AUTO:
         device = "cpu"  # jobs of a cluster request CPU cores alone
-    asked = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
+    request = _Request(size, sources, stereo, seed, str(torch_device(device)), options)
     scene = Scene.open(path)
     with write_lock(path):
-        return _make(scene, asked, cluster)
+        return _estimate_and_fuse(scene, request, cluster)
 
 
 @dataclass(frozen=True)
@@ -132,21 +133,21 @@ class _Request:
     options: DenseOptions
 
 
-def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
+def _estimate_and_fuse(scene: Scene, request: _Request, cluster: str | None) -> DenseReport:
     path = scene.path
-    scene.require_lists()
+    scene.check_readable()
     sparse_map = scene.sparse_map()
-    cameras = {i.camera: pinhole_of(i.camera, asked.size) for i in sparse_map.images.values()}
+    cameras = {i.camera: pinhole_of(i.camera, request.size) for i in sparse_map.images.values()}
     pinhole_map = undistort_map(sparse_map, cameras)
-    options = asked.options
-    enough = options.confirmed
-    pairs = choose_all(pinhole_map, asked.sources, enough)
-    if not pairs:
+    options = request.options
+    min_sources = options.confirmed
+    sources_of = choose_all(pinhole_map, request.sources, min_sources)
+    if not sources_of:
         raise InputError(
-            f"no photograph of the map of {path} overlaps enough with {enough} others: "
+            f"no photograph of the map of {path} overlaps enough with {min_sources} others: "
             "fly with more overlap"
         )
-    skipped = sorted(set(sparse_map.names) - set(pairs))
+    skipped = sorted(set(sparse_map.names) - set(sources_of))
     if skipped:
         logger.warning(
             "%d of %d photographs overlap too little with others for a depth map, such as %s",
@@ -154,9 +155,9 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
         )  # fmt: skip
     files = [scene.images_root / name for name in sparse_map.names]
     photographs = digests(files)
-    key = {"map": sparse_map.sha256, "photographs": digest_of(*photographs), "size": asked.size,
-           "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
-           "device": asked.device, "options": options.model_dump(mode="json")}  # fmt: skip
+    key = {"map": sparse_map.sha256, "photographs": digest_of(*photographs), "size": request.size,
+           "sources": request.sources, "stereo": request.stereo, "seed": request.seed,
+           "device": request.device, "options": options.model_dump(mode="json")}  # fmt: skip
     workspace = _open_workspace(scene, key)
     _write_photographs(scene, sparse_map, cameras, workspace)
     try:
@@ -165,27 +166,28 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
         shutil.rmtree(workspace.path)  # it may contain changed files
         raise
     _write_model(pinhole_map, workspace)
-    workspace.write_lists(pairs)
-    maps = _Maps(pinhole_map, workspace, pairs, asked)
+    workspace.write_lists(sources_of)
+    maps = _Maps(pinhole_map, workspace, sources_of, request)
     seconds = None
-    if asked.stereo == "own":
+    if request.stereo == "own":
         seconds = _make_maps(maps, cluster)
     else:
         patch_match_stereo(workspace.path)
-    known = 0
-    for name in pairs:  # fusion in COLMAP ends the process at a damaged file, so read all first
-        known += np.count_nonzero(workspace.depth(name, "geometric"))
+    known_pixels = 0
+    for name in sources_of:  # a damaged file ends the process in COLMAP's fusion, so read all first
+        known_pixels += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
-    # COLMAP does not report a full disk. A point lists ``fused`` pixels or more, each pixel once.
-    fused_bytes = known // options.fused * _POINT_BYTES + known * _LISTED_BYTES
+    # COLMAP does not report a full disk. Points share no pixel and list at least ``options.fused``.
+    fused_bytes = known_pixels // options.fused * _POINT_BYTES + known_pixels * _VISIBILITY_BYTES
     require_disk_space(workspace.cloud, fused_bytes)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, options.fused)
     truth = read_truth(scene, pinhole_map)
-    shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
+    names = tuple(sources_of)
+    shown = [names[k] for k in np.linspace(0, len(names) - 1, _SHOWN + 2).astype(int)[1:-1]]
     confirmations = {name: maps.confirmations(name) for name in shown}
     draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
     draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
-    cloud = DenseCloud(workspace, tuple(pairs), len(xyz), seconds)
+    cloud = DenseCloud(workspace, names, len(xyz), seconds)
     result = report(scene, len(pinhole_map.names), cloud, truth)
     _finish(scene, workspace)
     return result
@@ -197,12 +199,14 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
     A finished folder keeps its record, so that the next run with the same key hard-links its
     complete files.
     """
-    unfinished, whole = (_resumable(scene.path / name, key) for name in (UNFINISHED, DENSE))
+    unfinished, finished_folder = (
+        _resumable(scene.path / name, key) for name in (UNFINISHED, DENSE)
+    )
     try:
         if not unfinished.is_same():
             shutil.rmtree(unfinished.path, ignore_errors=True)
-            if whole.is_same():
-                _link_complete(whole.path, unfinished.path)
+            if finished_folder.is_same():
+                _link_complete(finished_folder.path, unfinished.path)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
     unfinished.begin()
@@ -223,12 +227,12 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
         recorded.setdefault("device", "cpu")
         return None if recorded == json.loads(request) else "key"
 
-    return ResumableFolder(folder, folder / KEY, request, difference)
+    return ResumableFolder(folder, folder / KEY_FILE, request, difference)
 
 
 def list_own_files(workspace: Workspace) -> set[str]:
     """Return the files that ``dense`` writes into a workspace, as ``atomic_folder`` takes them."""
-    lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
+    lists = [KEY_FILE, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
     for name in workspace.names():
         files.add(f"images/{name}")
@@ -236,24 +240,25 @@ def list_own_files(workspace: Workspace) -> set[str]:
     return files
 
 
-def _link_complete(whole: Path, unfinished: Path) -> None:
+def _link_complete(finished_folder: Path, unfinished: Path) -> None:
     """Link finished files into the unfinished folder, without changing the finished one."""
-    cloud, ours = Workspace(whole).cloud.name, list_own_files(Workspace(whole))
-    for path in sorted(whole.rglob("*")):
-        name = path.relative_to(whole).as_posix()
+    cloud = Workspace(finished_folder).cloud.name
+    own_files = list_own_files(Workspace(finished_folder))
+    for path in sorted(finished_folder.rglob("*")):
+        name = path.relative_to(finished_folder).as_posix()
         # COLMAP overwrites the cloud in place, so it is not linked.
-        if path.is_file() and name in ours and not name.startswith(cloud):
+        if path.is_file() and name in own_files and not name.startswith(cloud):
             (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(path, unfinished / name)
 
 
 def _finish(scene: Scene, workspace: Workspace) -> None:
     """Move the finished folder to its final path, and record it in the scene's manifest."""
-    whole = scene.path / DENSE
+    finished_folder = scene.path / DENSE
     try:
-        replace_folder(whole, workspace.path, list_own_files(Workspace(whole)))
+        replace_folder(finished_folder, workspace.path, list_own_files(Workspace(finished_folder)))
     except OSError as error:
-        raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
+        raise InputError(f"cannot write {finished_folder}: {error.strerror or error}") from None
     finish_scene(scene.path, scene.manifest)
 
 
@@ -279,7 +284,7 @@ def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
 
 
 def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
-    """Make the missing depth maps; return CPU-seconds per ``_UNIT`` pixels, None if none was."""
+    """Make the missing depth maps; return CPU-seconds per ``_REPORT_PIXELS``, None without any."""
     finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
     pixels, seconds = 0, 0.0
     with (
@@ -292,8 +297,8 @@ def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
                 for size, took in made:
                     pixels, seconds, finished = pixels + size, seconds + took, finished + 1
                     advance(finished)
-    # The maps of both stages count as one.
-    return 2 * seconds / pixels * _UNIT if pixels else None
+    # Each pixel was counted in both stages.
+    return 2 * seconds / pixels * _REPORT_PIXELS if pixels else None
 
 
 class _Maps:
@@ -303,40 +308,42 @@ class _Maps:
         self,
         sparse_map: SparseMap,
         workspace: Workspace,
-        pairs: dict[str, list[str]],
-        asked: _Request,
+        sources_of: dict[str, list[str]],
+        request: _Request,
     ) -> None:
         self._map = sparse_map
         self._workspace = workspace
-        self._pairs = pairs
-        self._asked = asked
-        self._options = asked.options
-        self._device = torch_device(asked.device)
+        self._sources_of = sources_of
+        self._request = request
+        self._options = request.options
+        self._device = torch_device(request.device)
         images = sparse_map.images.values()
         pixels = max(image.camera.width * image.camera.height for image in images)
         floats = _CACHED * pixels * np.dtype(np.float32).itemsize
         self.view = LruCache(self._read_view, floats)
-        # Inverse depth and two slopes.
-        self.first = LruCache(self._read_first, 3 * floats)
+        # Planes of the first stage: inverse depth and two slopes.
+        self.photometric = LruCache(self._read_photometric, 3 * floats)
 
     def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
         """Pickle for a worker of a cluster, without the caches."""
-        return _Maps, (self._map, self._workspace, self._pairs, self._asked)
+        return _Maps, (self._map, self._workspace, self._sources_of, self._request)
 
     def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
         """List the maps to make in a stage. The second stage needs all maps of the first."""
-        return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
+        return [(stage, name) for name in self._sources_of if not self._workspace.has(name, stage)]
 
     def __len__(self) -> int:
         """Count the maps of both stages."""
-        return 2 * len(self._pairs)
+        return 2 * len(self._sources_of)
 
     @torch.inference_mode()
     def __call__(self, unit: tuple[Stage, str]) -> Iterator[tuple[int, float]]:
         """Make one map; yield its number of pixels and its CPU-seconds."""
         began = time.process_time()
         stage, name = unit
-        planes, depth = self._first(name) if stage == "photometric" else self._last(name)
+        is_first = stage == "photometric"
+        estimate = self._estimate_photometric if is_first else self._estimate_geometric
+        planes, depth = estimate(name)
         normals = normals_of(planes, self.view(name).camera)
         self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
         yield depth.numel(), time.process_time() - began
@@ -349,28 +356,28 @@ class _Maps:
         return self._confirmations(name, inverse).cpu().numpy()
 
     def _confirmations(self, name: str, inverse: Tensor) -> Tensor:
-        others = self._pairs[name]
+        others = self._sources_of[name]
         return count_agreeing(
             self.view(name),
             [self.view(other) for other in others],
             inverse,
-            [self.first(other)[0] for other in others],
+            [self.photometric(other)[0] for other in others],
             self._options,
         )
 
-    def _first(self, name: str) -> tuple[Tensor, Tensor]:
-        sources = [self.view(other) for other in self._pairs[name]]
+    def _estimate_photometric(self, name: str) -> tuple[Tensor, Tensor]:
+        sources = [self.view(other) for other in self._sources_of[name]]
         seeds = seeds_in(self._map, name)
         planes, _ = first_estimate(self.view(name), sources, seeds, self._generator(name))
         return planes, 1 / planes[0]
 
-    def _last(self, name: str) -> tuple[Tensor, Tensor]:
-        others = self._pairs[name]
+    def _estimate_geometric(self, name: str) -> tuple[Tensor, Tensor]:
+        others = self._sources_of[name]
         planes, _ = consistent_estimate(
             self.view(name),
             [self.view(other) for other in others],
-            self.first(name),
-            [self.first(other)[0] for other in others],
+            self.photometric(name),
+            [self.photometric(other)[0] for other in others],
             self._generator(name),
         )
         confirmed = self._confirmations(name, planes[0]) >= self._options.confirmed
@@ -378,7 +385,7 @@ class _Maps:
 
     def _generator(self, name: str) -> torch.Generator:
         """Return a generator seeded by photograph, so that the order of maps does not matter."""
-        return torch.Generator().manual_seed(zlib.crc32(f"{self._asked.seed} {name}".encode()))
+        return torch.Generator().manual_seed(zlib.crc32(f"{self._request.seed} {name}".encode()))
 
     def _read_view(self, name: str) -> StereoView:
         image = self._map.images[name]
@@ -386,7 +393,7 @@ class _Maps:
         grey = torch.from_numpy(rgb.astype(np.float32) @ _LUMA)
         return StereoView(grey.to(self._device), image.camera, image.cam_from_world)
 
-    def _read_first(self, name: str) -> Tensor:
+    def _read_photometric(self, name: str) -> Tensor:
         depth = torch.from_numpy(self._workspace.depth(name, "photometric")).to(self._device)
         normals = torch.from_numpy(self._workspace.normals(name, "photometric")).to(self._device)
         return planes_of(depth, normals, self._map.images[name].camera)

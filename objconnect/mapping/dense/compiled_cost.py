@@ -21,28 +21,29 @@ from torch import Tensor
 from objconnect.mapping.dense.photometry import (
     GEOMETRIC_LIMIT_PX,
     GEOMETRIC_WEIGHT,
-    NOISE,
+    NOISE_VARIANCE,
     SIGMA_GREY,
     SIGMA_PX,
     STEPS,
-    WORST,
+    WORST_COST,
     Visibility,
 )
-from objconnect.mapping.dense.warp import MIN_DEPTH, StereoView, Warp
-from objconnect.scene.runtime.loops import OPTIONS
+from objconnect.mapping.dense.warp import MIN_DEPTH_RATIO, StereoView, Warp
+from objconnect.scene.runtime.loops import LOOP_OPTIONS
 
 _F = np.float32
 # Offsets (S,) of the samples around a pixel. Compiled code takes them as constants.
 _DX = np.tile(np.array(STEPS, np.float32), len(STEPS))
 _DY = np.repeat(np.array(STEPS, np.float32), len(STEPS))
 _SAMPLES = len(_DX)
-# Padding of sources: one row, so that every pixel has a next one, and this many columns, because
-# rows of a power of two would make windows of several sources compete for the same cache lines.
-_MORE = 17
+# Padding of sources: one row, so that a row follows every pixel's, and this many columns, because
+# rows whose length is a power of two would make windows of several sources compete for the same
+# cache lines.
+_PADDING = 17
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
-_NOISE, _WORST, _MIN_DEPTH = _F(NOISE), _F(WORST), _F(MIN_DEPTH)
+_NOISE, _WORST, _MIN_DEPTH = _F(NOISE_VARIANCE), _F(WORST_COST), _F(MIN_DEPTH_RATIO)
 # The options keep infinities valid, because costs may be infinite.
-_compiled = njit(**OPTIONS)
+_compiled = njit(**LOOP_OPTIONS)
 
 
 class CompiledWindow(NamedTuple):
@@ -60,10 +61,10 @@ class CompiledWindow(NamedTuple):
     weights: NDArray[np.float32]
     correlators: NDArray[np.float32]
 
-    def part(self, some: slice) -> CompiledWindow:
-        """Return the windows around some of the pixels."""
+    def part(self, which: slice) -> CompiledWindow:
+        """Return the windows around the pixels ``which``."""
         return CompiledWindow(
-            self.rows[some], self.columns[some], self.weights[some], self.correlators[some]
+            self.rows[which], self.columns[which], self.weights[which], self.correlators[which]
         )
 
 
@@ -72,7 +73,7 @@ class _Sources(NamedTuple):
 
     Attributes:
         seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
-        best: number of sources that count, (H, W), see ``Visibility``.
+        num_counted: number of sources that a cost averages, (H, W), see ``Visibility``.
         grey: pixels of all pictures, see ``_concatenate``.
         inverse_depths: inverse depths of their maps likewise; empty without maps.
         begins: start of each picture in these arrays, (K,).
@@ -84,7 +85,7 @@ class _Sources(NamedTuple):
     """
 
     seen: NDArray[np.bool_]
-    best: NDArray[np.int64]
+    num_counted: NDArray[np.int64]
     grey: NDArray[np.float32]
     inverse_depths: NDArray[np.float32]
     begins: NDArray[np.int64]
@@ -133,10 +134,10 @@ class CompiledPhotometry:
         there = [Warp.between(reference, source) for source in sources]
         visible = Visibility.of(reference, there, expected)
         shapes = np.array([source.grey.shape for source in sources])
-        sizes = (shapes + np.array([1, _MORE])).prod(1)
+        sizes = (shapes + np.array([1, _PADDING])).prod(1)
         self._sources = _Sources(
             visible.seen.numpy(),
-            visible.best.numpy(),
+            visible.num_counted.numpy(),
             _concatenate([source.grey for source in sources]),
             _concatenate(inverse_depths or ()),
             np.cumsum(sizes) - sizes,
@@ -186,8 +187,8 @@ def _matrices(warps: Sequence[Warp]) -> NDArray[np.float32]:
 
 
 def _concatenate(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
-    """Return the pixels of pictures of several sizes as one array, padded by ``_MORE``."""
-    padded = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
+    """Return the pixels of pictures of several sizes as one array, padded by ``_PADDING``."""
+    padded = (np.pad(each.numpy(), ((0, 1), (0, _PADDING)), mode="edge") for each in pictures)
     return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in padded)])
 
 
@@ -222,45 +223,47 @@ def _fill_windows(window, padded, near, sigma_grey):  # type: ignore[no-untyped-
 @_compiled
 def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyped-def]
     """Write the cost (n,) of a plane at each pixel."""
-    seen, best, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
+    seen, num_counted, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
     rows, columns, weights, correlators = window
-    each = np.empty(len(seen), np.float32)
+    costs_so_far = np.empty(len(seen), np.float32)
     for i in range(len(rows)):
         row, column = rows[i], columns[i]
         x, y = _F(column) + _HALF, _F(row) + _HALF
         w, gx, gy = planes[0, i], planes[1, i], planes[2, i]
-        needed, left = best[row, column], 0
+        needed, remaining = num_counted[row, column], 0
         for k in range(len(seen)):
-            left += seen[k, row, column]
+            remaining += seen[k, row, column]
         done, cost = 0, _WORST
         for k in range(len(seen)):
             if not seen[k, row, column]:
                 continue
             shape = (shapes[k, 0], shapes[k, 1])
-            begin, here = begins[k], _WORST
+            begin, source_cost = begins[k], _WORST
             at = _warp(there, k, shape, x, y, w)
             if at.inside:
                 slopes = _slopes(there, k, at, gx, gy)
-                here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
+                source_cost = _ONE - _correlation(
+                    grey, begin, shape, at, slopes, weights, correlators, i
+                )
                 if len(inverse_depths):
-                    pixel = begin + int(at.v) * (shape[1] + _MORE) + int(at.u)
-                    known, pixels = inverse_depths[pixel], limit_px
+                    pixel = begin + int(at.v) * (shape[1] + _PADDING) + int(at.u)
+                    known, error_px = inverse_depths[pixel], limit_px
                     if known > 0:
-                        home = _warp(back, k, shape, at.u, at.v, known)
-                        pixels = min(np.hypot(home.u - x, home.v - y), pixels)
-                    here += weight * pixels
+                        returned = _warp(back, k, shape, at.u, at.v, known)
+                        error_px = min(np.hypot(returned.u - x, returned.v - y), error_px)
+                    source_cost += weight * error_px
             # Insert the cost in ascending order.
             rank = done
-            while rank > 0 and each[rank - 1] > here:
-                each[rank] = each[rank - 1]
+            while rank > 0 and costs_so_far[rank - 1] > source_cost:
+                costs_so_far[rank] = costs_so_far[rank - 1]
                 rank -= 1
-            each[rank] = here
+            costs_so_far[rank] = source_cost
             done += 1
-            left -= 1
+            remaining -= 1
             # Lower bound of the cost, if the remaining sources cost nothing.
             cost = _ZERO
-            for j in range(needed - left):
-                cost += each[j]
+            for j in range(needed - remaining):
+                cost += costs_so_far[j]
             cost /= _F(needed)
             if cost >= below[i]:
                 break
@@ -294,10 +297,10 @@ def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-# More than six parameters: packing arrays into a tuple costs half as much as the sum itself.
+# More than six parameters: packing arrays into a tuple takes half as long as the sum itself.
 def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
     """Return the weighted correlation of window i with the window around a projection."""
-    right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _MORE)
+    right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _PADDING)
     # Positions count from the centre of the first pixel and are clamped to the edge.
     u, v = at.u - _HALF, at.v - _HALF
     mean = square = product = _ZERO

@@ -31,7 +31,7 @@ def count_agreeing(
     count = torch.zeros(inverse.shape, dtype=torch.int64, device=inverse.device)
     for source, map_of_source in zip(sources, inverse_of_sources, strict=True):
         there, back = Warp.between(reference, source), Warp.between(source, reference)
-        pixels, share = round_trip(there, back, map_of_source, x, y, inverse)
-        close = (pixels < options.same_px) & (share.abs() < options.same_depth)
+        error_px, relative_error = round_trip(there, back, map_of_source, x, y, inverse)
+        close = (error_px < options.same_px) & (relative_error.abs() < options.same_depth)
         count += close & (inverse > 0)
     return count

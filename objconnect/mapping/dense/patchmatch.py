@@ -22,19 +22,20 @@ from torch.nn.functional import interpolate, pad
 from objconnect.mapping.dense.photometry import Photometry, PlaneCosts
 from objconnect.mapping.dense.planes import move, planes_at_nearest, planes_through, resize
 from objconnect.mapping.dense.warp import StereoView
-from objconnect.scene.runtime.device import loops_serve
+from objconnect.scene.runtime.device import supports_loops
 from objconnect.scene.runtime.threads import torch_threads
 
 # Number of pixels processed at once, whose windows fit into the processor's cache.
 _CHUNK = 16384
 # The search begins in a picture whose long side (px) is at most this: random planes find the
-# surface there within the first rounds. Later pictures begin near it and need one.
+# surface there within the first rounds. Later pictures begin near it and need one round.
 _COARSEST_PX: Final = 160
 _FIRST_ROUNDS: Final = 4
 _ROUNDS: Final = 1
 # Largest slope of a random first guess, pixels of disparity per pixel. Steeper planes grow from it.
 _STEEPEST: Final = 0.5
-# Sizes of random steps: disparity in pixels, and its slope in pixels per pixel; halved each round.
+# Sizes of random steps: disparity in pixels, and its slope in pixels per pixel; halved each round,
+# and multiplied by the argument ``step``.
 _STEP_PX: Final = 1.0
 _STEP_SLOPE: Final = 0.2
 # The range of random inverse depths exceeds that of the map's points by this share, because the map
@@ -77,24 +78,24 @@ def first_estimate(
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
         generator: generator of every random choice.
     """
-    shrink = [1]
-    while max(reference.grey.shape) / shrink[-1] > _COARSEST_PX:
-        shrink.append(2 * shrink[-1])
+    factors = [1]
+    while max(reference.grey.shape) / factors[-1] > _COARSEST_PX:
+        factors.append(2 * factors[-1])
     planes = None
-    for factor in reversed(shrink):
-        here, others = _shrink(reference, factor), [_shrink(view, factor) for view in sources]
-        height, width = here.grey.shape
+    for factor in reversed(factors):
+        view, others = _shrink(reference, factor), [_shrink(source, factor) for source in sources]
+        height, width = view.grey.shape
         scale = np.array([width, height]) / reference.grey.shape[::-1]
-        points = seeds * [*scale, 1.0]
-        nearest = planes_at_nearest(points, height, width).to(here.grey.device)
+        scaled_seeds = seeds * [*scale, 1.0]
+        nearest = planes_at_nearest(scaled_seeds, height, width).to(view.grey.device)
         if planes is None:
-            fitted = planes_through(points, height, width).to(here.grey.device)
-            search = _Search(here, others, fitted[0], None, generator)
+            fitted = planes_through(scaled_seeds, height, width).to(view.grey.device)
+            search = _Search(view, others, fitted[0], None, generator)
             estimate = search.begin(fitted, nearest)
             rounds, step = _FIRST_ROUNDS, 4.0
         else:
             planes = resize(planes, height, width)
-            search = _Search(here, others, planes[0], None, generator)
+            search = _Search(view, others, planes[0], None, generator)
             estimate = search.best_of([planes, nearest])
             rounds, step = _ROUNDS, 1.0
         estimate = search.run(estimate, rounds, step)
@@ -131,7 +132,7 @@ def _shrink(view: StereoView, factor: int) -> StereoView:
 
 
 class _Search:
-    """The search for planes in one picture at one resolution."""
+    """The search for planes in one picture at one resolution; arguments as ``Photometry``."""
 
     def __init__(
         self,
@@ -149,7 +150,7 @@ class _Search:
         centres = [np.linalg.inv(v.cam_from_world)[:3, 3] for v in (reference, *sources)]
         baseline = float(np.median([np.linalg.norm(c - centres[0]) for c in centres[1:]]))
         # The change of inverse depth for one pixel of disparity.
-        self._pixel = 1 / (reference.camera.focal[0] * baseline)
+        self._inverse_per_px = 1 / (reference.camera.focal[0] * baseline)
         height, width = self._shape
         rows, columns = torch.meshgrid(
             torch.arange(height, device=self._device),
@@ -162,13 +163,13 @@ class _Search:
         ]
 
     def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
-        """Return the best of four guesses at each pixel, from seeds and at random, (3, H, W)."""
+        """Return the cheapest of four planes per pixel: two from seeds (3, H, W), two random."""
         inverse = nearest[0]
         low, high = float(inverse.min()) * (1 - _MARGIN), float(inverse.max()) * (1 + _MARGIN)
         guesses = [fitted, nearest]
         for _ in range(2):
             w = low + (high - low) * self._uniform(1)
-            slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._pixel)
+            slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._inverse_per_px)
             guesses.append(torch.cat([w, slope]))
         fitted[0].clamp_(low, high)
         return self.best_of(guesses)
@@ -188,7 +189,10 @@ class _Search:
         return Estimate(planes, cost)
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
-        """Propagate and refine planes, ``rounds`` times over both colours."""
+        """Propagate and refine planes, ``rounds`` times over both colours.
+
+        Random steps are multiplied by ``step`` in the first round and by half of it in each next.
+        """
         with torch_threads(self._photometry.torch_threads):
             for k in range(rounds):
                 for colour in self._colours:
@@ -207,7 +211,7 @@ class _Search:
             for region in _REGIONS:
                 best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
             for drawn in noise:
-                random = drawn[:, rows, columns] * (step * self._pixel)
+                random = drawn[:, rows, columns] * (step * self._inverse_per_px)
                 w, gx, gy = best.planes
                 best.offer(torch.stack([w + _STEP_PX * random[0], gx, gy]))
                 w, gx, gy = best.planes
@@ -225,7 +229,7 @@ class _Search:
 
 def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
     """Return the fastest installed implementation of the cost for a device."""
-    if loops_serve(device):
+    if supports_loops(device):
         from objconnect.mapping.dense.compiled_cost import CompiledPhotometry
 
         return CompiledPhotometry
@@ -233,7 +237,7 @@ def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
 
 
 class _Best:
-    """The best plane so far at each pixel of a window."""
+    """The cheapest plane so far at each of n pixels."""
 
     def __init__(self, photometry: PlaneCosts, window: Any, planes: Tensor, cost: Tensor) -> None:
         self._photometry = photometry
@@ -259,7 +263,7 @@ def _from_neighbour(
     dx, dy = torch.tensor(region, device=rows.device).T[..., None]
     costs = cost[rows + dy + _REACH, columns + dx + _REACH]
     least, which = costs.min(0)
-    # Where all neighbours are outside the picture, the pixel's own plane is taken.
+    # Where all neighbours are outside the picture, the offset is 0: the pixel keeps its plane.
     inside = torch.isfinite(least)
     dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
     return move(planes[:, rows + dy, columns + dx], -dx, -dy)

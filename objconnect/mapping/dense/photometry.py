@@ -15,27 +15,28 @@ from torch.nn.functional import grid_sample, pad
 
 from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
 
-WORST = 2.0
+WORST_COST = 2.0
 """Cost of an inverted picture, and of a view that does not see the plane."""
 
 STEPS = (-4, -2, 0, 2, 4)
-"""Offsets of samples: every second pixel of a window of 9 x 9, as in the published method."""
+"""Offsets (px) of samples in a window of 9 x 9: every second row and column, as in Gipuma."""
 
-NOISE = 1e-5
+NOISE_VARIANCE = 1e-5
 """Variance (of grey in 0..1) of noise. Windows with less variance have no texture."""
 
 SIGMA_PX: Final = 4.0
-"""Width (px) of the Gaussian weight of samples: the window's edge counts 61 %."""
+"""Width (px) of the Gaussian weight of samples: the middle of the window's edge has 61 %."""
 
 SIGMA_GREY: Final = 0.1
-"""Difference in grey (0..1) at which the weight of a sample falls by e, because it is likely on
-another surface."""
+"""Difference in grey (0..1) at which the weight of a sample falls by a factor of e, because it is
+likely on another surface."""
 
 GEOMETRIC_WEIGHT: Final = 0.2
 """Additional cost per pixel of distance after a round trip through the map of another view."""
 
 GEOMETRIC_LIMIT_PX: Final = 3.0
-"""Upper bound (px) of this distance, so that a single wrong map does not decide."""
+"""Upper bound (px) of the distance after a round trip, so that a single wrong map does not
+decide."""
 
 
 class Visibility(NamedTuple):
@@ -43,12 +44,12 @@ class Visibility(NamedTuple):
 
     Attributes:
         seen: whether each of K sources shows a pixel, (K, H, W).
-        best: number of sources that count, (H, W): the better half, and at least two, so that
-            occluded views are ignored.
+        num_counted: number (H, W) of sources whose costs are averaged: the better half, and at
+            least two, so that occluded views are ignored.
     """
 
     seen: Tensor
-    best: Tensor
+    num_counted: Tensor
 
     @staticmethod
     def of(reference: StereoView, warps: Sequence[Warp], expected: Tensor) -> Visibility:
@@ -141,7 +142,7 @@ class Photometry:
         self._there = [Warp.between(reference, source) for source in sources]
         self._back = [Warp.between(source, reference) for source in sources]
         self._inverse_depths = inverse_depths
-        self._seen, self._best = Visibility.of(reference, self._there, expected)
+        self._seen, self._num_counted = Visibility.of(reference, self._there, expected)
         reach, device = STEPS[-1], reference.grey.device
         self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
         self._steps = torch.tensor(STEPS, dtype=torch.float32, device=device)
@@ -159,28 +160,28 @@ class Photometry:
         weights = self._near * torch.exp(difference / -SIGMA_GREY)
         weights = weights / weights.sum(0)
         central = grey - (weights * grey).sum(0)
-        deviation = ((weights * central**2).sum(0) + NOISE).sqrt()
+        deviation = ((weights * central**2).sum(0) + NOISE_VARIANCE).sqrt()
         correlator = weights * central / deviation
         samples = []
         for seen in self._seen[:, rows, columns]:
             which = seen.nonzero()[:, 0]
             x, y = columns[which] + 0.5, rows[which] + 0.5
-            there = weights.index_select(1, which), correlator.index_select(1, which)
-            samples.append(Samples(which, x, y, *there))
+            factors = weights.index_select(1, which), correlator.index_select(1, which)
+            samples.append(Samples(which, x, y, *factors))
         return Window(rows, columns, tuple(samples))
 
     def cost(self, window: Window, planes: Tensor, below: Tensor | None = None) -> Tensor:
         """Return the exact cost of a plane at each pixel; see ``PlaneCosts``."""
-        each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
+        costs = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
-            each[k, samples.which] = self._cost_in(
+            costs[k, samples.which] = self._cost_in(
                 k, samples, planes.index_select(1, samples.which)
             )
-        each = _ascending(each)
-        best = self._best[window.rows, window.columns]
-        counted = torch.arange(len(each), device=best.device)[:, None] < best
-        mean = torch.where(counted, each, 0).sum(0) / best.clamp_min(1)
-        return torch.where(best > 0, mean, WORST)
+        costs = _sort_costs(costs)
+        num_counted = self._num_counted[window.rows, window.columns]
+        counted = torch.arange(len(costs), device=num_counted.device)[:, None] < num_counted
+        mean = torch.where(counted, costs, 0).sum(0) / num_counted.clamp_min(1)
+        return torch.where(num_counted > 0, mean, WORST_COST)
 
     def _cost_in(self, k: int, samples: Samples, planes: Tensor) -> Tensor:
         """Return the cost (m,) of planes (3, m) in a source."""
@@ -189,8 +190,8 @@ class Photometry:
         warp = self._there[k]
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, -1 and 1 are the edges of the picture. It is faster where x and y
-        # of many samples are contiguous.
+        # In grid_sample's units, -1 and 1 are the edges of the picture. It is faster with all x
+        # contiguous, and all y, so the last axis of the grid is stored first.
         side = len(STEPS)
         grid = torch.empty(2, side, side, len(w), device=w.device)
         step = self._steps[:, None]
@@ -200,7 +201,8 @@ class Photometry:
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
             torch.add(rows[:, None], columns[None], out=grid[axis])
-        # Torch parallelises over a batch, and not within a picture.
+        # Torch parallelises over a batch and not within a picture, so each row of samples is an
+        # item.
         grey = grid_sample(
             self._sources[k].expand(side, -1, -1, -1),
             grid.permute(1, 2, 3, 0),
@@ -210,20 +212,20 @@ class Photometry:
         weighted = weights * grey
         mean = weighted.sum(0)
         variance = weighted.mul_(grey).sum(0) - mean * mean
-        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + NOISE).sqrt()
+        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + NOISE_VARIANCE).sqrt()
         cost = 1 - correlation.clamp(-1, 1)
         if self._inverse_depths is not None:
             pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
             limited = pixels.clamp_max(GEOMETRIC_LIMIT_PX)
             cost = cost + GEOMETRIC_WEIGHT * limited
-        return torch.where(at.seen, cost, WORST)
+        return torch.where(at.seen, cost, WORST_COST)
 
 
-def _ascending(each: Tensor) -> Tensor:
-    """Sort costs (K, n) over K sources, nine times as fast as ``torch.sort`` for small K."""
-    rows = list(each)
+def _sort_costs(costs: Tensor) -> Tensor:
+    """Sort costs (K, n) over K sources, faster than ``torch.sort`` for small K."""
+    rows = list(costs)
     for last in range(len(rows) - 1, 0, -1):
         for k in range(last):
-            below, above = rows[k], rows[k + 1]
-            rows[k], rows[k + 1] = torch.minimum(below, above), torch.maximum(below, above)
+            a, b = rows[k], rows[k + 1]
+            rows[k], rows[k + 1] = torch.minimum(a, b), torch.maximum(a, b)
     return torch.stack(rows)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from objconnect.mapping.dense.report import WITHIN, Truth
+from objconnect.mapping.dense.report import RELATIVE_TOLERANCE, Truth
 from objconnect.mapping.dense.workspace import Workspace
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
@@ -49,7 +49,10 @@ def draw_maps(
             row[3].imshow(_valid(true.depth), vmin=low, vmax=high, cmap="viridis")
             error = np.abs(depth / np.where(true.depth > 0, true.depth, 1) - 1)
             error = np.where((depth > 0) & true.evaluable, error, np.nan)
-            shown = row[4].imshow(100 * error, vmin=0, vmax=400 * WITHIN, cmap="inferno")
+            # The scale ends at four times the tolerance, in percent.
+            shown = row[4].imshow(
+                100 * error, vmin=0, vmax=400 * RELATIVE_TOLERANCE, cmap="inferno"
+            )
             figure.colorbar(shown, ax=row[4], shrink=0.8)
     titles = ("photograph", "depth (m)", "sources that confirm it", "true depth", "error (%)")
     for ax, title in zip(axes[0], titles, strict=False):

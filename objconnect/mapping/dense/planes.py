@@ -58,7 +58,7 @@ def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
 
 
 def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
-    """Give every pixel the depth of the nearest of some points, facing the camera.
+    """Return fronto-parallel planes; each pixel has the inverse depth of the nearest seed.
 
     Args:
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
@@ -83,9 +83,9 @@ def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Te
 
 
 def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
-    """Fit a plane at every pixel to the nearest of some points.
+    """Fit a plane at every pixel to the nearest seeds.
 
-    Points and planes are as those of ``planes_at_nearest``.
+    Arguments and result are those of ``planes_at_nearest``.
     """
     points = torch.from_numpy(seeds)
     y, x = torch.meshgrid(

@@ -16,15 +16,16 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 
-WITHIN = 0.005
+RELATIVE_TOLERANCE = 0.005
 """Maximum relative error of a depth that counts as right."""
 
 # A pixel is evaluated if at least this many photographs, including its own, see its surface.
-_VIEWS = 3
-# A photograph sees a point if its depth there differs by less than this (relative).
-_SAME = 0.01
+_MIN_VIEWS = 3
+# A photograph sees a point if the photograph's depth at the point's pixel differs from the point's
+# depth by less than this share.
+_SAME_DEPTH = 0.01
 GROUPS = ("all", "ground", "small", "medium", "large")
-"""Groups of pixels for which accuracy is reported."""
+"""Groups of pixels for which accuracy is reported: all, ground, and objects by size class."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Truth:
     @property
     def evaluable(self) -> NDArray[np.bool_]:
         """Return the mask of evaluated pixels, whose surface enough photographs see."""
-        return (self.depth > 0) & (self.views >= _VIEWS)
+        return (self.depth > 0) & (self.views >= _MIN_VIEWS)
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Accuracy:
 
     Attributes:
         pixels: number of evaluated pixels.
-        complete: share of them with any depth.
-        right: share of them with a depth within 0.5 % of the truth.
+        complete: share of the pixels with any depth.
+        right: share of the pixels with a depth within 0.5 % of the truth.
         right_of_complete: share of the pixels with a depth that are within 0.5 % of the truth.
         median_error: relative median error of the pixels with a depth; None where there are none.
     """
@@ -74,8 +75,8 @@ class DenseReport:
         photographs: number of photographs of the map.
         maps: number of depth maps.
         points: number of points of the fused cloud.
-        cpu_seconds_per_map: processor time for 512 x 512 pixels of the depth maps made in this run;
-            None when it made none.
+        cpu_seconds_per_map: processor seconds for 512 x 512 pixels of the depth maps of this run;
+            None if it made none.
         accuracy: accuracy of all evaluated pixels, those of the ground, and those of objects by
             size class; empty where the scene has no true depth.
     """
@@ -97,11 +98,11 @@ class DenseReport:
         if self.cpu_seconds_per_map is not None:
             lines.append(f"{self.cpu_seconds_per_map:.1f} CPU-seconds per 512 x 512 pixels")
         if self.accuracy:
-            lines.append(f"of pixels seen by {_VIEWS} or more photographs:")
+            lines.append(f"of pixels seen by {_MIN_VIEWS} or more photographs:")
         for name, a in self.accuracy.items():
             middle = "" if a.median_error is None else f"median {a.median_error:.2%}, "
             lines.append(
-                f"  {name:<7} {a.right:6.1%} within {WITHIN:.1%} of the true depth "
+                f"  {name:<7} {a.right:6.1%} within {RELATIVE_TOLERANCE:.1%} of the true depth "
                 f"({a.right_of_complete:.1%} of the {a.complete:.1%} that have one), "
                 f"{middle}{a.pixels} pixels"
             )
@@ -113,20 +114,20 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
     sampled: dict[str, tuple[NDArray[np.float32], NDArray[np.uint16]]] = {}
     for session in scene.sessions:
         frames = scene.frames(session)
-        with scene.dense(session) as layers:
+        with scene.layers(session) as layers:
             if not layers.has("depth"):
                 continue
             for k, name in enumerate(frames.names):
                 if name in sparse_map.images:
-                    at = _nearest(frames.cameras[k], sparse_map.images[name].camera)
+                    pixels = _nearest(frames.cameras[k], sparse_map.images[name].camera)
                     depth, instance = (layers.read(w, k) for w in ("depth", "instance"))
-                    sampled[name] = depth[at], instance[at]
+                    sampled[name] = depth[pixels], instance[pixels]
     images = [sparse_map.images[name] for name in sampled]
     depths = {name: depth for name, (depth, _) in sampled.items()}
     truth = {}
     with progress_bar("truth", len(sampled)) as advance:
         for name, (depth, instance) in sampled.items():
-            views = _views(sparse_map.images[name], images, depths)
+            views = _count_views(sparse_map.images[name], images, depths)
             truth[name] = Truth(depth, instance, views)
             advance(len(truth))
     return truth
@@ -139,7 +140,7 @@ def _nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArra
     return row.clamp(0, camera.height - 1).numpy(), column.clamp(0, camera.width - 1).numpy()
 
 
-def _views(
+def _count_views(
     image: MapImage, others: Sequence[MapImage], depths: Mapping[str, NDArray[np.float32]]
 ) -> NDArray[np.int16]:
     depth = torch.from_numpy(depths[image.name]).double()
@@ -148,12 +149,12 @@ def _views(
     count = torch.zeros(len(world), dtype=torch.int16)
     for other in others:
         local = other.pose.transform(world)
-        seen = other.camera.project(local)
-        inside = seen.valid & other.camera.contains(seen.xy)
-        column = seen.xy[:, 0].long().clamp(0, other.camera.width - 1)
-        row = seen.xy[:, 1].long().clamp(0, other.camera.height - 1)
-        met = torch.from_numpy(depths[other.name])[row, column]
-        count += inside & ((met - local[:, 2]).abs() < _SAME * met)
+        projected = other.camera.project(local)
+        inside = projected.valid & other.camera.contains(projected.xy)
+        column = projected.xy[:, 0].long().clamp(0, other.camera.width - 1)
+        row = projected.xy[:, 1].long().clamp(0, other.camera.height - 1)
+        stored = torch.from_numpy(depths[other.name])[row, column]
+        count += inside & ((stored - local[:, 2]).abs() < _SAME_DEPTH * stored)
     return count.reshape(depth.shape).numpy()
 
 
@@ -164,7 +165,7 @@ class DenseCloud:
     Attributes:
         names: photographs that have a depth map.
         points: number of points of the cloud.
-        cpu_seconds: processor time for 512 x 512 pixels of depth maps, or None.
+        cpu_seconds: processor seconds for 512 x 512 pixels of depth maps, None if none was made.
     """
 
     workspace: Workspace
@@ -192,12 +193,12 @@ def report(
             continue
         true = truth[name]
         depth = workspace.depth(name, "geometric")
-        judged = true.evaluable
-        error = np.where(depth > 0, np.abs(depth / np.where(judged, true.depth, 1) - 1), np.inf)
-        group = groups.of(true.instance)[judged]
-        parts["all"].append(error[judged])
+        evaluable = true.evaluable
+        error = np.where(depth > 0, np.abs(depth / np.where(evaluable, true.depth, 1) - 1), np.inf)
+        group = groups.of(true.instance)[evaluable]
+        parts["all"].append(error[evaluable])
         for k, label in enumerate(GROUPS[1:]):
-            parts[label].append(error[judged][group == k])
+            parts[label].append(error[evaluable][group == k])
     errors = {label: np.concatenate(arrays) for label, arrays in parts.items() if arrays}
     return DenseReport(
         photographs=photographs,
@@ -217,13 +218,13 @@ class Groups:
             self._table[item.id] = GROUPS.index(item.size_class) - 1
 
     def of(self, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
-        """Return the rows in ``GROUPS[1:]`` of object ids of any shape."""
+        """Return the index into ``GROUPS[1:]`` of each object id."""
         return np.asarray(self._table[instance])
 
 
 def _accuracy(error: NDArray[np.float64]) -> Accuracy:
     known = error[np.isfinite(error)]
-    right = int((known < WITHIN).sum())
+    right = int((known < RELATIVE_TOLERANCE).sum())
     return Accuracy(
         pixels=len(error),
         complete=len(known) / len(error),

@@ -13,7 +13,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 # Minimum number of common map points of a photograph and its source; fewer may be outliers.
 _MIN_COMMON: Final = 5
-# Sources must cover a grid with this many points per side.
+# Points per side of the grid in the picture on which coverage by sources is measured.
 _GRID: Final = 12
 # Best triangulation angle, and the widths of the Gaussian weight below and above it. Small angles
 # make depth inexact, large ones change the appearance.
@@ -25,8 +25,8 @@ _WIDER_DEG: Final = 15.0
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
     """Return the map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
 
-    They are the points that it observes, and points without observations, which were not
-    triangulated but added to the map.
+    They are the points that the photograph observes, and points without observations, which were
+    not triangulated but added to the map.
     """
     image = sparse_map.images[name]
     wanted = sparse_map.track_length == 0
@@ -50,7 +50,7 @@ def choose_sources(
         sparse_map: map with undistorted cameras.
         name: the photograph to be matched.
         seeds: its map points, as those of ``seeds_in``.
-        count: largest number of sources.
+        count: maximum number of sources.
     """
     image = sparse_map.images[name]
     observed = image.point_rows[image.point_rows >= 0]
@@ -66,8 +66,8 @@ def choose_sources(
     for other in sparse_map.images.values():
         if other.name == name or np.isin(other.point_rows, observed).sum() < _MIN_COMMON:
             continue
-        seen = other.camera.project(other.pose.transform(surface))
-        inside = (seen.valid & other.camera.contains(seen.xy)).numpy()
+        projected = other.camera.project(other.pose.transform(surface))
+        inside = (projected.valid & other.camera.contains(projected.xy)).numpy()
         angle = _angle_deg(surface.numpy(), image.centre, other.centre)
         weights[other.name] = inside * _angle_weight(angle)
     chosen: list[str] = []
@@ -79,27 +79,27 @@ def choose_sources(
     return chosen
 
 
-def choose_all(sparse_map: SparseMap, count: int, enough: int) -> dict[str, list[str]]:
+def choose_all(sparse_map: SparseMap, max_sources: int, min_sources: int) -> dict[str, list[str]]:
     """Choose the sources of every photograph that has enough of them.
 
     Args:
         sparse_map: map with undistorted cameras.
-        count: largest number of sources of a photograph.
-        enough: least number of sources; photographs with fewer are left out.
+        max_sources: maximum number of sources of a photograph.
+        min_sources: minimum number of sources; photographs with fewer are left out.
     """
-    pairs = {}
+    sources_of = {}
     for name in sparse_map.names:
         seeds = seeds_in(sparse_map, name)
-        chosen = choose_sources(sparse_map, name, seeds, count) if len(seeds) else []
-        if len(chosen) >= enough:
-            pairs[name] = chosen
-    # A source must have a map, and so sources, of its own.
+        chosen = choose_sources(sparse_map, name, seeds, max_sources) if len(seeds) else []
+        if len(chosen) >= min_sources:
+            sources_of[name] = chosen
+    # A source must itself have a depth map, and therefore enough sources.
     while True:
-        kept = {name: [o for o in chosen if o in pairs] for name, chosen in pairs.items()}
-        kept = {name: chosen for name, chosen in kept.items() if len(chosen) >= enough}
-        if kept == pairs:
-            return pairs
-        pairs = kept
+        kept = {name: [o for o in chosen if o in sources_of] for name, chosen in sources_of.items()}
+        kept = {name: chosen for name, chosen in kept.items() if len(chosen) >= min_sources}
+        if kept == sources_of:
+            return sources_of
+        sources_of = kept
 
 
 def _angle_deg(
@@ -112,6 +112,6 @@ def _angle_deg(
 
 
 def _angle_weight(angle_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    off = angle_deg - _BEST_ANGLE_DEG
-    width = np.where(off < 0, _NARROWER_DEG, _WIDER_DEG)
-    return np.asarray(np.exp(-0.5 * (off / width) ** 2))
+    difference = angle_deg - _BEST_ANGLE_DEG
+    width = np.where(difference < 0, _NARROWER_DEG, _WIDER_DEG)
+    return np.asarray(np.exp(-0.5 * (difference / width) ** 2))

@@ -18,15 +18,16 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.images import read_rgb
 
-# The focal length grows by this factor per step, up to a limit, until the pinhole fits inside.
+# The focal length grows by this factor per step, up to a limit, until the pinhole's picture lies
+# inside the photograph.
 _GROWTH = 1.02
-_MOST_GROWTH = 8.0
+_MAX_GROWTH = 8.0
 # Quality of the JPEG files that COLMAP and other programs read.
 _QUALITY = 98
 
 
 def pinhole_of(camera: Camera, size: int) -> Camera:
-    """Return a PINHOLE camera whose picture lies completely inside that of a camera.
+    """Return a PINHOLE camera whose picture lies completely inside that of ``camera``.
 
     Args:
         camera: the camera of photographs.
@@ -37,14 +38,14 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     zoom = 1.0
-    while zoom < _MOST_GROWTH:
+    while zoom < _MAX_GROWTH:
         pinhole = Camera("PINHOLE", camera.width, camera.height, (fx * zoom, fy * zoom, cx, cy))
         if not any(camera.distortion) and not camera.is_fisheye:
             break
         edge = pinhole.pixel_grid()
         border = torch.cat([edge[0], edge[-1], edge[:, 0], edge[:, -1]])
-        seen = camera.project(pinhole.unproject(border)[0])
-        if bool((seen.valid & camera.contains(seen.xy, border=0.5)).all()):
+        projected = camera.project(pinhole.unproject(border)[0])
+        if bool((projected.valid & camera.contains(projected.xy, border=0.5)).all()):
             break
         zoom *= _GROWTH
     else:
@@ -72,7 +73,8 @@ def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Pa
     """Undistort a photograph and write it. A photograph without distortion is copied.
 
     Raises:
-        InputError: it is missing, damaged or not of its camera's size, or cannot be written.
+        InputError: the photograph is missing, damaged or not of its camera's size, or cannot be
+            written.
     """
     rgb = read_rgb(photograph, camera)
     with atomic_write(out) as partial:

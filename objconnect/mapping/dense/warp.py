@@ -12,8 +12,8 @@ from torch import Tensor
 
 from objconnect.scene.geometry.camera import Camera
 
-MIN_DEPTH = 1e-6
-"""Least depth in another view, as a share of the depth here."""
+MIN_DEPTH_RATIO = 1e-6
+"""Minimum ratio of the depths of a point in the other view and here."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class StereoView:
         return self.grey.nbytes
 
 
-class Warped(NamedTuple):
-    """Pixels ``u``, ``v`` in another view, and the ratio ``z`` of the depths there and here.
+class WarpedPixels(NamedTuple):
+    """Pixels ``u``, ``v`` in another view, and the ratio ``z`` of the depth there to that here.
 
     ``z`` is at least a millionth. ``seen`` is whether the point is in front of the other view and
     inside its picture.
@@ -51,7 +51,7 @@ class Warped(NamedTuple):
 
 @dataclass(frozen=True)
 class Warp:
-    """The homogeneous pixel ``rotation @ (x, y, 1) + w * translation``, linear in w = 1/z.
+    """The homogeneous pixel ``rotation @ (x, y, 1) + w * translation``; w is the inverse depth.
 
     Attributes:
         rotation: matrix (3, 3).
@@ -67,6 +67,7 @@ class Warp:
 
     @staticmethod
     def between(here: StereoView, there: StereoView) -> Warp:
+        """Return the warp of pixels of ``here`` to pixels of ``there``."""
         relative = there.cam_from_world @ np.linalg.inv(here.cam_from_world)
         K = there.camera.calibration
         rotation = K @ relative[:3, :3] @ np.linalg.inv(here.camera.calibration)
@@ -77,18 +78,20 @@ class Warp:
             there.camera.width,
         )
 
-    def __call__(self, x: Tensor, y: Tensor, w: Tensor) -> Warped:
+    def __call__(self, x: Tensor, y: Tensor, w: Tensor) -> WarpedPixels:
         """Warp pixels with inverse depths, all of one shape."""
         a, b, c = (
             row[0] * x + row[1] * y + (row[2] + shift * w)
             for row, shift in zip(self.rotation, self.translation, strict=True)
         )
-        z = c.clamp_min(MIN_DEPTH)
+        z = c.clamp_min(MIN_DEPTH_RATIO)
         u, v = a / z, b / z
         inside = (u > 0) & (u < self.width) & (v > 0) & (v < self.height)
-        return Warped(u, v, z, inside & (c > MIN_DEPTH))
+        return WarpedPixels(u, v, z, inside & (c > MIN_DEPTH_RATIO))
 
-    def slopes(self, at: Warped, gx: Tensor, gy: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def slopes(
+        self, at: WarpedPixels, gx: Tensor, gy: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return du/dx, du/dy, dv/dx, dv/dy on a plane with inverse-depth slopes gx, gy."""
         (a0, a1, _), (b0, b1, _), (c0, c1, _) = self.rotation
         ta, tb, tc = self.translation
@@ -123,10 +126,10 @@ def round_trip(
     column = at.u.long().clamp(0, there.width - 1)
     row = at.v.long().clamp(0, there.height - 1)
     known = inverse_depth[row, column]
-    home = back(at.u, at.v, known)
-    met = at.seen & (known > 0)
-    pixels = torch.hypot(home.u - x, home.v - y)
+    returned = back(at.u, at.v, known)
+    is_known = at.seen & (known > 0)
+    pixels = torch.hypot(returned.u - x, returned.v - y)
     return (
-        torch.where(met, pixels, torch.inf),
-        torch.where(met, at.z / w * known - 1, torch.inf),
+        torch.where(is_known, pixels, torch.inf),
+        torch.where(is_known, at.z / w * known - 1, torch.inf),
     )

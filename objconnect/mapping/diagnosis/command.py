@@ -1,7 +1,7 @@
 """The command ``diagnose``: measure coverage, drift and uniformity of a map's points.
 
-The paper claims that structure from motion misses small objects, covers the ground unevenly and has
-points that drift. These figures test the claim on a map.
+The object-connect paper claims that structure from motion misses small objects, covers the ground
+unevenly and has points that drift. These figures test the claim on a map.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
     added = scene.is_added_point(sparse_map)
-    given = {} if masks is None else dict(read_masks(masks, sparse_map.names))
-    for name, labels in given.items():
+    user_masks = {} if masks is None else dict(read_masks(masks, sparse_map.names))
+    for name, labels in user_masks.items():
         check_size(labels, sparse_map.images[name])
     truth = read_truth(scene, sparse_map)
     cells = visible_cells(scene, sparse_map, cell_m)
@@ -130,8 +130,8 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     def figures(kept: NDArray[np.bool_]) -> Figures:
         return Figures(
             points=int(kept.sum()),
-            **_objects(scene, truth, kept),
-            masks=mask_coverage(sparse_map, given, kept),
+            **_object_coverage(scene, truth, kept),
+            masks=mask_coverage(sparse_map, user_masks, kept),
             drift={} if truth is None else _drift(scene, truth, kept),
             uniformity=uniformity(sparse_map.xyz[kept], cells, cell_m),
         )
@@ -143,7 +143,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     if added.any():
         states = {"before": ~added, "after": states["map"]}
     picture = path / _PICTURE
-    _draw(scene, sparse_map, truth, given, states, picture)
+    _draw(scene, sparse_map, truth, user_masks, states, picture)
     measured = [figures(kept) for kept in states.values()]
     return Diagnosis(
         reprojection_error_px=sparse_map.reprojection_error(),
@@ -155,16 +155,17 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     )
 
 
-def _objects(
+def _object_coverage(
     scene: Scene, truth: Truth | None, kept: NDArray[np.bool_]
 ) -> dict[str, dict[str, ObjectCoverage]]:
+    """Return the fields ``objects`` and ``small_objects`` of ``Figures`` for the kept points."""
     if truth is None:
         return {"objects": {}, "small_objects": {}}
-    seen = [item for item in scene.objects.objects if item.id in truth.seen]
-    small = [item for item in seen if item.size_class == "small"]
+    in_view = [item for item in scene.objects.objects if item.id in truth.ids_in_view]
+    small = [item for item in in_view if item.size_class == "small"]
     owners = truth.owners[kept]
     return {
-        "objects": coverage(owners, seen, lambda item: item.size_class),
+        "objects": coverage(owners, in_view, lambda item: item.size_class),
         "small_objects": coverage(owners, small, lambda item: item.class_name),
     }
 
@@ -182,14 +183,14 @@ def _draw(
     scene: Scene,
     sparse_map: SparseMap,
     truth: Truth | None,
-    given: Mapping[str, Labels],
+    user_masks: Mapping[str, Labels],
     states: Mapping[str, NDArray[np.bool_]],
     path: Path,
 ) -> None:
     """Draw the points over the photograph with the most masks, small objects or points."""
-    if given:
-        name = max(given, key=lambda name: len(np.unique(given[name])))
-        labels = given[name]
+    if user_masks:
+        name = max(user_masks, key=lambda name: len(np.unique(user_masks[name])))
+        labels = user_masks[name]
     elif truth is not None:
         name = max(truth.small_in, key=lambda name: truth.small_in[name])
         labels = _true_labels(scene, sparse_map, name)
@@ -203,11 +204,11 @@ def _draw(
     shown = np.unique(labels[labels != NOTHING]).tolist()
     panels = []
     for title, kept in states.items():
-        if given or truth is None:
-            having = set(points_by_label(labels, image, kept))
+        if user_masks or truth is None:
+            labels_with_points = set(points_by_label(labels, image, kept))
         else:
-            having = set(truth.owners[kept].tolist())
-        panels.append(Panel(title, kept, {label: label in having for label in shown}))
+            labels_with_points = set(truth.owners[kept].tolist())
+        panels.append(Panel(title, kept, {label: label in labels_with_points for label in shown}))
     photograph = read_rgb(scene.images_root / name, image.camera)
     draw(photograph, image, labels, None if truth is None else truth.drift, panels, path)
 
@@ -215,6 +216,6 @@ def _draw(
 def _true_labels(scene: Scene, sparse_map: SparseMap, name: str) -> Labels:
     """Return the label map of the small objects of a photograph, labelled by their ids."""
     small = [item.id for item in scene.objects.objects if item.size_class == "small"]
-    every = scene.layers_of_map(sparse_map, "instance")
-    instance = next(layers["instance"] for image, layers in every if image.name == name)
+    layers_of_images = scene.layers_of_map(sparse_map, "instance")
+    instance = next(layers["instance"] for image, layers in layers_of_images if image.name == name)
     return np.where(np.isin(instance, small), instance.astype(np.int64), NOTHING)

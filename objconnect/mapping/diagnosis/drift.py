@@ -24,7 +24,8 @@ CLOSE_M = 0.5
 _REACH = 2
 # Each pixel is modelled as a disc in space. Its radius is this share of the pixel's side, so that
 # it covers the corners of a pixel seen from the front.
-_CORNER = float(np.sqrt(0.5))
+_DISC_RADIUS = float(np.sqrt(0.5))
+# Scenes store the components of unit normals as integers, times this.
 _NORMAL_SCALE = 127
 
 
@@ -36,13 +37,13 @@ class Truth:
         owners: id (M,) of the object on which each point lies, 0 for the ground.
         drift: distance (M,) of each point from the surface of its object, metres; infinite where no
             photograph shows that surface near the point.
-        seen: ids of the objects in the map's photographs.
+        ids_in_view: ids of the objects in the map's photographs.
         small_in: number of small objects in each photograph, by name.
     """
 
     owners: NDArray[np.int64]
     drift: NDArray[np.float64]
-    seen: frozenset[int]
+    ids_in_view: frozenset[int]
     small_in: Mapping[str, int]
 
 
@@ -93,19 +94,19 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
     if not instances:
         return None
     owners = objects_of_points(len(drift), instances)
-    seen = {image.name: np.unique(instance) for image, instance in instances}
+    ids_in = {image.name: np.unique(instance) for image, instance in instances}
     with progress_bar("true surface", len(instances)) as advance:
-        every = scene.layers_of_map(sparse_map, "depth", "instance", "normal")
-        for done, (image, layers) in enumerate(every, 1):
+        layers_of_images = scene.layers_of_map(sparse_map, "depth", "instance", "normal")
+        for done, (image, layers) in enumerate(layers_of_images, 1):
             rows = image.point_rows[image.point_rows >= 0]
-            near = _distances(image, layers, sparse_map.xyz, owners)
-            np.minimum.at(drift, rows, near)
+            distances = _distances(image, layers, sparse_map.xyz, owners)
+            np.minimum.at(drift, rows, distances)
             advance(done)
     return Truth(
         owners=owners,
         drift=drift,
-        seen=frozenset(np.concatenate(list(seen.values())).tolist()),
-        small_in={name: int(np.isin(ids, small).sum()) for name, ids in seen.items()},
+        ids_in_view=frozenset(np.concatenate(list(ids_in.values())).tolist()),
+        small_in={name: int(np.isin(ids, small).sum()) for name, ids in ids_in.items()},
     )
 
 
@@ -115,7 +116,11 @@ def _distances(
     xyz: NDArray[np.float64],
     owners: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return the distances (K,) of the points in an image from the surface that it shows."""
+    """Return the distances (K,), metres, between points and the surfaces of their objects.
+
+    The points are those that the image observes. A distance is infinite where the image does not
+    show the object near the observation.
+    """
     observed = image.point_rows >= 0
     rows = image.point_rows[observed]
     height, width = layers["depth"].shape
@@ -128,10 +133,10 @@ def _distances(
         rays, _ = image.camera.unproject(torch.from_numpy(np.stack(at[::-1], -1) + 0.5))
         patch = world_from_cam.transform(rays * torch.from_numpy(depth)[:, None]).numpy()
         normal = layers["normal"][at].astype(np.float64) / _NORMAL_SCALE
-        off = xyz[rows] - patch
-        above = (off * normal).sum(1)
-        beside = np.linalg.norm(off - above[:, None] * normal, axis=1)
-        radius = _CORNER * depth / min(image.camera.focal)
+        offset = xyz[rows] - patch
+        above = (offset * normal).sum(1)
+        beside = np.linalg.norm(offset - above[:, None] * normal, axis=1)
+        radius = _DISC_RADIUS * depth / min(image.camera.focal)
         distance = np.hypot(above, np.maximum(beside - radius, 0))
         shown = (depth > 0) & (layers["instance"][at] == owners[rows])
         best = np.where(shown, np.minimum(best, distance), best)

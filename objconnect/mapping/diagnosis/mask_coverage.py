@@ -14,8 +14,8 @@ from objconnect.scene.bundle.object_points import ObjectCoverage
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# Number of observations around a mask that estimate its depth.
-_AROUND = 8
+# The depth of a mask is the median over this many observations, those nearest to its centre.
+_NEIGHBOURS = 8
 
 
 def mask_coverage(
@@ -38,19 +38,19 @@ def mask_coverage(
     for name, labels in masks.items():
         image = sparse_map.images[name]
         check_size(labels, image)
-        seen = image.point_rows >= 0
-        inside = points_by_label(labels, image, kept)
-        xy, rows = image.xy[seen], image.point_rows[seen]
+        is_observed = image.point_rows >= 0
+        points_in = points_by_label(labels, image, kept)
+        xy, rows = image.xy[is_observed], image.point_rows[is_observed]
         depth = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))[:, 2].numpy()
         for label in np.unique(labels[labels != NOTHING]).tolist():
             if not len(depth):
                 continue  # without points, the distance is not known
             row, column = np.nonzero(labels == label)
             middle = column.mean() + 0.5, row.mean() + 0.5
-            near = np.argsort(np.square(xy - middle).sum(1), kind="stable")[:_AROUND]
+            nearest = np.argsort(np.square(xy - middle).sum(1), kind="stable")[:_NEIGHBOURS]
             longest = max(np.ptp(row), np.ptp(column)) + 1
-            metres = float(longest * np.median(depth[near]) / min(image.camera.focal))
-            counts.setdefault(size_class((metres, 0, 0)), []).append(inside.get(label, 0))
+            metres = float(longest * np.median(depth[nearest]) / min(image.camera.focal))
+            counts.setdefault(size_class((metres, 0, 0)), []).append(points_in.get(label, 0))
     return {
         size: ObjectCoverage(len(points), sum(count > 0 for count in points), sum(points))
         for size, points in sorted(counts.items())
@@ -59,9 +59,9 @@ def mask_coverage(
 
 def points_by_label(labels: Labels, image: MapImage, kept: NDArray[np.bool_]) -> dict[int, int]:
     """Return the number of kept points that a photograph observes in each mask, by label."""
-    seen = image.point_rows >= 0
-    seen[seen] = kept[image.point_rows[seen]]
-    column, row = np.floor(image.xy[seen]).astype(int).T
+    is_observed = image.point_rows >= 0
+    is_observed[is_observed] = kept[image.point_rows[is_observed]]
+    column, row = np.floor(image.xy[is_observed]).astype(int).T
     height, width = labels.shape
     observed = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
     values, counts = np.unique(observed[observed != NOTHING], return_counts=True)

@@ -1,4 +1,4 @@
-"""Draw map points and objects without points over a photograph, as in the paper's Fig. 1."""
+"""Draw map points and objects without points over a photograph (object-connect paper, Fig. 1)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.storage.atomic import atomic_write
 
 _DPI = 110
-_SIDE = 7.5
+# Width of a panel, inches.
+_PANEL_WIDTH = 7.5
 # Colours of outlines of objects with a point and without one.
 _WITH, _WITHOUT = "#37e05b", "#ff3b30"
-_FARTHEST_M = 1.0
+# End of the colour scale of drift.
+_MAX_DRIFT_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -60,24 +62,25 @@ def draw(
     """
     height, width = photograph.shape[:2]
     figure = Figure(
-        figsize=(_SIDE * len(panels) + 1, _SIDE * height / width + 0.6), layout="constrained"
+        figsize=(_PANEL_WIDTH * len(panels) + 1, _PANEL_WIDTH * height / width + 0.6),
+        layout="constrained",
     )
     row = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, panel in zip(row, panels, strict=True):
         ax.imshow(photograph, extent=(0, width, height, 0))
         _outline(ax, labels, panel.has_points)
-        seen = image.point_rows >= 0
-        seen[seen] = panel.kept[image.point_rows[seen]]
-        x, y = image.xy[seen].T
+        is_observed = image.point_rows >= 0
+        is_observed[is_observed] = panel.kept[image.point_rows[is_observed]]
+        x, y = image.xy[is_observed].T
         if drift is None:
             ax.scatter(x, y, s=9, c="#ffd60a", edgecolors="black", linewidths=0.3)
         else:
-            off = drift[image.point_rows[seen]].clip(0, _FARTHEST_M)
-            shown = ax.scatter(x, y, s=9, c=off, cmap="plasma", vmin=0, vmax=_FARTHEST_M,
+            shown_drift = drift[image.point_rows[is_observed]].clip(0, _MAX_DRIFT_M)
+            shown = ax.scatter(x, y, s=9, c=shown_drift, cmap="plasma", vmin=0, vmax=_MAX_DRIFT_M,
                                edgecolors="black", linewidths=0.3)  # fmt: skip
-        bare = sum(not has for has in panel.has_points.values())
-        counted = (f": {len(panel.has_points) - bare} small objects have a point (green), "
-                   f"{bare} none (red)" if panel.has_points else "")  # fmt: skip
+        without_points = sum(not has for has in panel.has_points.values())
+        counted = (f": {len(panel.has_points) - without_points} small objects have a point "
+                   f"(green), {without_points} none (red)" if panel.has_points else "")  # fmt: skip
         ax.set_title(f"{panel.title}{counted}", fontsize=10)
         ax.set(xlim=(0, width), ylim=(height, 0))
         ax.set_axis_off()

@@ -14,11 +14,12 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
 # Minimum number of photographs that see a cell, as a point needs two to be triangulated.
-_VIEWS = 2
+_MIN_VIEWS = 2
 # Each photograph is sampled on a grid with this many pixels per side.
 _PER_SIDE = 64
-# Rays that meet the ground plane beyond this many camera heights are near the horizon and ignored.
-_FARTHEST = 5.0
+# Rays that meet the ground plane farther than this many heights of the camera above it are ignored,
+# because they are near the horizon.
+_MAX_CAMERA_HEIGHTS = 5.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def visible_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray
         else:
             surface = _on_plane(image, sparse_map.xyz)
         views.update(set(_cells(surface, cell_m)))
-    seen = [cell for cell, count in sorted(views.items()) if count >= _VIEWS]
+    seen = [cell for cell, count in sorted(views.items()) if count >= _MIN_VIEWS]
     return np.array(seen, np.int64).reshape(-1, 2)
 
 
@@ -100,5 +101,5 @@ def _on_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     below = np.median(xyz[rows, 2]) - image.centre[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         along = below / directions[:, 2]
-    met = np.isfinite(along) & (along > 0) & (along < _FARTHEST * abs(below))
-    return np.asarray(image.centre + along[met, None] * directions[met])
+    meets_ground = np.isfinite(along) & (along > 0) & (along < _MAX_CAMERA_HEIGHTS * abs(below))
+    return np.asarray(image.centre + along[meets_ground, None] * directions[meets_ground])

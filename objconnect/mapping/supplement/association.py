@@ -49,7 +49,8 @@ def associate(
 ) -> Pairs:
     """Pair the detections of photographs that share map points.
 
-    A pair lies near each other's epipolar lines and is mutually the most similar.
+    The detections of a pair lie near each other's epipolar lines, and each is the most similar one
+    to the other.
 
     Args:
         sparse_map: map with the poses.
@@ -58,37 +59,37 @@ def associate(
     """
     names = sparse_map.names
     views, rows = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
-    for i, j in _neighbours(sparse_map, config.neighbours):
+    for i, j in _pair_photographs(sparse_map, config.neighbours):
         if names[i] not in detections or names[j] not in detections:
             continue
         a, b = detections[names[i]], detections[names[j]]
         if not len(a.xy) or not len(b.xy):
             continue
-        off = _epipolar_error(sparse_map.images[names[i]], a, sparse_map.images[names[j]], b)
-        alike = (a.descriptors @ b.descriptors.T).astype(np.float64)
-        alike[(off > config.epipolar_px) | (alike < config.similarity)] = -np.inf
-        best = alike.argmax(1)
+        error_px = _epipolar_error(sparse_map.images[names[i]], a, sparse_map.images[names[j]], b)
+        similarity = (a.descriptors @ b.descriptors.T).astype(np.float64)
+        similarity[(error_px > config.epipolar_px) | (similarity < config.similarity)] = -np.inf
+        best = similarity.argmax(1)
         mutual = np.flatnonzero(
-            (alike.max(1) > -np.inf) & (alike.argmax(0)[best] == np.arange(len(best)))
+            (similarity.max(1) > -np.inf) & (similarity.argmax(0)[best] == np.arange(len(best)))
         )
         views.append(np.tile([i, j], (len(mutual), 1)))
         rows.append(np.stack([mutual, best[mutual]], 1))
     return Pairs(np.concatenate(views), np.concatenate(rows))
 
 
-def _neighbours(sparse_map: SparseMap, count: int) -> list[tuple[int, int]]:
+def _pair_photographs(sparse_map: SparseMap, count: int) -> list[tuple[int, int]]:
     """Pair each photograph with those that share the most map points with it."""
     observed = [
         np.unique(image.point_rows[image.point_rows >= 0])
         for image in (sparse_map.images[name] for name in sparse_map.names)
     ]
-    owner = np.repeat(np.arange(len(observed)), [len(rows) for rows in observed])
-    everything = np.concatenate(observed)
+    photograph = np.repeat(np.arange(len(observed)), [len(rows) for rows in observed])
+    all_rows = np.concatenate(observed)
     chosen = set()
     for i, rows in enumerate(observed):
-        mine = np.zeros(len(sparse_map.xyz), bool)
-        mine[rows] = True
-        shared = np.bincount(owner[mine[everything]], minlength=len(observed))
+        is_observed = np.zeros(len(sparse_map.xyz), bool)
+        is_observed[rows] = True
+        shared = np.bincount(photograph[is_observed[all_rows]], minlength=len(observed))
         shared[i] = 0
         for j in np.argsort(-shared, kind="stable")[:count].tolist():
             if shared[j]:
@@ -101,8 +102,9 @@ def _epipolar_error(
 ) -> NDArray[np.float64]:
     """Return the epipolar errors (A, B) of all pairs of detections, pixels.
 
-    An error is the larger of the angles between either ray and the other's epipolar plane, in
-    pixels at the middle of the picture. It is infinite where a pixel has no ray.
+    An error is the larger of two angles, each between a detection's ray and the epipolar plane of
+    the other detection, in pixels at the middle of the picture. It is infinite where a pixel has no
+    ray.
     """
     toward_a, toward_b = directions(image_a, a.xy), directions(image_b, b.xy)
     baseline = image_b.centre - image_a.centre
@@ -110,8 +112,8 @@ def _epipolar_error(
     with np.errstate(divide="ignore", invalid="ignore"):
         from_b = volume / np.linalg.norm(np.cross(baseline, toward_b), axis=1)[None, :]
         from_a = volume / np.linalg.norm(np.cross(baseline, toward_a), axis=1)[:, None]
-    off = np.maximum(from_b * min(image_a.camera.focal), from_a * min(image_b.camera.focal))
-    return np.where(np.isfinite(off), off, np.inf)
+    error_px = np.maximum(from_b * min(image_a.camera.focal), from_a * min(image_b.camera.focal))
+    return np.where(np.isfinite(error_px), error_px, np.inf)
 
 
 def directions(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -37,15 +37,16 @@ class Blobs:
 
     Attributes:
         detections: pixels, confidences and descriptors, from a network or from the appearance.
-        look: appearance (N, 9), the difference from the surroundings (L*, a*, b*) at each radius.
-        radius: index (N,) of the radius at which each blob was detected.
-        strength: norm (N,) of the difference at that radius.
+        appearance: appearance (N, 9), the difference from the surroundings (L*, a*, b*) at each
+            radius.
+        radius_index: index (N,) into ``SIGMAS`` of the radius at which each blob was detected.
+        strength: norm (N,) of the difference from the surroundings at that radius.
         colour: colour (N, 3), L*, a*, b*.
     """
 
     detections: Detections
-    look: NDArray[np.float64]
-    radius: NDArray[np.int64]
+    appearance: NDArray[np.float64]
+    radius_index: NDArray[np.int64]
     strength: NDArray[np.float64]
     colour: NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class Blobs:
         return self.detections.xy
 
 
-def in_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Convert a photograph (H, W, 3) to CIE L*a*b*."""
     scaled = rgb.astype(np.float32) / 255
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), np.float32)
@@ -78,12 +79,12 @@ def find_blobs(
             detections are added. Without a network, all blobs have confidence 1.
         masks: label map (H, W) of objects; blobs outside all objects are dropped.
     """
-    lab = in_lab(rgb)
+    lab = to_lab(rgb)
     contrast = np.stack([_contrast(lab, sigma) for sigma in SIGMAS])
     strength = np.linalg.norm(contrast, axis=-1)
     peaks = [_peaks(each) for each in strength]
     xy = np.concatenate(peaks)
-    radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in peaks])
+    radius_index = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in peaks])
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
     labels = None if masks is None else torch.from_numpy(masks)[None]
     segments: Tensor | None = None
@@ -97,30 +98,30 @@ def find_blobs(
             centres = objects.centres[0, objects.present[0]].double().numpy()
         row, column = _pixel(centres, rgb.shape)
         xy = np.concatenate([xy, centres])
-        radius = np.concatenate([radius, strength[:, row, column].argmax(0)])
+        radius_index = np.concatenate([radius_index, strength[:, row, column].argmax(0)])
     row, column = _pixel(xy, rgb.shape)
-    far = np.array([rgb.shape[1], rgb.shape[0]]) - _BORDER_PX
-    inside = ((xy >= _BORDER_PX) & (xy <= far)).all(1)
+    end = np.array([rgb.shape[1], rgb.shape[0]]) - _BORDER_PX
+    inside = ((xy >= _BORDER_PX) & (xy <= end)).all(1)
     if labels is not None:
         labelled = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
         inside &= labelled.numpy()
     kept = np.flatnonzero(inside)
-    order = np.argsort(-strength[radius, row, column][kept], kind="stable")
+    order = np.argsort(-strength[radius_index, row, column][kept], kind="stable")
     kept = np.sort(kept[order[:_MAX_COUNT]])
-    xy, radius, row, column = xy[kept], radius[kept], row[kept], column[kept]
-    look = contrast[:, row, column].transpose(1, 0, 2).reshape(len(xy), -1).astype(np.float64)
+    xy, radius_index, row, column = xy[kept], radius_index[kept], row[kept], column[kept]
+    appearance = contrast[:, row, column].transpose(1, 0, 2).reshape(len(xy), -1).astype(np.float64)
     if objects is None or segments is None:
-        length = np.linalg.norm(look, axis=1, keepdims=True)
-        descriptors, confidence = look / length.clip(1e-6), np.ones(len(xy))
+        length = np.linalg.norm(appearance, axis=1, keepdims=True)
+        descriptors, confidence = appearance / length.clip(1e-6), np.ones(len(xy))
     else:
         index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
         descriptors, confidence = _describe(objects, index)
     smooth = cv2.GaussianBlur(lab, (0, 0), _COLOUR_SIGMA_PX)
     return Blobs(
         Detections(xy, descriptors.astype(np.float32), confidence),
-        look,
-        radius,
-        strength[radius, row, column].astype(np.float64),
+        appearance,
+        radius_index,
+        strength[radius_index, row, column].astype(np.float64),
         smooth[row, column].astype(np.float64),
     )
 

@@ -30,13 +30,16 @@ SHIPPED: Final = Path(__file__).with_name("supplement.safetensors")
 # Architecture and inputs of the trained classifier. Other values need other weights.
 _WIDTHS: Final = (64, 32)
 _TRACK_FIGURES: Final = 15
-_LOOK: Final = 9
-FIGURES: Final = _TRACK_FIGURES + len(HEIGHTS) + _LOOK
+_APPEARANCE_FIGURES: Final = 9
+NUM_FIGURES: Final = _TRACK_FIGURES + len(HEIGHTS) + _APPEARANCE_FIGURES
 """Number of figures of a point."""
 
-# Upper bounds of figures.
-_MAX_SHARE, _MAX_OFF, _MAX_COST = 1.5, 3.0, 3.0
-_MIN_SIGMA_M: Final = 1e-3
+# Upper bounds of figures: least cost and costs at all heights, as ratios to the cost at the ground,
+# and the distance (m) between the height of least cost and the point.
+_MAX_LEAST_COST, _MAX_COST, _MAX_DISTANCE_M = 1.5, 3.0, 3.0
+# Added to standard deviations (m), so that their logarithm and the ratio to them stay finite.
+_LOG_SIGMA_M: Final = 1e-3
+_RATIO_SIGMA_M: Final = 0.05
 
 
 def measure(
@@ -46,7 +49,7 @@ def measure(
     tracks: Tracks,
     costs: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Compute the classifier's inputs for the points of tracks, (T, ``FIGURES``).
+    """Compute the classifier's inputs for the points of tracks, (T, ``NUM_FIGURES``).
 
     They are the height above the ground (m), its standard deviation (log) and their ratio; the
     reprojection error; the number of photographs with a blob at the point, and of those that have
@@ -83,29 +86,30 @@ def measure(
     distance = np.linalg.norm(ray, axis=1)
     slope = ray[:, :2] / np.minimum(ray[:, 2:], -1e-6)
     spread = np.stack([deviation(slope[:, axis]) for axis in range(2)])
-    pixel = mean(distance / focal[tracks.view])
-    crossing = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
-    sigma = tracks.error_px * pixel / crossing
-    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    beside = compare_with_ground(costs, above)
-    strength, look = look_up("strength"), look_up("look")
+    pixel_m = mean(distance / focal[tracks.view])
+    # Standard deviation of a height: the error on the ground over the spread of the rays' slopes.
+    slope_norm = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
+    sigma = tracks.error_px * pixel_m / slope_norm
+    above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
+    relative = compare_with_ground(costs, above)
+    strength, appearance = look_up("strength"), look_up("appearance")
     figures = [
         above,
-        np.log(sigma + _MIN_SIGMA_M),
-        above / (sigma + 0.05),
+        np.log(sigma + _LOG_SIGMA_M),
+        above / (sigma + _RATIO_SIGMA_M),
         tracks.error_px,
         views,
         tracks.visible,
         views / tracks.visible.clip(1),
-        beside.share.clip(0, _MAX_SHARE),
-        beside.off.clip(0, _MAX_OFF),
+        relative.least.clip(0, _MAX_LEAST_COST),
+        relative.distance_m.clip(0, _MAX_DISTANCE_M),
         mean(strength),
         deviation(strength) / mean(strength).clip(1),
         *spread,
-        beside.on_ground,
-        mean(look_up("radius")),
-        *beside.curve.clip(0, _MAX_COST).T,
-        *(mean(look[:, k]) for k in range(_LOOK)),
+        relative.on_ground,
+        mean(look_up("radius_index")),
+        *relative.ratios.clip(0, _MAX_COST).T,
+        *(mean(appearance[:, k]) for k in range(_APPEARANCE_FIGURES)),
     ]
     return np.asarray(np.stack(figures, 1), np.float32)
 
@@ -121,11 +125,11 @@ class PointClassifier(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.zeros(FIGURES))
-        self.register_buffer("deviation", torch.ones(FIGURES))
+        self.register_buffer("mean", torch.zeros(NUM_FIGURES))
+        self.register_buffer("deviation", torch.ones(NUM_FIGURES))
         first, second = _WIDTHS
         self.layers = nn.Sequential(
-            nn.Linear(FIGURES, first),
+            nn.Linear(NUM_FIGURES, first),
             nn.GELU(),
             nn.Linear(first, second),
             nn.GELU(),
@@ -151,9 +155,9 @@ def read_classifier(path: Path | None = None) -> PointClassifier:
     """
     path = path or shipped_path(SHIPPED)
     weights = read_weights(path)
-    if weights.config.get("figures") != FIGURES:
+    if weights.config.get("figures") != NUM_FIGURES:
         raise InputError(
-            f"{path} is no classifier of this version, with {FIGURES} figures: train it again"
+            f"{path} is no classifier of this version, with {NUM_FIGURES} figures: train it again"
         )
     classifier = PointClassifier()
     load_into(classifier, weights.tensors, path)

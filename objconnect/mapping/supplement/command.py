@@ -50,8 +50,9 @@ def supplement(
     Args:
         path: finished scene with a map.
         weights: weights of an object-connect network, whose object centres are added to the blobs;
-            None uses blobs alone.
-        masks: masks of objects in the map's photographs, as ``read_masks`` takes them.
+            None for none.
+        masks: masks of objects in the map's photographs, as ``read_masks`` takes them; None for
+            none.
 
     Returns:
         The added points, with the map's figures before and after. ``pictures/diagnosis.png`` shows
@@ -62,7 +63,7 @@ def supplement(
             photographs looks down. The map is unchanged then.
     """
     scene = Scene.open(path)
-    scene.require_lists()
+    scene.check_readable()
     sparse_map = scene.sparse_map()
     before = sparse_map.without(scene.is_added_point(sparse_map))
     network = None if weights is None else read_network(weights)[0]

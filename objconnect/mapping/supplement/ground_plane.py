@@ -17,15 +17,15 @@ from objconnect.scene.maps.sparse_map import MapImage
 _NEIGHBOURS: Final = 24
 # Scales (m) of the Cauchy weights in the rounds of the fit. The plane starts level at the median
 # height; the first scales let it fall from roofs and tilt with slopes.
-_CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
+_CAUCHY_SCALES_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
 # Side of the grid cells of the ground, and margin around the middle 99 % of the points (m).
 _CELL_M: Final = 2.0
 _MARGIN_M: Final = 15.0
 # Iterations of the intersection of rays with the ground.
 _RAY_STEPS: Final = 6
 # FLANN's single k-d tree (4) with an exact search.
-_EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
-_UNLIMITED: Final = {"checks": -1}
+_FLANN_INDEX: Final = {"algorithm": 4, "leaf_max_size": 10}
+_FLANN_SEARCH: Final = {"checks": -1}
 # Number of cells that are computed at once.
 _AT_ONCE: Final = 4096
 
@@ -56,7 +56,7 @@ class Ground:
         below = np.concatenate([heights_above_ground(part, cloud) for part in parts])
         return Ground(corner, -below.reshape(x.shape))
 
-    def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    def height_at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return heights (N,) of the ground at positions (N, 2), interpolated between nodes."""
         size = np.array(self.z.shape[::-1])
         cells = ((xy - self.corner) / _CELL_M).clip(0, size - 1.001)
@@ -66,7 +66,9 @@ class Ground:
         north = self.z[row + 1, column] * (1 - right) + self.z[row + 1, column + 1] * right
         return np.asarray(south * (1 - up) + north * up)
 
-    def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
+    def intersect_rays(
+        self, image: MapImage, xy: NDArray[np.float64], above: float
+    ) -> NDArray[np.float64]:
         """Return the points (N, 3) on the rays of pixels (N, 2) at a height above the ground."""
         rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
         rays = rays @ image.cam_from_world[:3, :3]
@@ -75,7 +77,7 @@ class Ground:
         for _ in range(_RAY_STEPS):
             along = (z + above - image.centre[2]) / np.minimum(rays[:, 2], -1e-6)
             points = image.centre + rays * along[:, None]
-            z = self.at(points[:, :2])
+            z = self.height_at(points[:, :2])
         return points
 
 
@@ -91,14 +93,14 @@ def heights_above_ground(
     neighbours, _ = find_nearest(xyz[:, :2], cloud[:, :2], _NEIGHBOURS)
     around = cloud[neighbours] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
     design = np.concatenate([around[..., :2], np.ones((*neighbours.shape, 1))], 2)
-    off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
-    for close in _CLOSE_M:
-        weight = 1 / (1 + np.square(off / close))
+    residual = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
+    for scale in _CAUCHY_SCALES_M:
+        weight = 1 / (1 + np.square(residual / scale))
         weighted = design * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)
         right = np.einsum("nki,nk->ni", weighted, around[..., 2])
         plane = np.linalg.solve(normal, right[..., None])[..., 0]
-        off = around[..., 2] - np.einsum("nki,ni->nk", design, plane)
+        residual = around[..., 2] - np.einsum("nki,ni->nk", design, plane)
     return np.asarray(xyz[:, 2] - plane[:, 2])
 
 
@@ -107,6 +109,6 @@ def find_nearest(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Find the nearest points of a cloud (M, D) to queries (N, D): rows, distances (N, count)."""
     middle = cloud.mean(0)
-    tree = cv2.flann.Index((cloud - middle).astype(np.float32), _EXACT)
-    rows, squares = tree.knnSearch((query - middle).astype(np.float32), count, params=_UNLIMITED)
+    tree = cv2.flann.Index((cloud - middle).astype(np.float32), _FLANN_INDEX)
+    rows, squares = tree.knnSearch((query - middle).astype(np.float32), count, params=_FLANN_SEARCH)
     return rows.astype(np.int64), np.sqrt(squares.astype(np.float64))

@@ -1,6 +1,6 @@
 """Train the classifier: ``python -m objconnect.mapping.supplement.learning SCENE... --out FILE``.
 
-Maps of rendered scenes tell whether a point is within 0.5 m of an object. Points on small objects
+Rendered scenes tell whether a point is within 0.5 m of an object. Points on small objects
 are rare and have ten times the weight.
 """
 
@@ -20,7 +20,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from objconnect.learning.checkpoint import write_weights
 from objconnect.mapping.diagnosis.drift import CLOSE_M, read_truth
-from objconnect.mapping.supplement.classifier import FIGURES, PointClassifier
+from objconnect.mapping.supplement.classifier import NUM_FIGURES, PointClassifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.small_objects import Proposals, propose_points
 from objconnect.scene.bundle.scene import Scene
@@ -39,7 +39,8 @@ _RATE: Final = 4e-3
 _DECAY: Final = 1e-2
 # Weight of points on small objects, which are rare.
 _SMALL_WEIGHT: Final = 10.0
-# Share of figures replaced by their mean in a step, like unknown ones.
+# Share of the figures that each step replaces by their mean, so that the classifier tolerates
+# unknown figures.
 _DROPOUT: Final = 0.1
 
 
@@ -48,7 +49,7 @@ class TrainingData(NamedTuple):
 
     Attributes:
         figures: inputs (T, F) of the classifier.
-        on_object: (T,) bool, whether each point is within 0.5 m of the object on which it lies.
+        on_object: (T,) bool, whether each point is within 0.5 m of the surface of an object.
         small: id (T,) of the small object on which each point lies, 0 for none.
         lacking: ids of small objects in view that have no point in the map.
     """
@@ -78,7 +79,7 @@ def read_training_data(path: Path) -> TrainingData:
     small = {item.id for item in scene.objects.objects if item.size_class == "small"}
     on_object = (truth.owners > 0) & (truth.drift < CLOSE_M)
     owner = np.where(on_object & np.isin(truth.owners, list(small)), truth.owners, 0)
-    lacking = (small & before.seen) - set(np.unique(before.owners).tolist())
+    lacking = (small & before.ids_in_view) - set(np.unique(before.owners).tolist())
     return TrainingData(proposals.figures, on_object, owner, frozenset(lacking))
 
 
@@ -86,9 +87,9 @@ def _to_map(proposals: Proposals) -> SparseMap:
     """Convert proposals to a map, as ``read_truth`` takes it."""
     tracks, images = proposals.tracks, {}
     for view, image in enumerate(proposals.images):
-        mine = tracks.view == view
-        xy = proposals.blobs[view].xy[tracks.row[mine]]
-        images[image.name] = replace(image, xy=xy, point_rows=tracks.track[mine])
+        is_here = tracks.view == view
+        xy = proposals.blobs[view].xy[tracks.row[is_here]]
+        images[image.name] = replace(image, xy=xy, point_rows=tracks.track[is_here])
     count = len(tracks.xyz)
     colours = np.zeros((count, 3), np.uint8)
     return SparseMap(images, tracks.xyz, colours, np.zeros(count), tracks.views)
@@ -122,9 +123,9 @@ def train_classifier(
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, steps)
     with progress_bar("steps", steps) as advance:
         for step in range(1, steps + 1):
-            some = torch.randint(len(figures), (_BATCH,))
-            noisy = classifier.mean + drop(figures[some] - classifier.mean)
-            loss = binary_cross_entropy_with_logits(classifier(noisy), target[some], weight[some])
+            batch = torch.randint(len(figures), (_BATCH,))
+            noisy = classifier.mean + drop(figures[batch] - classifier.mean)
+            loss = binary_cross_entropy_with_logits(classifier(noisy), target[batch], weight[batch])
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -166,7 +167,7 @@ def main() -> None:
         for path in args.validation:
             print(path, *report(classifier, read_training_data(path)), sep="\n")
         learning = {"steps": args.steps, "seed": args.seed}
-        write_weights(args.out, classifier, {"figures": FIGURES, "learning": learning})
+        write_weights(args.out, classifier, {"figures": NUM_FIGURES, "learning": learning})
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.mapping.supplement.blobs import Blobs, in_lab
+from objconnect.mapping.supplement.blobs import Blobs, to_lab
 from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.mapping.supplement.tracks import Tracks, project
 from objconnect.scene.maps.sparse_map import MapImage
@@ -29,16 +29,17 @@ from objconnect.scene.storage.lru_cache import LruCache
 HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
 """Heights above the ground that are compared (m). The classifier takes one figure for each."""
 
-_GROUND: Final = np.abs(HEIGHTS) < 0.16
-# Value of an unknown difference. The classifier was trained with it.
+# Which of ``HEIGHTS`` count as the ground.
+_IS_GROUND: Final = np.abs(HEIGHTS) < 0.16
+# Cost that replaces an unknown one. The classifier was trained with it.
 _UNKNOWN: Final = 15.0
 # Radius (px) of the compared window.
 _RADIUS_PX: Final = 2
-# Weights of pixels fall by e over this squared distance (px^2), and over this difference from the
-# colour of the centre (CIE L*a*b*).
+# Weights of pixels fall by a factor of e over this squared distance (px^2), and over this
+# difference from the colour of the centre (CIE L*a*b*).
 _DISTANCE_SCALE: Final = 6.0
 _COLOUR_SCALE: Final = 8.0
-# Upper bound of the colour difference of a pixel.
+# Upper bound of the colour difference of a pixel, summed over L*, a* and b*.
 _MAX_DIFFERENCE: Final = 15.0
 # Blur (px) of the photographs, because windows are sampled between pixels.
 _BLUR_PX: Final = 0.5
@@ -88,12 +89,12 @@ def compute_costs(
 
     def read(view: int) -> NDArray[np.float32]:
         image = images[view]
-        lab = in_lab(read_rgb(folder / image.name, image.camera))
+        lab = to_lab(read_rgb(folder / image.name, image.camera))
         return np.asarray(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), np.float32)
 
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
     photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
-    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
+    above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     nearest, row = _find_nearest_views(images, tracks)
     result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
     with progress_bar("compared with the ground", len(images)) as advance:
@@ -102,13 +103,13 @@ def compute_costs(
             if len(at):
                 xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
                 z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
-                windows = _windows(images[view], photograph(view), xy, z)
+                windows = _cut_windows(images[view], photograph(view), xy, z)
                 result[at] = _mean_difference(images, view, photograph, windows, xyz)
             advance(view + 1)
     return result
 
 
-def _windows(
+def _cut_windows(
     image: MapImage,
     picture: NDArray[np.float32],
     xy: NDArray[np.float64],
@@ -142,23 +143,23 @@ def _mean_difference(
     for other, image in enumerate(images):
         if other == view:
             continue
-        seen = np.flatnonzero(project(image, xyz)[1])
-        if not len(seen):
+        in_view = np.flatnonzero(project(image, xyz)[1])
+        if not len(in_view):
             continue
-        points = windows.xyz[seen]
+        points = windows.xyz[in_view]
         xy, _ = project(image, points.reshape(-1, 3))
-        theirs = _sample(photograph(other), xy.reshape(*points.shape[:3], 2))
-        off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
-        off = off.clip(max=_MAX_DIFFERENCE)
-        total[seen] += (off * windows.weights[seen][:, None]).sum(2)
-        views[seen] += 1
+        colours = _sample(photograph(other), xy.reshape(*points.shape[:3], 2))
+        difference = np.abs(colours - windows.colours[in_view][:, None]).sum(3)
+        difference = difference.clip(max=_MAX_DIFFERENCE)
+        total[in_view] += (difference * windows.weights[in_view][:, None]).sum(2)
+        views[in_view] += 1
     return np.where(views > 0, total / views.clip(1), np.nan)
 
 
 def _find_nearest_views(
     images: Sequence[MapImage], tracks: Tracks
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the horizontally nearest photograph of each point, and its blob there."""
+    """Return the horizontally nearest photograph of each point, and the row of its blob there."""
     centres = np.array([image.centre for image in images])
     distance = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
     order = np.lexsort((distance, tracks.track))
@@ -170,16 +171,16 @@ class RelativeCosts(NamedTuple):
     """Costs of T points relative to those at the ground below them.
 
     Attributes:
-        share: minimum cost (T,) as a share of the cost at the ground; infinite where unknown.
-        off: distance (T,) between the height of the minimum cost and that of the point, metres.
+        least: ratio (T,) of the minimum cost to the cost at the ground; infinite where unknown.
+        distance_m: distance (T,) between the height of the minimum cost and the point, metres.
         on_ground: cost (T,) at the ground.
-        curve: costs (T, H) at ``HEIGHTS``, as shares of the cost at the ground.
+        ratios: ratios (T, H) of the costs at ``HEIGHTS`` to the cost at the ground.
     """
 
-    share: NDArray[np.float64]
-    off: NDArray[np.float64]
+    least: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
     on_ground: NDArray[np.float64]
-    curve: NDArray[np.float64]
+    ratios: NDArray[np.float64]
 
 
 def compare_with_ground(costs: NDArray[np.float64], height: NDArray[np.float64]) -> RelativeCosts:
@@ -190,10 +191,10 @@ def compare_with_ground(costs: NDArray[np.float64], height: NDArray[np.float64])
         height: heights (T,) of the points above the ground, metres.
     """
     known = np.where(np.isnan(costs), _UNKNOWN, costs)
-    on_ground = known[:, _GROUND].min(1)
-    curve = known / np.maximum(on_ground, 1e-9)[:, None]
-    share = np.where(np.isnan(costs).all(1), np.inf, curve.min(1))
-    return RelativeCosts(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
+    on_ground = known[:, _IS_GROUND].min(1)
+    ratios = known / np.maximum(on_ground, 1e-9)[:, None]
+    least = np.where(np.isnan(costs).all(1), np.inf, ratios.min(1))
+    return RelativeCosts(least, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, ratios)
 
 
 def _sample(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:

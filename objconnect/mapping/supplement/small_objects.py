@@ -37,7 +37,7 @@ _MIN_HEIGHT_M: Final = 0.1
 _MAX_HEIGHT_M: Final = 3.2
 # Minimum probability of being on an object; docs/evidence/mapping.md has its precision.
 _MIN_PROBABILITY: Final = 0.8
-# Minimum distance (m) from the map's points, on whose objects no point is missing.
+# Minimum distance (m) from the map's points. An object nearer to one of them has a point already.
 _MIN_DISTANCE_M: Final = 0.5
 
 
@@ -65,14 +65,18 @@ def propose_points(
     network: ObjConnectNet | None = None,
     masks: Mapping[str, Labels] | None = None,
 ) -> Proposals:
-    """Propose points on possible small objects; arguments and errors as ``supplement_points``."""
+    """Propose points on possible small objects.
+
+    Arguments and errors are those of ``supplement_points``, which gives the proposals to its
+    classifier.
+    """
     names = [name for name in sparse_map.names if masks is None or name in masks]
     images = [sparse_map.images[name] for name in names]
     # The classifier was trained on nadir photographs.
     images = [image for image in images if looks_down(image.cam_from_world[:3, :3])]
     if names and not images:
         raise InputError(
-            "no photograph looks down by 30 degrees: supplement needs photographs from above"
+            "no photograph looks down by 30 degrees or more: supplement needs views from above"
         )
     blobs: list[Blobs] = []
     with progress_bar("blobs", len(images)) as advance:
@@ -85,7 +89,7 @@ def propose_points(
     tracks = follow_blobs(images, blobs, ground, config.views)
     tracks = refine_tracks(images, blobs, tracks, config.views)
     tracks = drop_overlapping(tracks, config.views)
-    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
+    above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     tracks = tracks.select((above > _MIN_HEIGHT_M) & (above < _MAX_HEIGHT_M))
     costs = compute_costs(images, folder, blobs, ground, tracks)
     figures = measure(images, blobs, ground, tracks, costs)
@@ -123,10 +127,10 @@ def supplement_points(
     tracks = proposals.tracks.select(probability > _MIN_PROBABILITY)
     points = []
     for track in range(len(tracks.xyz)):
-        mine = tracks.track == track
-        views, rows = tracks.view[mine].tolist(), tracks.row[mine].tolist()
-        members = {names[view]: row for view, row in zip(views, rows, strict=True)}
-        point = triangulate(sparse_map, detections, members, config)
+        is_member = tracks.track == track
+        views, rows = tracks.view[is_member].tolist(), tracks.row[is_member].tolist()
+        row_of = {names[view]: row for view, row in zip(views, rows, strict=True)}
+        point = triangulate(sparse_map, detections, row_of, config)
         if point is not None:
             points.append(point)
     return _drop_known(sparse_map, points), detections
@@ -136,5 +140,7 @@ def _drop_known(sparse_map: SparseMap, points: list[LiftedPoint]) -> list[Lifted
     """Return the points that are far enough from those of the map."""
     if not points:
         return []
-    _, off = find_nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)
-    return [point for point, far in zip(points, off[:, 0] > _MIN_DISTANCE_M, strict=True) if far]
+    _, distance = find_nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)
+    return [
+        point for point, far in zip(points, distance[:, 0] > _MIN_DISTANCE_M, strict=True) if far
+    ]

@@ -37,7 +37,7 @@ _MAX_ERROR_PX: Final = 1.5
 # Width (px) of the border in which a point does not count as visible, because blobs need
 # surroundings.
 _BORDER_PX: Final = 4.0
-# Minimum share of a track's blobs that better tracks leave to it.
+# Minimum share of a track's blobs that no better track uses.
 _MIN_FREE_SHARE: Final = 0.7
 # Cells per pixel of the lookup table of the nearest blob.
 _CELLS: Final = 2
@@ -71,14 +71,14 @@ class Tracks:
     def select(self, kept: NDArray[np.bool_]) -> Tracks:
         """Select tracks by a mask (T,)."""
         number = np.cumsum(kept) - 1
-        mine = kept[self.track]
+        is_kept = kept[self.track]
         return Tracks(
             self.xyz[kept],
             self.visible[kept],
             self.error_px[kept],
-            number[self.track[mine]],
-            self.view[mine],
-            self.row[mine],
+            number[self.track[is_kept]],
+            self.view[is_kept],
+            self.row[is_kept],
         )
 
 
@@ -103,7 +103,7 @@ def follow_blobs(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     ground: Ground,
-    views: int,
+    min_views: int,
 ) -> Tracks:
     """Find the height above the ground of every blob: the one at which most photographs match it.
 
@@ -111,7 +111,7 @@ def follow_blobs(
         images: photographs of the map.
         blobs: blobs of each photograph.
         ground: the ground.
-        views: minimum number of observations of a track, including the blob itself.
+        min_views: minimum number of observations of a track, including the blob itself.
     """
     shapes = [(image.camera.height, image.camera.width) for image in images]
     tables = [_tabulate_blobs(each, shape) for each, shape in zip(blobs, shapes, strict=True)]
@@ -119,7 +119,7 @@ def follow_blobs(
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_follow_one(view, photographs, views))
+            parts.append(_follow_one(view, photographs, min_views))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -146,7 +146,7 @@ def _tabulate_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
     number = np.arange(len(column))
     # Nearer blobs overwrite farther ones.
     for x, y in sorted(steps, key=lambda step: -(step[0] ** 2 + step[1] ** 2)):
-        table[blobs.radius, row + y, column + x] = number
+        table[blobs.radius_index, row + y, column + x] = number
     return table[:, reach:-reach, reach:-reach]
 
 
@@ -154,20 +154,21 @@ def project(
     image: MapImage, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Project points (N, 3) to pixels (N, 2); also return which lie inside the border, (N,)."""
-    seen = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
-    return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, _BORDER_PX)).numpy()
+    projected = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
+    inside = projected.valid & image.camera.contains(projected.xy, _BORDER_PX)
+    return projected.xy.numpy(), inside.numpy()
 
 
-def _follow_one(view: int, photographs: _Photographs, views: int) -> Tracks:
+def _follow_one(view: int, photographs: _Photographs, min_views: int) -> Tracks:
     """Follow the blobs of photograph ``view`` into the others; see ``follow_blobs``."""
     images, blobs, ground = photographs.images, photographs.blobs, photographs.ground
-    own = blobs[view]
+    source = blobs[view]
     heights = np.arange(_LOWEST_M, _HIGHEST_M, _HEIGHT_STEP_M)
-    low = ground.under(images[view], own.xy, 0.0)
-    up = ground.under(images[view], own.xy, 1.0) - low
-    points = (low[:, None] + up[:, None] * heights[:, None]).reshape(-1, 3)
-    owner = np.repeat(np.arange(len(low)), len(heights))
-    others = _find_overlapping(view, images, low)
+    at_ground = ground.intersect_rays(images[view], source.xy, 0.0)
+    per_metre = ground.intersect_rays(images[view], source.xy, 1.0) - at_ground
+    points = (at_ground[:, None] + per_metre[:, None] * heights[:, None]).reshape(-1, 3)
+    owner = np.repeat(np.arange(len(at_ground)), len(heights))
+    others = _find_overlapping(view, images, at_ground)
     score = np.zeros(len(points))
     visible = np.zeros(len(points), np.int64)
     members = np.full((len(others), len(points)), -1, np.int32)
@@ -176,13 +177,13 @@ def _follow_one(view: int, photographs: _Photographs, views: int) -> Tracks:
         visible += inside
         at = np.flatnonzero(inside)
         at, blob, match_score = _match(
-            own, owner[at], blobs[other], photographs.tables[other], (at, xy[at])
+            source, owner[at], blobs[other], photographs.tables[other], (at, xy[at])
         )
         score[at] += match_score
         members[k, at] = blob
-    best = score.reshape(-1, len(heights)).argmax(1) + len(heights) * np.arange(len(low))
+    best = score.reshape(-1, len(heights)).argmax(1) + len(heights) * np.arange(len(at_ground))
     chosen = members[:, best]
-    enough = (chosen >= 0).sum(0) >= views - 1
+    enough = (chosen >= 0).sum(0) >= min_views - 1
     best, chosen, row = best[enough], chosen[:, enough], np.flatnonzero(enough)
     which, track = np.nonzero(chosen >= 0)
     number = np.arange(len(best))
@@ -201,6 +202,7 @@ def _find_overlapping(
 ) -> list[int]:
     """Return the photographs that show most of the ground (N, 3) under a photograph's blobs."""
     overlap = [
+        # A sample of the blobs is enough.
         0.0 if k == view or not len(ground) else float(project(image, ground[::50])[1].mean())
         for k, image in enumerate(images)
     ]
@@ -209,34 +211,34 @@ def _find_overlapping(
 
 
 def _match(
-    own: Blobs,
+    source: Blobs,
     rows: NDArray[np.int64],
-    theirs: Blobs,
+    target: Blobs,
     table: NDArray[np.int32],
     projected: tuple[NDArray[np.int64], NDArray[np.float64]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
     """Match points on the rays of a photograph's blobs to the nearest blobs of another.
 
     Args:
-        own: blobs of the photograph.
+        source: blobs of the photograph.
         rows: row (P,) of the blob of each point.
-        theirs: blobs of the other photograph.
+        target: blobs of the other photograph.
         table: result of ``_tabulate_blobs`` for the other photograph.
-        projected: numbers (P,) of the points, and their pixels (P, 2) in the other photograph.
+        projected: indices (P,) of the points, and their pixels (P, 2) in the other photograph.
 
     Returns:
-        The numbers of the points that match, the rows of their blobs, and the scores.
+        The indices of the points that match, the rows of their blobs, and the scores.
     """
     at, xy = projected
     column, row = (xy * _CELLS).astype(int).T
-    blob = table[own.radius[rows], row, column]
-    some = np.flatnonzero(blob >= 0)
-    offset = np.linalg.norm(theirs.xy[blob[some]] - xy[some], axis=1)
+    blob = table[source.radius_index[rows], row, column]
+    hits = np.flatnonzero(blob >= 0)
+    offset = np.linalg.norm(target.xy[blob[hits]] - xy[hits], axis=1)
     near = offset < _MAX_OFFSET_PX
-    some, offset = some[near], offset[near]
-    cosine, similar = _compare(own, rows[some], theirs, blob[some])
-    some, cosine, offset = some[similar], cosine[similar], offset[similar]
-    return at[some], blob[some], cosine * (1 - 0.5 * (offset / _MAX_OFFSET_PX) ** 2)
+    hits, offset = hits[near], offset[near]
+    cosine, similar = _compare(source, rows[hits], target, blob[hits])
+    hits, cosine, offset = hits[similar], cosine[similar], offset[similar]
+    return at[hits], blob[hits], cosine * (1 - 0.5 * (offset / _MAX_OFFSET_PX) ** 2)
 
 
 def _compare(
@@ -246,9 +248,9 @@ def _compare(
     rows_b: NDArray[np.int32],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the cosine of the appearances of P pairs of blobs, and the mask of matches."""
-    look_a, look_b = a.look[rows_a], b.look[rows_b]
-    lengths = np.linalg.norm(look_a, axis=1) * np.linalg.norm(look_b, axis=1)
-    cosine = (look_a * look_b).sum(1) / lengths.clip(1e-6)
+    appearance_a, appearance_b = a.appearance[rows_a], b.appearance[rows_b]
+    lengths = np.linalg.norm(appearance_a, axis=1) * np.linalg.norm(appearance_b, axis=1)
+    cosine = (appearance_a * appearance_b).sum(1) / lengths.clip(1e-6)
     strong, weak = a.strength[rows_a], b.strength[rows_b]
     same = np.minimum(strong, weak) > _MIN_STRENGTH_RATIO * np.maximum(strong, weak)
     difference = np.linalg.norm(a.colour[rows_a] - b.colour[rows_b], axis=1)
@@ -260,11 +262,12 @@ def refine_tracks(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     tracks: Tracks,
-    views: int,
+    min_views: int,
 ) -> Tracks:
     """Minimise the reprojection errors of points by Gauss-Newton with Cauchy weights.
 
-    Observations with too large an error are dropped, and tracks with fewer than ``views`` of them.
+    Observations with too large an error are dropped, and tracks with fewer than ``min_views`` of
+    them.
     """
     for round_ in range(_STEPS + 1):
         count = len(tracks.xyz)
@@ -274,17 +277,17 @@ def refine_tracks(
             at = np.flatnonzero(tracks.view == view)
             if not len(at):
                 continue
-            of = tracks.track[at]
-            local = image.pose.transform(torch.from_numpy(tracks.xyz[of]))
-            seen = image.camera.project(local, jacobian=True)
-            assert seen.jacobian is not None
-            off = blobs[view].xy[tracks.row[at]] - seen.xy.numpy()
-            error[at] = np.where(seen.valid.numpy(), np.linalg.norm(off, axis=1), np.inf)
+            owner = tracks.track[at]
+            local = image.pose.transform(torch.from_numpy(tracks.xyz[owner]))
+            projected = image.camera.project(local, jacobian=True)
+            assert projected.jacobian is not None
+            residual = blobs[view].xy[tracks.row[at]] - projected.xy.numpy()
+            error[at] = np.where(projected.valid.numpy(), np.linalg.norm(residual, axis=1), np.inf)
             known = np.isfinite(error[at])
-            slope = (seen.jacobian.numpy() @ image.cam_from_world[:3, :3])[known]
+            slope = (projected.jacobian.numpy() @ image.cam_from_world[:3, :3])[known]
             weight = 1 / (1 + error[at][known] ** 2)
-            normal[of[known]] += np.einsum("nij,nik,n->njk", slope, slope, weight)
-            right[of[known]] += np.einsum("nij,ni,n->nj", slope, off[known], weight)
+            normal[owner[known]] += np.einsum("nij,nik,n->njk", slope, slope, weight)
+            right[owner[known]] += np.einsum("nij,ni,n->nj", slope, residual[known], weight)
         if round_ < _STEPS:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
@@ -296,26 +299,26 @@ def refine_tracks(
             error = error[good]
     mean = np.bincount(tracks.track, error, len(tracks.xyz)) / tracks.views.clip(1)
     tracks = replace(tracks, error_px=mean)
-    return tracks.select(tracks.views >= views)
+    return tracks.select(tracks.views >= min_views)
 
 
-def drop_overlapping(tracks: Tracks, views: int) -> Tracks:
-    """Assign each blob to one track; tracks with more observations and less error go first.
+def drop_overlapping(tracks: Tracks, min_views: int) -> Tracks:
+    """Assign each blob to one track, in the order of observations minus mean error (px).
 
     Tracks that lose too large a share of their blobs to others are dropped, and tracks with fewer
-    than ``views`` blobs.
+    than ``min_views`` blobs.
     """
     order = np.argsort(-(tracks.views - tracks.error_px), kind="stable")
     by_track = np.argsort(tracks.track, kind="stable")
     ends = np.concatenate([[0], np.cumsum(tracks.views)])
     keys = list(zip(tracks.view.tolist(), tracks.row.tolist(), strict=True))
-    taken: set[tuple[int, int]] = set()
+    used_blobs: set[tuple[int, int]] = set()
     kept, free = np.zeros(len(tracks.xyz), bool), np.zeros(len(tracks.track), bool)
     for track in order.tolist():
-        mine = by_track[ends[track] : ends[track + 1]].tolist()
-        left = [k for k in mine if keys[k] not in taken]
-        if len(left) >= max(views, _MIN_FREE_SHARE * len(mine)):
+        observations = by_track[ends[track] : ends[track + 1]].tolist()
+        left = [k for k in observations if keys[k] not in used_blobs]
+        if len(left) >= max(min_views, _MIN_FREE_SHARE * len(observations)):
             kept[track] = free[left] = True
-            taken.update(keys[k] for k in left)
+            used_blobs.update(keys[k] for k in left)
     tracks = replace(tracks, track=tracks.track[free], view=tracks.view[free], row=tracks.row[free])
     return tracks.select(kept)

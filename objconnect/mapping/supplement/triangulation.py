@@ -18,7 +18,7 @@ from objconnect.scene.runtime.progress import progress_bar
 _ROUNDS = 10
 _CONVERGED_M = 1e-6
 # Minimum number of rays of a point.
-_LEAST = 2
+_MIN_RAYS = 2
 # Number of proposals compared with the detections of a photograph at once.
 _CHUNK = 4096
 
@@ -61,21 +61,21 @@ def lift(
     """
     pairs = associate(sparse_map, detections, config)
     proposals = _propose(sparse_map, detections, pairs)
-    members = _support(sparse_map, detections, pairs, proposals, config)
+    members = _find_support(sparse_map, detections, pairs, proposals, config)
     order = np.argsort(-(members >= 0).sum(1), kind="stable")
-    taken = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
+    is_used = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
     points = []
     for proposal in order.tolist():
         rows = {
             name: int(row)
             for name, row in zip(sparse_map.names, members[proposal], strict=True)
-            if row >= 0 and not taken[name][row]
+            if row >= 0 and not is_used[name][row]
         }
         point = triangulate(sparse_map, detections, rows, config)
         if point is not None:
             points.append(point)
             for name, row in point.rows.items():
-                taken[name][row] = True
+                is_used[name][row] = True
     return points
 
 
@@ -85,11 +85,11 @@ def _propose(
     """Triangulate each pair of detections, (E, 3)."""
     rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
     for view, name in enumerate(sparse_map.names):
-        here = pairs.views == view
-        if here.any():
+        is_in_view = pairs.views == view
+        if is_in_view.any():
             image = sparse_map.images[name]
-            rows[here] = _normalise(image, detections[name].xy)[pairs.rows[here]]
-            poses[here] = image.cam_from_world[:3]
+            rows[is_in_view] = _normalise(image, detections[name].xy)[pairs.rows[is_in_view]]
+            poses[is_in_view] = image.cam_from_world[:3]
     return triangulate_linearly(rows, poses)
 
 
@@ -115,7 +115,7 @@ def triangulate_linearly(
         return np.asarray(solution[..., :3] / solution[..., 3:])
 
 
-def _support(
+def _find_support(
     sparse_map: SparseMap,
     detections: Mapping[str, Detections],
     pairs: Pairs,
@@ -124,26 +124,31 @@ def _support(
 ) -> NDArray[np.int64]:
     """Return the detection at the projection of each proposal, -1 for none, (E, N)."""
     members = np.full((len(pairs), len(sparse_map.names)), -1)
-    looks = _looks(sparse_map, detections, pairs)
+    mean_descriptors = _mean_descriptors(sparse_map, detections, pairs)
     with progress_bar("support", len(sparse_map.names)) as advance:
         for view, name in enumerate(sparse_map.names):
             detected = detections.get(name)
             if detected is not None and len(detected.xy):
                 image = sparse_map.images[name]
                 local = image.pose.transform(torch.from_numpy(proposals))
-                seen = image.camera.project(local)
+                projected = image.camera.project(local)
                 for start in range(0, len(pairs), _CHUNK):
                     part = slice(start, start + _CHUNK)
-                    off = torch.cdist(seen.xy[part], torch.from_numpy(detected.xy)).numpy()
-                    alike = looks[part] @ detected.descriptors.T
-                    off[(alike < config.similarity) | ~seen.valid[part].numpy()[:, None]] = np.inf
-                    near = off.min(1) < config.reprojection_px
-                    members[part, view] = np.where(near, off.argmin(1), -1)
+                    distance = torch.cdist(
+                        projected.xy[part], torch.from_numpy(detected.xy)
+                    ).numpy()
+                    similarity = mean_descriptors[part] @ detected.descriptors.T
+                    is_out = (similarity < config.similarity) | ~projected.valid[part].numpy()[
+                        :, None
+                    ]
+                    distance[is_out] = np.inf
+                    near = distance.min(1) < config.reprojection_px
+                    members[part, view] = np.where(near, distance.argmin(1), -1)
             advance(view + 1)
     return members
 
 
-def _looks(
+def _mean_descriptors(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float32]:
     """Return the mean descriptor (E, D) of each pair, of unit length."""
@@ -151,9 +156,9 @@ def _looks(
     total = np.zeros((len(pairs), width), np.float32)
     for view, name in enumerate(sparse_map.names):
         for side in range(2):
-            here = pairs.views[:, side] == view
-            if here.any():
-                total[here] += detections[name].descriptors[pairs.rows[here, side]]
+            is_in_view = pairs.views[:, side] == view
+            if is_in_view.any():
+                total[is_in_view] += detections[name].descriptors[pairs.rows[is_in_view, side]]
     length = np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
     return np.asarray(total / length, np.float32)
 
@@ -169,7 +174,7 @@ def triangulate(
     Args:
         sparse_map: map with the poses.
         detections: detections by photograph.
-        rows: one detection for each of several photographs.
+        rows: row of the detection, by name of the photograph.
         config: thresholds.
 
     Returns:
@@ -178,33 +183,33 @@ def triangulate(
     while len(rows) >= config.views:
         images = [sparse_map.images[name] for name in rows]
         xy = np.array([detections[name].xy[row] for name, row in rows.items()])
-        xyz = _meet(images, xy)
-        off, _ = _residuals(images, xy, xyz)
-        error = np.linalg.norm(off, axis=1)
+        xyz = _intersect_rays(images, xy)
+        residuals, _ = _residuals(images, xy, xyz)
+        error = np.linalg.norm(residuals, axis=1)
         good = error < config.reprojection_px
         if good.all():
             rays = np.concatenate([directions(i, p[None]) for i, p in zip(images, xy, strict=True)])
             angle = float(np.degrees(np.arccos((rays @ rays.T).clip(-1, 1).min())))
             if angle < config.angle_deg:
                 return None
-            sure = [detections[name].confidence[row] for name, row in rows.items()]
-            return LiftedPoint(xyz, rows, float(error.mean()), angle, float(np.mean(sure)))
+            confidences = [detections[name].confidence[row] for name, row in rows.items()]
+            return LiftedPoint(xyz, rows, float(error.mean()), angle, float(np.mean(confidences)))
         rows = {name: row for (name, row), kept in zip(rows.items(), good, strict=True) if kept}
     return None
 
 
-def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _intersect_rays(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the point (3,) of least reprojection error, by Gauss-Newton from a linear solution."""
-    seen = np.concatenate([_normalise(i, p[None]) for i, p in zip(images, xy, strict=True)])
+    normalised = np.concatenate([_normalise(i, p[None]) for i, p in zip(images, xy, strict=True)])
     poses = np.stack([image.cam_from_world[:3] for image in images])
-    xyz: NDArray[np.float64] = triangulate_linearly(seen[None], poses[None])[0]
+    xyz: NDArray[np.float64] = triangulate_linearly(normalised[None], poses[None])[0]
     for _ in range(_ROUNDS):
-        off, slope = _residuals(images, xy, xyz)
-        known = np.isfinite(off).all(1)
-        if known.sum() < _LEAST:
+        residuals, slope = _residuals(images, xy, xyz)
+        known = np.isfinite(residuals).all(1)
+        if known.sum() < _MIN_RAYS:
             break
         jacobian = slope[known].reshape(-1, 3)
-        step = np.linalg.lstsq(jacobian, off[known].ravel(), rcond=None)[0]
+        step = np.linalg.lstsq(jacobian, residuals[known].ravel(), rcond=None)[0]
         xyz = xyz + step
         if np.linalg.norm(step) < _CONVERGED_M:
             break
@@ -218,17 +223,17 @@ def _residuals(
 
     Residuals are infinite behind a camera. The derivatives are those of the projections.
     """
-    off, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
+    residuals, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
     poses = np.stack([image.cam_from_world for image in images])
     local = poses[:, :3, :3] @ xyz + poses[:, :3, 3]
     for camera in dict.fromkeys(image.camera for image in images):
-        mine = np.array([image.camera == camera for image in images])
-        seen = camera.project(torch.from_numpy(local[mine]), jacobian=True)
-        assert seen.jacobian is not None
-        valid = seen.valid.numpy()[:, None]
-        off[mine] = np.where(valid, xy[mine] - seen.xy.numpy(), np.inf)
-        slope[mine] = seen.jacobian.numpy() @ poses[mine, :3, :3]
-    return off, slope
+        has_camera = np.array([image.camera == camera for image in images])
+        projected = camera.project(torch.from_numpy(local[has_camera]), jacobian=True)
+        assert projected.jacobian is not None
+        valid = projected.valid.numpy()[:, None]
+        residuals[has_camera] = np.where(valid, xy[has_camera] - projected.xy.numpy(), np.inf)
+        slope[has_camera] = projected.jacobian.numpy() @ poses[has_camera, :3, :3]
+    return residuals, slope
 
 
 def _normalise(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from objconnect.scene.storage.hdf5_writing import hdf5_file
 if TYPE_CHECKING:
     import torch
 
-COVISIBLE = 0.1
+MIN_SHARED_SURFACE = 0.1
 """Two frames are covisible when each sees at least this share of the other's surface."""
 
 # A point is hidden when it is deeper than the depth image by more than this share of the depth. A
@@ -66,7 +66,7 @@ def write_covisibility(path: Path, covisibility: Covisibility) -> None:
         InputError: the file cannot be written.
     """
     mutual = covisibility.mutual
-    pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
+    pairs = np.argwhere(np.triu(mutual) >= MIN_SHARED_SURFACE)
     with hdf5_file(path) as file:
         file["names"] = np.array([name.encode() for name in covisibility.names], "S")
         file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
@@ -140,8 +140,8 @@ def visible_points(
     pose = torch.from_numpy(cam_from_world)
     local = points @ pose[:3, :3].T + pose[:3, 3]
     projected = camera.project(local)
-    real = torch.isfinite(points).all(-1)
-    seen = projected.valid & camera.contains(projected.xy) & real
+    finite = torch.isfinite(points).all(-1)
+    seen = projected.valid & camera.contains(projected.xy) & finite
     if depth is not None:
         image = torch.from_numpy(depth)
         # A point on the right or lower edge of the image belongs to the last pixel.
@@ -174,24 +174,23 @@ def visible_share(
     import torch
 
     world = torch.from_numpy(points)
-    real = torch.isfinite(world).all(-1).sum(-1).clamp_min(1)
+    finite = torch.isfinite(world).all(-1).sum(-1).clamp_min(1)
     shares = np.zeros((len(cameras), len(cameras)))
     images = iter(depths) if depths is not None else None
     for j, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
         depth = next(images) if images is not None else None
         seen = visible_points(camera, pose, world, depth)
-        shares[:, j] = (seen.sum(-1) / real).numpy()
+        shares[:, j] = (seen.sum(-1) / finite).numpy()
     np.fill_diagonal(shares, 0)
     return shares
 
 
-def overlap_matrix(
+def mutual_overlap(
     cameras: Sequence[Camera],
     cam_from_world: NDArray[np.float64],
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the share of each frame's surface that each other frame has in view, without
-    occlusion.
+    """Return the mutual overlap of every two frames; it ignores occlusion.
 
     Args:
         cameras: N cameras.
@@ -199,7 +198,8 @@ def overlap_matrix(
         points: (N, S, 3) from ``surface_points``.
 
     Returns:
-        (N, N) in 0..1, symmetric (the smaller share of the two); the diagonal is zero.
+        (N, N) in 0..1, symmetric: each frame has a share of the other's surface in view; the entry
+        is the smaller share of the two. The diagonal is zero.
     """
     shares = visible_share(cameras, cam_from_world, points)
     return np.minimum(shares, shares.T)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import h5py
 import numpy as np
@@ -80,8 +80,7 @@ class Frames:
         return len(self.names)
 
 
-# Shape of each array per frame.
-_SHAPES: dict[str, tuple[int, ...]] = {
+FRAME_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
     "cam_from_world": (4, 4),
     "time": (),
     "gps_prior": (3,),
@@ -89,6 +88,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "attitude_prior": (4,),
     "attitude_sigma_deg": (),
 }
+"""The shape per frame of each array of ``Frames``."""
 # Groups of arrays that are measured together or not at all.
 _MEASURED = (("time",), ("gps_prior", "gps_sigma"), ("attitude_prior", "attitude_sigma_deg"))
 
@@ -104,8 +104,14 @@ class DenseLayers:
         """Return whether the session has the layer."""
         return layer in self._file
 
+    def stored_bytes(self, layer: Layer) -> int:
+        """Return the bytes that a layer takes in the file, compressed; 0 without the layer."""
+        return dataset(self._file, layer).id.get_storage_size() if self.has(layer) else 0
+
     def read(self, layer: Layer, index: int) -> NDArray[Any]:
         """Read one frame of a layer: (H, W), or (H, W, 3) for normals.
+
+        Depth is planar, in metres; normals are in the world frame, times 127.
 
         Raises:
             InputError: the layer is missing or its bytes are damaged.
@@ -141,7 +147,7 @@ def write_frames(
         file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
         file["names"] = np.array([name.encode() for name in frames.names], "S")
         file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
-        for key in _SHAPES:
+        for key in FRAME_SHAPES:
             file[key] = getattr(frames, key)
         done = 0
         for index, layers in enumerate(images):
@@ -201,10 +207,10 @@ def read_frames(path: Path) -> Frames:
             if (rows < 0).any():
                 raise IndexError("a camera index is negative")
             cameras = tuple(table[int(k)] for k in rows)
-            arrays = {key: array(file, key).astype(np.float64) for key in _SHAPES}
+            arrays = {key: array(file, key).astype(np.float64) for key in FRAME_SHAPES}
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
-    _check_arrays(path, names, arrays)
+    check_arrays(path, names, arrays)
     for name, count in Counter(names).items():
         if count > 1:
             raise InputError(f"{path}: frame {name!r} is listed twice")
@@ -215,15 +221,23 @@ def read_frames(path: Path) -> Frames:
     return Frames(names, cameras, **arrays)
 
 
-def _check_arrays(
-    path: Path, names: tuple[str, ...], arrays: dict[str, NDArray[np.float64]]
+def check_arrays(
+    path: Path, names: tuple[str, ...], arrays: Mapping[str, NDArray[np.float64]]
 ) -> None:
-    """Refuse arrays of a wrong shape, partly measured values and values not on earth."""
+    """Refuse arrays of a wrong shape, partly measured values and values not on earth.
+
+    Args:
+        path: file that the arrays were read from.
+        names: names of the frames.
+        arrays: arrays by the names of the attributes of ``Frames``.
+
+    Raises:
+        InputError: an array is wrong; the message names it, and the frame.
+    """
     for key, values in arrays.items():
-        if values.shape != (len(names), *_SHAPES[key]):
-            raise InputError(
-                f"{path}: {key} has shape {values.shape}, expected {(len(names), *_SHAPES[key])}"
-            )
+        expected = (len(names), *FRAME_SHAPES[key])
+        if values.shape != expected:
+            raise InputError(f"{path}: {key} has shape {values.shape}, expected {expected}")
     absent = {key: np.zeros(len(names), bool) for key in arrays}
     for group in _MEASURED:
         unknown = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]

@@ -36,5 +36,5 @@ class Georeference(Record):
         return f"horizontal {self.horizontal_m:.2f} m, vertical {height}"
 
 
-EXACT: Final = Georeference(horizontal_m=0.0, vertical_m=0.0, source="exact")
+EXACT_GEOREFERENCE: Final = Georeference(horizontal_m=0.0, vertical_m=0.0, source="exact")
 """The georeference of a simulated world, which lies exactly at its origin."""

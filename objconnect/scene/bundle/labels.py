@@ -34,6 +34,10 @@ CLASSES: dict[str, int] = {
     "tank": 35,
     "pallet": 36,
     "boat": 37,
+    "panel": 38,
+    "cabinet": 39,
+    "grave": 40,
+    "crane": 41,
 }
 """The semantic label of every class."""
 

@@ -18,7 +18,7 @@ from pydantic import (
     model_serializer,
 )
 
-from objconnect.scene.bundle.georeference import EXACT, Georeference
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE, Georeference
 from objconnect.scene.config import describe
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, is_on_earth
@@ -107,8 +107,7 @@ class Manifest(Record):
         reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
             from motion of all photographs together, accurate to centimetres at best.
         georeference: absolute accuracy of the origin, as ``ingest`` measured it; None if the file
-            has no such key. See
-            ``effective_georeference``.
+            has no such key. See ``effective_georeference``.
         sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
@@ -131,11 +130,13 @@ class Manifest(Record):
     @classmethod
     def _on_earth(cls, origin: Geodetic) -> Geodetic:
         if not is_on_earth(origin):
-            raise ValueError("latitude and longitude are degrees, altitude is metres")
+            raise ValueError(
+                "it is not on earth: expected latitude and longitude in degrees, altitude in metres"
+            )
         return origin
 
     @model_serializer(mode="wrap")
-    def _without_unknown(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _omit_missing_georeference(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # Older releases refuse unknown keys, so the key is written only if it has a value.
         values: dict[str, Any] = write(self)
         if self.georeference is None:
@@ -150,7 +151,7 @@ class Manifest(Record):
         of the site's files, which is unknown.
         """
         if self.georeference is None and self.preset is not None and self.reference == "exact":
-            return EXACT if self.config.get("site") is None else None
+            return EXACT_GEOREFERENCE if self.config.get("site") is None else None
         return self.georeference
 
 
@@ -193,9 +194,9 @@ class Surroundings(Record):
         # A point is inside if a ray to the east crosses the outline an odd number of times.
         east, north = points[:, :1], points[:, 1:2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            at = start[:, 0] + (north - start[:, 1]) / step[:, 1] * step[:, 0]
+            crossing_east = start[:, 0] + (north - start[:, 1]) / step[:, 1] * step[:, 0]
         crosses = (start[:, 1] > north) != (end[:, 1] > north)
-        return np.asarray((crosses & (at > east)).sum(1) % 2 == 1)
+        return np.asarray((crosses & (crossing_east > east)).sum(1) % 2 == 1)
 
 
 class Objects(Record):

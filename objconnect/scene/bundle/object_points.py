@@ -50,19 +50,19 @@ def coverage(
 
 
 def objects_of_points(
-    points: int, seen: Iterable[tuple[MapImage, NDArray[np.uint16]]]
+    points: int, photographs: Iterable[tuple[MapImage, NDArray[np.uint16]]]
 ) -> NDArray[np.int64]:
     """Return the object of each map point, by majority vote over the observing photographs.
 
     Args:
         points: number M of points of the map.
-        seen: photographs of the map, each with its instance image (H, W).
+        photographs: photographs of the map, each with its instance image (H, W).
 
     Returns:
         Object identifiers, (M,); 0 for points on no object.
     """
     votes = [np.zeros((0, 2), np.int64)]
-    for image, instance in seen:
+    for image, instance in photographs:
         observed = image.point_rows >= 0
         columns, rows = np.floor(image.xy[observed]).astype(int).T
         # A keypoint on the right or lower edge of the image belongs to the last pixel.

@@ -50,9 +50,9 @@ def _contact_sheet(scene: Scene) -> Figure:
     for row, session in zip(axes, scene.sessions, strict=True):
         frames = scene.frames(session)
         chosen = np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)
-        with scene.dense(session) as dense:
-            depth = [dense.read("depth", k) for k in chosen]
-            instance = [dense.read("instance", k) for k in chosen]
+        with scene.layers(session) as layers:
+            depth = [layers.read("depth", k) for k in chosen]
+            instance = [layers.read("instance", k) for k in chosen]
         surface = np.concatenate([image[image > 0] for image in depth])
         low, high = np.percentile(surface, [1, 99]) if len(surface) else (0.0, 1.0)
         row[0].set_title(for_figure(session), fontsize=10, loc="left")
@@ -72,6 +72,7 @@ def _colour(instance: NDArray[Any]) -> NDArray[Any]:
     black."""
     import matplotlib as mpl
 
+    # Multiples of the golden ratio spread evenly over the hues.
     hues = mpl.colormaps["hsv"]((instance.astype(np.int64) * 0.6180339887) % 1.0)[..., :3]
     return np.where(instance[..., None] > 0, hues, 0.0)
 
@@ -112,10 +113,11 @@ def _flight_map(scene: Scene) -> Figure:
             label=for_figure(name),
         )
         # The image's up direction (-y) gives a heading even for a camera that looks straight down.
-        top = -rotation[:, 1, :2]
-        ax.quiver(*centres[:, :2].T, *top.T, color=colour, width=0.003, scale=30, zorder=3)
-    side = 0.62 * float(scene.manifest.config["area"])
-    ax.set(xlim=(-side, side), ylim=(-side, side), aspect="equal")
+        image_up = -rotation[:, 1, :2]
+        ax.quiver(*centres[:, :2].T, *image_up.T, color=colour, width=0.003, scale=30, zorder=3)
+    # Half of the side of the place, with a margin.
+    half_width = 0.62 * float(scene.manifest.config["area"])
+    ax.set(xlim=(-half_width, half_width), ylim=(-half_width, half_width), aspect="equal")
     ax.set_xlabel("east (m)")
     ax.set_ylabel("north (m)")
     ax.legend(loc="upper left", fontsize=8)

@@ -30,6 +30,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.files import require_folder
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
@@ -46,7 +47,7 @@ _PARTS = (
     "ingest.json",
 )
 MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
-"""Files that this program writes into a map's folder, for ``atomic_folder``."""
+"""Files that this program writes into a map's folder, and that ``atomic_folder`` may replace."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Scene:
         path: folder of the scene.
         manifest: contents of ``scene.json``.
 
-    Example:
+    Examples:
         >>> scene = Scene.open(Path("hamlet"))  # doctest: +SKIP
         >>> for session in scene.sessions:  # doctest: +SKIP
         ...     frames = scene.frames(session)
@@ -76,13 +77,12 @@ class Scene:
             InputError: the folder does not exist, holds no finished scene, or its manifest is
                 damaged.
 
-        Example:
-            >>> Scene.open(Path("/no/such/folder"))
+        Examples:
+            >>> Scene.open(Path("/nowhere"))
             Traceback (most recent call last):
-            objconnect.scene.errors.InputError: scene folder /no/such/folder does not exist
+            objconnect.scene.errors.InputError: scene folder /nowhere does not exist: check the path
         """
-        if not path.is_dir():
-            raise InputError(f"scene folder {path} does not exist")
+        require_folder(path, "scene folder")
         if not (path / MANIFEST).is_file():
             raise InputError(
                 f"{path} is not a finished scene: it has no {MANIFEST} (run simulate or ingest "
@@ -143,16 +143,16 @@ class Scene:
         """
         return is_added_point(self.map_path, len(sparse_map.xyz))
 
-    def require_lists(self) -> None:
-        """Check that every list of the scene can be read, before long work that needs them.
+    def check_readable(self) -> None:
+        """Check before long work that the object list and the frames of all sessions can be read.
 
         Raises:
-            InputError: a list is missing or damaged.
+            InputError: the object list or the frames of a session are missing or damaged.
         """
         _ = self.objects
         for session in self.sessions:
             self.frames(session)
-            with self.dense(session):
+            with self.layers(session):
                 pass
 
     def frames(self, session: str) -> Frames:
@@ -163,7 +163,7 @@ class Scene:
         """
         return read_frames(self._frames_path(session))
 
-    def dense(self, session: str) -> AbstractContextManager[DenseLayers]:
+    def layers(self, session: str) -> AbstractContextManager[DenseLayers]:
         """Open the depth, instance, semantic and normal images of a session.
 
         Raises:
@@ -174,17 +174,17 @@ class Scene:
     def layers_of_map(
         self, sparse_map: SparseMap, *layers: Layer
     ) -> Iterator[tuple[MapImage, dict[Layer, NDArray[Any]]]]:
-        """Yield the photographs of a map with some of their layers.
+        """Yield the photographs of a map, each with the named layers.
 
         Sessions that lack one of the layers are left out.
         """
         for session in self.sessions:
-            with self.dense(session) as dense:
-                if not all(dense.has(layer) for layer in layers):
+            with self.layers(session) as stored:
+                if not all(stored.has(layer) for layer in layers):
                     continue
                 for k, name in enumerate(self.frames(session).names):
                     if name in sparse_map.images:
-                        read = {layer: dense.read(layer, k) for layer in layers}
+                        read = {layer: stored.read(layer, k) for layer in layers}
                         yield sparse_map.images[name], read
 
     def _frames_path(self, session: str) -> Path:

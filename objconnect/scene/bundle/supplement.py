@@ -41,7 +41,7 @@ class Supplement(Record):
 
     Attributes:
         points: added points.
-        map_sha256: ``SparseMap.sha256`` of the map without them.
+        map_sha256: ``SparseMap.sha256`` of the map without the added points.
     """
 
     model_config = ConfigDict(populate_by_name=True)
@@ -83,6 +83,6 @@ def is_added_point(folder: Path, points: int) -> NDArray[np.bool_]:
     if len(unknown):
         raise InputError(
             f"{folder / SUPPLEMENT} lists point {unknown[0]}, which the map beside it does not "
-            "have: they belong to different maps, build the map again"
+            "have: the list belongs to another map; build the map again"
         )
     return np.isin(ids, listed)

@@ -22,7 +22,7 @@ MAX_RESIDUAL_RATIO: Final = 0.5
 of agreeing pixels is below this share of the other convention's."""
 
 
-def _same(matrices: Array) -> Array:
+def _keep(matrices: Array) -> Array:
     return matrices
 
 
@@ -36,13 +36,13 @@ def _transpose(matrices: Array) -> Array:
     return result
 
 
-def _centre(matrices: Array) -> Array:
+def _from_centre_to_translation(matrices: Array) -> Array:
     result = matrices.copy()
     result[..., :3, 3] = -np.einsum("...ij,...j->...i", matrices[..., :3, :3], matrices[..., :3, 3])
     return result
 
 
-def _opengl(matrices: Array) -> Array:
+def _flip_opengl_axes(matrices: Array) -> Array:
     result = matrices.copy()
     result[..., 1:3, :] *= -1
     return result
@@ -70,20 +70,23 @@ class Convention:
     """
 
     fault: str
-    poses: Callable[[Array], Array] = _same
+    poses: Callable[[Array], Array] = _keep
     principal_shift: float = 0.0
     radial_depth: bool = False
 
 
-OURS = Convention("")
+OUR_CONVENTION = Convention("")
 
 POSE_CONVENTIONS = (
     Convention("poses are inverted: world_from_cam where cam_from_world is expected", _invert),
     Convention(
-        "rotations are transposed: world-from-camera beside a camera translation", _transpose
+        "rotations are transposed: those of world_from_cam beside translations of cam_from_world",
+        _transpose,
     ),
-    Convention("translations are camera centres, expected t = -R C", _centre),
-    Convention("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
+    Convention("translations are camera centres, expected t = -R C", _from_centre_to_translation),
+    Convention(
+        "camera axes are OpenGL's (y up, z backward), expected y down, z forward", _flip_opengl_axes
+    ),
 )
 
 DEPTH_CONVENTIONS = (
@@ -102,7 +105,7 @@ PIXEL_CONVENTIONS = (
 CONVENTIONS = (*POSE_CONVENTIONS, *DEPTH_CONVENTIONS, *PIXEL_CONVENTIONS)
 
 
-def _reorder(matrices: Array, roll: int) -> Array:
+def _roll_quaternions(matrices: Array, roll: int) -> Array:
     """Return the poses with the components of their quaternions rolled by ``roll`` positions."""
     from objconnect.scene.geometry.pose import Pose
 
@@ -114,9 +117,9 @@ def _reorder(matrices: Array, roll: int) -> Array:
     )
 
 
-def _reorder_from_camera(matrices: Array, roll: int) -> Array:
-    """Return the same for files that hold world_from_cam: camera centres do not change."""
-    return _invert(_reorder(_invert(matrices), roll))
+def _roll_inverse_quaternions(matrices: Array, roll: int) -> Array:
+    """Roll the quaternions of poses that a file holds as world_from_cam; the centres stay."""
+    return _invert(_roll_quaternions(_invert(matrices), roll))
 
 
 @dataclass(frozen=True)
@@ -134,32 +137,36 @@ class PoseConvention:
     poses: Callable[[Array], Array]
 
 
-_TURNED_AXES = "camera axes are turned: y up, z backward (OpenGL) is mistaken for y down, z forward"
+_OPENGL_AXES = "camera axes are turned: y up, z backward (OpenGL) is mistaken for y down, z forward"
 _XYZW = "quaternions are x y z w where w x y z is expected"
 _WXYZ = "quaternions are w x y z where x y z w is expected"
 
 FOREIGN_CONVENTIONS = (
     PoseConvention("poses-inverted", POSE_CONVENTIONS[0].fault, _invert),
     PoseConvention("rotations-transposed", POSE_CONVENTIONS[1].fault, _transpose),
-    PoseConvention("translations-are-centres", POSE_CONVENTIONS[2].fault, _centre),
-    PoseConvention("axes-flipped", _TURNED_AXES, _opengl),
-    # The matrix on disk is inverted, and a reader of OpenGL's axes has flipped it.
     PoseConvention(
-        "poses-inverted", POSE_CONVENTIONS[0].fault, lambda m: _opengl(_invert(_opengl(m)))
+        "translations-are-centres", POSE_CONVENTIONS[2].fault, _from_centre_to_translation
+    ),
+    PoseConvention("axes-flipped", _OPENGL_AXES, _flip_opengl_axes),
+    # The matrix in the file is inverted, and its reader has converted the axes from OpenGL's.
+    PoseConvention(
+        "poses-inverted",
+        POSE_CONVENTIONS[0].fault,
+        lambda m: _flip_opengl_axes(_invert(_flip_opengl_axes(m))),
     ),
     PoseConvention(
         "poses-inverted-axes-flipped",
-        f"poses are inverted, and {_TURNED_AXES}",
-        lambda m: _opengl(_invert(m)),
+        f"poses are inverted, and {_OPENGL_AXES}",
+        lambda m: _flip_opengl_axes(_invert(m)),
     ),
     PoseConvention(
         "poses-inverted-axes-flipped",
-        f"poses are inverted, and {_TURNED_AXES}",
-        lambda m: _invert(_opengl(m)),
+        f"poses are inverted, and {_OPENGL_AXES}",
+        lambda m: _invert(_flip_opengl_axes(m)),
     ),
-    PoseConvention("quaternion-order", _XYZW, lambda m: _reorder(m, 1)),
-    PoseConvention("quaternion-order", _WXYZ, lambda m: _reorder(m, -1)),
-    PoseConvention("quaternion-order", _XYZW, lambda m: _reorder_from_camera(m, 1)),
-    PoseConvention("quaternion-order", _WXYZ, lambda m: _reorder_from_camera(m, -1)),
+    PoseConvention("quaternion-order", _XYZW, lambda m: _roll_quaternions(m, 1)),
+    PoseConvention("quaternion-order", _WXYZ, lambda m: _roll_quaternions(m, -1)),
+    PoseConvention("quaternion-order", _XYZW, lambda m: _roll_inverse_quaternions(m, 1)),
+    PoseConvention("quaternion-order", _WXYZ, lambda m: _roll_inverse_quaternions(m, -1)),
 )
 """Conventions of poses in the files of other programs, and their combinations."""

@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.scene.bundle.covisibility import overlap_matrix, surface_points
+from objconnect.scene.bundle.covisibility import mutual_overlap, surface_points
 from objconnect.scene.checks.conventions import (
     CONVENTIONS,
     MAX_RESIDUAL_RATIO,
-    OURS,
+    OUR_CONVENTION,
     Convention,
     shift_principal_point,
 )
@@ -27,11 +27,11 @@ from objconnect.scene.geometry.camera import Camera
 TOLERANCE_PX = 0.05
 """Largest median cross-frame reprojection error (px) of a valid scene."""
 
-_PAIRS = 60
+_MAX_PAIRS = 60
 _PIXELS_PER_PAIR = 600
 _MIN_OVERLAP = 0.15
 # A pixel that returns within this distance saw the same surface in both frames.
-_AGREES_PX = 1.0
+_AGREEMENT_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ class Agreement:
     """The result of a cross-frame reprojection.
 
     Attributes:
-        residuals: return distances (px) of the pixels that fall on the same object in the other
-            frame.
-        share: share of these pixels among all sampled pixels.
+        residuals: distances (px) between start and return of the pixels that fall on the same
+            object in the other frame.
+        compared_share: share of these pixels among all sampled pixels.
     """
 
     residuals: NDArray[np.float64]
-    share: float
+    compared_share: float
 
     @property
     def median(self) -> float:
@@ -72,8 +72,8 @@ class Agreement:
 
     @property
     def inlier_mean(self) -> float:
-        """Return the mean residual below one pixel; larger ones belong to another surface."""
-        close = self.residuals[self.residuals < _AGREES_PX]
+        """Return the mean of the residuals under one pixel; larger ones are of other surfaces."""
+        close = self.residuals[self.residuals < _AGREEMENT_PX]
         return float(close.mean()) if len(close) else float("inf")
 
     @property
@@ -81,17 +81,17 @@ class Agreement:
         """Return the share of all sampled pixels that return within one pixel."""
         if not len(self.residuals):
             return 0.0
-        return self.share * float((self.residuals < _AGREES_PX).mean())
+        return self.compared_share * float((self.residuals < _AGREEMENT_PX).mean())
 
 
 def check_depth(name: str, frames: DepthFrames) -> Check:
     """Check the cross-frame reprojection; if it fails, name the convention at fault."""
     if len(frames.cameras) < 2:
         return Check(name, True, "not checked: there is only one frame")
-    ours = measure(frames, OURS)
+    ours = measure(frames, OUR_CONVENTION)
     others = [(measure(frames, convention), convention) for convention in CONVENTIONS]
-    widest, convention = max(others, key=lambda item: item[0].agreeing_share)
-    if MAX_RESIDUAL_RATIO * widest.agreeing_share > ours.agreeing_share:
+    most_agreeing, convention = max(others, key=lambda item: item[0].agreeing_share)
+    if MAX_RESIDUAL_RATIO * most_agreeing.agreeing_share > ours.agreeing_share:
         return Check(name, False, convention.fault, _figures(ours))
     if not len(ours.residuals):
         return Check(
@@ -102,13 +102,13 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
     # A convention that fits only a few pixels explains nothing.
     candidates = [item for item in others if item[0].agreeing_share > 0.9 * ours.agreeing_share]
     closest, convention = min(
-        candidates, key=lambda item: item[0].inlier_mean, default=(ours, OURS)
+        candidates, key=lambda item: item[0].inlier_mean, default=(ours, OUR_CONVENTION)
     )
     if closest.inlier_mean < MAX_RESIDUAL_RATIO * ours.inlier_mean:
         return Check(name, False, convention.fault, _figures(ours))
-    close = ours.residuals[ours.residuals < _AGREES_PX]
+    close = ours.residuals[ours.residuals < _AGREEMENT_PX]
     if not len(close):
-        detail = f"none of {len(ours.residuals)} pixels returns to within {_AGREES_PX:g} px"
+        detail = f"none of {len(ours.residuals)} pixels returns to within {_AGREEMENT_PX:g} px"
         return Check(name, False, f"{detail}: poses or depths are wrong", _figures(ours))
     detail = (
         f"median {ours.median:.4f} px, 95 % of agreeing pixels under "
@@ -147,11 +147,11 @@ def measure(frames: DepthFrames, convention: Convention) -> Agreement:
     points = np.stack(
         [surface_points(c, p, d) for c, p, d in zip(cameras, poses, depth, strict=True)]
     )
-    overlap = overlap_matrix(cameras, poses, points)
+    overlap = mutual_overlap(cameras, poses, points)
     pairs = np.argwhere(overlap > _MIN_OVERLAP)
     rng = np.random.default_rng(0)
-    if len(pairs) > _PAIRS:
-        pairs = pairs[rng.choice(len(pairs), _PAIRS, replace=False)]
+    if len(pairs) > _MAX_PAIRS:
+        pairs = pairs[rng.choice(len(pairs), _MAX_PAIRS, replace=False)]
     residuals, tried = [np.zeros(0)], 0
     for i, j in pairs.tolist():
         rows = rng.integers(0, depth[i].shape[0], _PIXELS_PER_PAIR)
@@ -189,6 +189,7 @@ def _lift(
     xy: NDArray[np.float64],
     depth: NDArray[np.float32] | NDArray[np.float64],
 ) -> NDArray[np.float64]:
+    """Return the world points (N, 3) of pixels (N, 2) with planar depth (N,), metres."""
     import torch
 
     rays, _ = camera.unproject(torch.from_numpy(xy))
@@ -199,6 +200,7 @@ def _lift(
 def _project(
     camera: Camera, pose: NDArray[np.float64], world: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the pixels (N, 2) of world points (N, 3), and which of them are visible, (N,)."""
     import torch
 
     projected = camera.project(torch.from_numpy(world @ pose[:3, :3].T + pose[:3, 3]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from objconnect.scene.checks.conventions import (
     MAX_RESIDUAL_RATIO,
-    OURS,
+    OUR_CONVENTION,
     PIXEL_CONVENTIONS,
     POSE_CONVENTIONS,
     Convention,
@@ -22,13 +22,13 @@ from objconnect.scene.maps.sparse_map import SparseMap
 # Largest median reprojection error (px) of a bundle-adjusted map.
 _MAX_RESIDUAL_PX = 2.0
 # Tolerance of the offset between principal points (px).
-_SAME_PX = 0.01
+_OFFSET_TOLERANCE_PX = 0.01
 
 
 def check_map(sparse_map: SparseMap) -> Check:
     """Check that points project to their observations; if not, name the convention at fault."""
     name = "map points project to their observations"
-    ours = _median_residual(sparse_map, OURS)
+    ours = _median_residual(sparse_map, OUR_CONVENTION)
     figures = {"median_px": ours, "points": float(len(sparse_map.xyz))}
     others = [
         (_median_residual(sparse_map, convention), convention)
@@ -38,7 +38,10 @@ def check_map(sparse_map: SparseMap) -> Check:
     if best < MAX_RESIDUAL_RATIO * ours:
         return Check(name, False, convention.fault, figures)
     if not ours < _MAX_RESIDUAL_PX:
-        detail = f"median {ours:.2f} px, expected under {_MAX_RESIDUAL_PX} px: it is not adjusted"
+        detail = (
+            f"median {ours:.2f} px, expected under {_MAX_RESIDUAL_PX} px: the map needs "
+            "bundle adjustment"
+        )
         return Check(name, False, detail, figures)
     return Check(name, True, f"median {ours:.3f} px over {len(sparse_map.xyz)} points", figures)
 
@@ -46,7 +49,7 @@ def check_map(sparse_map: SparseMap) -> Check:
 def _median_residual(sparse_map: SparseMap, convention: Convention) -> float:
     """Return the median reprojection error (px); points behind a camera count as infinite."""
     poses = convention.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
-    read = replace(
+    converted = replace(
         sparse_map,
         images={
             image.name: replace(
@@ -57,8 +60,8 @@ def _median_residual(sparse_map: SparseMap, convention: Convention) -> float:
             for image, pose in zip(sparse_map.images.values(), poses, strict=True)
         },
     )
-    distances = [np.linalg.norm(read.residuals(name), axis=1) for name in read.names]
-    observed = sum(int((image.point_rows >= 0).sum()) for image in read.images.values())
+    distances = [np.linalg.norm(converted.residuals(name), axis=1) for name in converted.names]
+    observed = sum(int((image.point_rows >= 0).sum()) for image in converted.images.values())
     in_front = np.concatenate(distances)
     padded = np.concatenate([in_front, np.full(observed - len(in_front), np.inf)])
     return float(np.median(padded)) if len(padded) else float("inf")
@@ -74,6 +77,6 @@ def check_principal_points(sparse_map: SparseMap, cameras: Sequence[Camera]) -> 
                 continue
             offset = np.subtract(other.principal, camera.principal)
             for convention in PIXEL_CONVENTIONS:
-                if np.abs(offset - convention.principal_shift).max() < _SAME_PX:
+                if np.abs(offset - convention.principal_shift).max() < _OFFSET_TOLERANCE_PX:
                     return Check(name, False, convention.fault)
     return Check(name, True, f"{len(set(cameras))} cameras")

@@ -20,7 +20,8 @@ from objconnect.scene.storage.images import read_rgb
 _FRAMES_PER_SESSION = 24
 # Largest root mean square error of the priors, in stated standard deviations.
 _MAX_PRIOR_SIGMAS = 3.0
-_ORTHONORMAL = 1e-6
+# Largest deviation of a valid pose from a rotation and the last row 0 0 0 1.
+_MAX_RIGIDITY_ERROR = 1e-6
 
 
 def validate(path: Path) -> Report:
@@ -51,7 +52,8 @@ def _check_files(scene: Scene) -> Check:
     name = "files match their digests"
     changed = scene.find_changed_files()
     if changed:
-        return Check(name, False, f"changed, missing or added since: {', '.join(changed[:5])}")
+        detail = f"changed, missing or added since the scene was finished: {', '.join(changed[:5])}"
+        return Check(name, False, detail)
     return Check(name, True, f"{len(scene.manifest.sha256)} files")
 
 
@@ -62,14 +64,14 @@ def _check_images(scene: Scene, session: str, frames: Frames) -> Check:
             read_rgb(scene.images_root / image, camera)
         except InputError as error:
             return Check(name, False, str(error))
-    return Check(name, True, f"{len(frames)} of the size of their camera")
+    return Check(name, True, f"{len(frames)} photographs, each of its camera's size")
 
 
 def _is_rigid(frames: Frames) -> bool:
-    return _rigidity(frames) < _ORTHONORMAL
+    return _rigidity_error(frames) < _MAX_RIGIDITY_ERROR
 
 
-def _rigidity(frames: Frames) -> float:
+def _rigidity_error(frames: Frames) -> float:
     """Return the largest deviation of a pose from a rotation with the last row 0 0 0 1."""
     rotation = frames.cam_from_world[:, :3, :3]
     gram = rotation @ rotation.transpose(0, 2, 1) - np.eye(3)
@@ -80,15 +82,15 @@ def _rigidity(frames: Frames) -> float:
 
 def _check_rigid(session: str, frames: Frames) -> Check:
     name = f"{session}: poses are rigid and look at the ground"
-    departure = _rigidity(frames)
-    if departure >= _ORTHONORMAL:
+    departure = _rigidity_error(frames)
+    if departure >= _MAX_RIGIDITY_ERROR:
         detail = (
             f"a rotation is off by {departure:.2g}: scaled, skewed, mirrored, or 4x4 transposed"
         )
         return Check(name, False, detail, {"departure": departure})
     downward = float(-frames.cam_from_world[:, 2, 2].mean())
     if downward < 0:
-        detail = "cameras look at the sky: the world's Z points down, or poses are not ours"
+        detail = "cameras look at the sky: the world's Z points down, or poses are world_from_cam"
         return Check(name, False, detail, {"downward": downward})
     return Check(name, True, f"{len(frames)} poses", {"departure": departure})
 
@@ -96,15 +98,18 @@ def _check_rigid(session: str, frames: Frames) -> Check:
 def _check_priors(session: str, frames: Frames) -> Check:
     """Check that the priors lie within their stated noise."""
     name = f"{session}: priors fit the poses"
-    there = frames.has_gps
-    if not there.any():
+    measured_rows = frames.has_gps
+    if not measured_rows.any():
         return Check(name, True, "no position was measured")
     off = (frames.gps_prior - frames.poses.centre().numpy()) / np.maximum(frames.gps_sigma, 1e-3)
-    gps = float(np.sqrt((off[there] ** 2).mean()))
+    gps = float(np.sqrt((off[measured_rows] ** 2).mean()))
     attitude = _attitude_sigmas(frames, frames.attitude_prior)
     figures = {"gps_sigmas": gps, "attitude_sigmas": attitude}
     if gps > _MAX_PRIOR_SIGMAS:
-        detail = f"positions are {gps:.1f} standard deviations off: another origin, axes or order"
+        detail = (
+            f"positions are {gps:.1f} standard deviations off: priors and poses differ in origin, "
+            "axes or order of coordinates"
+        )
         return Check(name, False, detail, figures)
     if attitude > _MAX_PRIOR_SIGMAS:
         if _attitude_sigmas(frames, np.roll(frames.attitude_prior, 1, axis=1)) < attitude / 3:
@@ -122,51 +127,53 @@ def _attitude_sigmas(frames: Frames, wxyz: NDArray[np.float64]) -> float:
 
     It is zero if no attitude was measured.
     """
-    there = frames.has_attitude
-    if not there.any():
+    measured_rows = frames.has_attitude
+    if not measured_rows.any():
         return 0.0
     import torch
 
     from objconnect.scene.geometry.pose import Pose
 
-    measured = Pose.from_quaternion(wxyz[there], torch.zeros(there.sum(), 3, dtype=torch.float64))
-    upright = Pose(frames.poses.rotation[torch.from_numpy(there)], measured.translation)
-    _, degrees = measured.error_to(upright)
-    sigma = np.maximum(frames.attitude_sigma_deg[there], 1e-3)
+    measured = Pose.from_quaternion(
+        wxyz[measured_rows], torch.zeros(measured_rows.sum(), 3, dtype=torch.float64)
+    )
+    true = Pose(frames.poses.rotation[torch.from_numpy(measured_rows)], measured.translation)
+    _, degrees = measured.error_to(true)
+    sigma = np.maximum(frames.attitude_sigma_deg[measured_rows], 1e-3)
     return float(np.sqrt((degrees.numpy() ** 2 / 3 / sigma**2).mean()))
 
 
 def _check_geometry(scene: Scene, sessions: dict[str, Frames]) -> Iterator[Check]:
     """Check depth and poses within each session, then between sessions."""
-    everything = []
+    parts = []
     for name, frames in sessions.items():
         if scene.manifest.sessions[name].readout_s:
             detail = "not checked: with a rolling shutter every row has its own pose"
             yield Check(f"{name}: depth and poses agree", True, detail)
             continue
-        with scene.dense(name) as dense:
-            if not (dense.has("depth") and dense.has("instance")):
+        with scene.layers(name) as layers:
+            if not (layers.has("depth") and layers.has("instance")):
                 continue
             chosen = range(min(len(frames), _FRAMES_PER_SESSION))
             part = DepthFrames(
                 [frames.cameras[k] for k in chosen],
                 frames.cam_from_world[: len(chosen)],
-                [dense.read("depth", k) for k in chosen],
-                [dense.read("instance", k) for k in chosen],
+                [layers.read("depth", k) for k in chosen],
+                [layers.read("instance", k) for k in chosen],
             )
         sizes = {(c.height, c.width) for c in part.cameras}
         if {d.shape for d in part.depth} != sizes:
             detail = f"depth is {part.depth[0].shape} pixels, cameras are {sorted(sizes)}"
             yield Check(f"{name}: depth and poses agree", False, detail)
             continue
-        everything.append(part)
+        parts.append(part)
         yield check_depth(f"{name}: depth and poses agree", part)
-    if len(everything) > 1:
+    if len(parts) > 1:
         merged = DepthFrames(
-            [camera for part in everything for camera in part.cameras],
-            np.concatenate([part.cam_from_world for part in everything]),
-            [image for part in everything for image in part.depth],
-            [image for part in everything for image in part.instance],
+            [camera for part in parts for camera in part.cameras],
+            np.concatenate([part.cam_from_world for part in parts]),
+            [image for part in parts for image in part.depth],
+            [image for part in parts for image in part.instance],
         )
         yield check_depth("all sessions: depth and poses agree", merged)
 

@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from objconnect.scene.colmap.native import LEAST_VARIANCE, native_camera, pose_from_native
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.correlation import count_neighbours
+from objconnect.scene.geometry.correlation import estimate_correlation
 from objconnect.scene.geometry.pose import Pose, transform_jacobian
-from objconnect.scene.geometry.robust import CAUCHY, SINGULAR
+from objconnect.scene.geometry.robust import CAUCHY_SCALE, MAX_CONDITION
 from objconnect.scene.localizer import Prior
 
 # Three matches determine a pose exactly: their residuals carry no information on its accuracy.
-_MINIMAL = 3
+_MINIMAL_MATCHES = 3
 
 
 # Squared Mahalanobis distance (three degrees of freedom) beyond which a measured position
 # contradicts the matches: its probability is one in ten billion.
-_CONTRADICTS = 50.0
+_MAX_SQUARED_DISTANCE = 50.0
 
 # Standard deviations of a position (m) are clipped to this range: no GNSS is more accurate than the
 # lower bound, and the upper bound has no influence, like an infinite value.
@@ -95,17 +95,19 @@ def estimate_absolute_pose(
     matches = _Matches(xy[inliers], xyz[inliers], camera, reach)
     variance = _residual_variance(matches, pose)
     # Refine again, with a robust loss and the position, both scaled by the measured pixel noise.
-    refinement.loss_function_scale = CAUCHY * np.sqrt(variance)
+    refinement.loss_function_scale = CAUCHY_SCALE * np.sqrt(variance)
     sigma = None
     if prior is not None and prior.position_sigma is not None:
         sigma = np.clip(prior.position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
-        alone = _pose_covariance(matches, pose, variance, None)
-        if alone is not None and _contradicts(pose, alone, prior.position, sigma):
+        unaided_covariance = _pose_covariance(matches, pose, variance, None)
+        if unaided_covariance is not None and _contradicts(
+            pose, unaided_covariance, prior.position, sigma
+        ):
             sigma = None
     if prior is not None and sigma is not None:
         refinement.use_position_prior = True
         refinement.position_prior_in_world = prior.position
-        # COLMAP assumes residuals of one pixel, so the covariance is in units of their variance.
+        # COLMAP assumes residuals of one pixel, so it takes covariances in units of their variance.
         refinement.position_prior_covariance = np.diag(sigma**2) / variance
     refined = pycolmap.refine_absolute_pose(
         answer["cam_from_world"], xy, xyz, inliers, native, refinement
@@ -113,7 +115,7 @@ def estimate_absolute_pose(
     if refined is not None:
         pose = pose_from_native(refined["cam_from_world"])
     covariance = None
-    if inliers.sum() > _MINIMAL:
+    if inliers.sum() > _MINIMAL_MATCHES:
         covariance = _pose_covariance(matches, pose, variance, sigma)
     return PnpResult(pose, inliers, covariance)
 
@@ -140,12 +142,12 @@ def _pose_covariance(
         # To first order the centre moves by -R^T v.
         rotation = pose.rotation.numpy()
         information[3:, 3:] += rotation @ np.diag(position_sigma**-2) @ rotation.T
-    if np.linalg.cond(information) > SINGULAR:
+    if np.linalg.cond(information) > MAX_CONDITION:
         return None
     residuals = projected.xy.numpy() - matches.xy
-    pairs = count_neighbours(matches.xy, residuals, jacobian, matches.reach)
+    neighbours = estimate_correlation(matches.xy, residuals, jacobian, matches.reach)
     inverse = np.linalg.inv(information)
-    added = pairs.correlation * pairs.information / variance
+    added = neighbours.correlation * neighbours.information / variance
     covariance = inverse + inverse @ added @ inverse
     return np.asarray((covariance + covariance.T) / 2)
 
@@ -163,7 +165,7 @@ def _contradicts(
     rotation = pose.rotation.numpy()
     difference = pose.centre().numpy() - position
     total = rotation.T @ covariance[3:, 3:] @ rotation + np.diag(sigma**2)
-    return float(difference @ np.linalg.solve(total, difference)) > _CONTRADICTS
+    return float(difference @ np.linalg.solve(total, difference)) > _MAX_SQUARED_DISTANCE
 
 
 def _residual_variance(matches: _Matches, pose: Pose) -> float:

@@ -14,14 +14,14 @@ import pycolmap
 from numpy.typing import NDArray
 
 from objconnect.scene.colmap.models import empty_model, extend_model, lens_ids, make_model
-from objconnect.scene.colmap.native import ROOM, SEED, Progress, native_camera
+from objconnect.scene.colmap.native import MIN_FREE_BYTES, SEED, Progress, native_camera
 from objconnect.scene.colmap.options import (
     EPIPOLAR_PX,
     GUESSED_EPIPOLAR_PX,
     MAX_RATIO,
     SiftOptions,
 )
-from objconnect.scene.colmap.sift import CHUNK, extract_sift, read_features
+from objconnect.scene.colmap.sift import IMAGES_PER_CALL, extract_sift, read_features
 from objconnect.scene.maps.features import Features, unit_descriptors
 from objconnect.scene.maps.matching import match
 from objconnect.scene.maps.photographs import Photograph, PosedImage
@@ -30,8 +30,8 @@ from objconnect.scene.storage.atomic import atomic_write, write_text
 from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.images import check_photographs
 
-# Number of images per unit of work on a cluster.
-_UNIT = 4
+# Number of images per task on a cluster.
+_IMAGES_PER_TASK = 4
 
 # Number of pairs per chunk; finished chunks survive an interruption.
 _PAIR_CHUNK = 32
@@ -81,7 +81,7 @@ def match_photographs(
 
     Args:
         job: pairs and options.
-        photographs: all photographs; they are whole and of the size of their cameras.
+        photographs: all photographs; each must be readable and have the size of its camera.
         database: file, new or of an interrupted call.
         on_progress: called with the number of photographs and pairs done.
 
@@ -89,15 +89,15 @@ def match_photographs(
         InputError: a photograph is missing or damaged, or the file cannot be written.
     """
     ids = {photograph.name: k for k, photograph in enumerate(photographs, 1)}
-    numbers = lens_ids(photographs)
-    cameras = {p.lens: native_camera(p.camera, numbers[p.lens]) for p in photographs}
+    camera_ids = lens_ids(photographs)
+    cameras = {p.lens: native_camera(p.camera, camera_ids[p.lens]) for p in photographs}
     for photograph in photographs:
         cameras[photograph.lens].has_prior_focal_length = photograph.focal_known
     model = empty_model(cameras.values())
     for photograph in photographs:
         native = pycolmap.Image(
             name=photograph.name,
-            camera_id=numbers[photograph.lens],
+            camera_id=camera_ids[photograph.lens],
             image_id=ids[photograph.name],
         )
         model.add_image_with_trivial_frame(native)
@@ -149,14 +149,11 @@ def fill_database(
             on_progress(done)
 
     with pycolmap.Database.open(database) as db:
-        left = [name for name in ids if not db.exists_keypoints(ids[name])]
-        done = len(ids) - len(left)
-        with closing(_find_features(job, left, database.parent)) as chunks:
+        missing = [name for name in ids if not db.exists_keypoints(ids[name])]
+        done = len(ids) - len(missing)
+        with closing(_find_features(job, missing, database.parent)) as chunks:
             for features in chunks:
-                size = sum(
-                    item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
-                )
-                require_disk_space(database, ROOM + 2 * size)
+                require_disk_space(database, MIN_FREE_BYTES + 2 * _count_bytes(features))
                 _write_features(db, ids, features)
                 done += len(features)
                 report(done)
@@ -171,20 +168,25 @@ def fill_database(
     for start in range(0, len(pairs), _PAIR_CHUNK):
         chunk_of_pairs = pairs[start : start + _PAIR_CHUNK]
         with pycolmap.Database.open(database) as db:
-            left_pairs = [
+            missing_pairs = [
                 (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
             ]
-            for a, b in left_pairs:
-                require_disk_space(database, ROOM)
+            for a, b in missing_pairs:
+                require_disk_space(database, MIN_FREE_BYTES)
                 if not db.exists_matches(ids[a], ids[b]):
                     matches = match(descriptors[a], descriptors[b], MAX_RATIO)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
-        if left_pairs:
-            require_disk_space(database, ROOM)
-            write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
+        if missing_pairs:
+            require_disk_space(database, MIN_FREE_BYTES)
+            write_text(pair_list, "".join(f"{a} {b}\n" for a, b in missing_pairs))
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
     pair_list.unlink(missing_ok=True)
+
+
+def _count_bytes(features: Mapping[str, Features]) -> int:
+    """Return the bytes that features take in a database; a keypoint is six float32."""
+    return sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
 
 
 def _write_features(
@@ -221,9 +223,9 @@ def write_matches(
     """
     keypoints = {image.name: np.zeros((0, 2)) for image in images}
     model, ids = extend_model(images, keypoints, photographs)
-    size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
-    pairs = sum(8 * len(rows) for _, _, rows in matches)
-    require_disk_space(path, ROOM + 2 * (size + 2 * pairs))
+    # A match is two uint32; it is stored as a match and as an inlier.
+    match_bytes = 2 * sum(8 * len(rows) for _, _, rows in matches)
+    require_disk_space(path, MIN_FREE_BYTES + 2 * (_count_bytes(features) + match_bytes))
     write_database(path, model)
     with pycolmap.Database.open(path) as db:
         _write_features(db, ids, features)
@@ -241,24 +243,24 @@ def write_matches(
 
 
 def _find_features(
-    job: MatchingJob, names: Sequence[str], beside: Path
+    job: MatchingJob, names: Sequence[str], parent: Path
 ) -> Generator[dict[str, Features], None, None]:
     """Yield the SIFT features of many images, a chunk at a time.
 
-    Temporary files lie in ``beside``, or on a cluster in the temporary folder of each node.
+    Temporary files lie in ``parent``, or on a cluster in the temporary folder of each node.
     """
-    size = CHUNK if job.cluster is None else _UNIT
+    size = IMAGES_PER_CALL if job.cluster is None else _IMAGES_PER_TASK
     chunks = [names[start : start + size] for start in range(0, len(names), size)]
-    threads, temporary = (-1, beside) if job.cluster is None else (1, None)
-    find = partial(_sift_of, job.root, job.sift, threads, temporary)
+    threads, temporary = (-1, parent) if job.cluster is None else (1, None)
+    find = partial(_extract_chunk, job.root, job.sift, threads, temporary)
     with worker_pool(job.cluster if chunks else None, find) as workers:
         yield from workers.map(chunks)
 
 
-def _sift_of(
-    root: Path, options: SiftOptions, threads: int, beside: Path | None, names: Sequence[str]
+def _extract_chunk(
+    root: Path, options: SiftOptions, threads: int, parent: Path | None, names: Sequence[str]
 ) -> Iterator[dict[str, Features]]:
-    yield extract_sift(root, names, options, threads=threads, beside=beside)
+    yield extract_sift(root, names, options, threads=threads, parent=parent)
 
 
 def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
@@ -266,7 +268,7 @@ def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
     if not is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
-        require_disk_space(database, ROOM)
+        require_disk_space(database, MIN_FREE_BYTES)
         write_database(database, model)
 
 
@@ -287,7 +289,7 @@ def write_database(path: Path, model: pycolmap.Reconstruction) -> None:
     COLMAP's extractor would number images in the order in which it finishes them, and identifiers
     decide the order of all later steps.
     """
-    with atomic_write(path) as partial, pycolmap.Database.open(partial) as db:
+    with atomic_write(path) as unfinished, pycolmap.Database.open(unfinished) as db:
         for camera in model.cameras.values():
             db.write_camera(camera, use_camera_id=True)
         for rig in model.rigs.values():

@@ -12,17 +12,19 @@ import pycolmap
 from numpy.typing import NDArray
 
 from objconnect.scene.colmap.models import write_model
-from objconnect.scene.colmap.structure_from_motion import RefinedLenses, bundle_of
-from objconnect.scene.geometry.robust import CAUCHY
+from objconnect.scene.colmap.structure_from_motion import RefinedLenses, configure_adjustment
+from objconnect.scene.geometry.robust import CAUCHY_SCALE
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# COLMAP receives a surveyed position as observations by distant cameras of known pose, one along
-# each axis. Two of them observe each axis, each with half of the weight.
-_VIEWED_BY: Final = 2
+# COLMAP receives a surveyed position as observations by three distant cameras of known pose, one
+# along each axis. Two of them measure each coordinate, each with half of the weight.
+_CAMERAS_PER_COORDINATE: Final = 2
 _DISTANCE_M: Final = 1000.0
-_AXES: Final = np.stack([np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0)])
+_CAM_FROM_WORLD_ROTATIONS: Final = np.stack(
+    [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0)]
+)
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ def adjust_to_points(
 ) -> SparseMap:
     """Transform a model to the world and adjust it to keypoints and surveyed points jointly.
 
-    It adjusts poses, points and lenses with a robust loss. A pixel of a mark weighs as much as a
-    pixel of a keypoint, and so does an error of a surveyed coordinate by its sigma.
+    It adjusts poses, points and lenses with a robust loss. These errors have the same weight: a
+    mark off by one pixel, a keypoint off by one pixel, and a surveyed coordinate off by one sigma.
 
     Args:
         model: folder of a model of ``map_photographs``.
@@ -64,36 +66,36 @@ def adjust_to_points(
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
-    config, options = bundle_of(native, photographs, refined)
+    config, options = configure_adjustment(native, photographs, refined)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = CAUCHY
-    keypoints = {number: image.num_points2D() for number, image in native.images.items()}
-    ids = {image.name: number for number, image in native.images.items()}
+    options.ceres.loss_function_scale = CAUCHY_SCALE
+    keypoints = {image_id: image.num_points2D() for image_id, image in native.images.items()}
+    ids = {image.name: image_id for image_id, image in native.images.items()}
     added, frames = [], []
     for point in points:
         track = []
         for name, xy in point.marks.items():
-            track.append(_observation(native, ids[name], xy))
-        for image_id in _views(native, point):
+            track.append(_add_observation(native, ids[name], xy))
+        for image_id in _add_distant_cameras(native, point):
             config.add_image(image_id)
             config.set_constant_cam_intrinsics(native.image(image_id).camera_id)
             config.set_constant_rig_from_world_pose(native.image(image_id).frame_id)
             frames.append(native.image(image_id).frame_id)
-            track.append(_observation(native, image_id, np.zeros(2)))
+            track.append(_add_observation(native, image_id, np.zeros(2)))
         added.append(native.add_point3D(point.xyz, pycolmap.Track(track)))
     pycolmap.create_default_bundle_adjuster(options, config, native).solve()
     for point_id in added:
         native.delete_point3D(point_id)
     for frame_id in frames:
         native.deregister_frame(frame_id)
-    for number, count in keypoints.items():
-        del native.images[number].points2D[count:]
+    for image_id, count in keypoints.items():
+        del native.images[image_id].points2D[count:]
     native.update_point_3d_errors()
     write_model(native, out)
     return read_model(out)
 
 
-def _observation(
+def _add_observation(
     native: pycolmap.Reconstruction, image_id: int, xy: NDArray[np.float64]
 ) -> pycolmap.TrackElement:
     """Add a keypoint to an image and return it as an element of a track."""
@@ -102,18 +104,18 @@ def _observation(
     return pycolmap.TrackElement(image_id, len(keypoints) - 1)
 
 
-def _views(native: pycolmap.Reconstruction, point: SurveyedPoint) -> Iterator[int]:
+def _add_distant_cameras(native: pycolmap.Reconstruction, point: SurveyedPoint) -> Iterator[int]:
     """Add cameras that observe a surveyed position at pixel (0, 0); yield their identifiers."""
-    focal = _DISTANCE_M / (point.sigma * np.sqrt(_VIEWED_BY))
-    for axes in _AXES:
-        number = max(native.cameras) + 1
+    focal = _DISTANCE_M / (point.sigma * np.sqrt(_CAMERAS_PER_COORDINATE))
+    for axes in _CAM_FROM_WORLD_ROTATIONS:
+        camera_id = max(native.cameras) + 1
         camera = pycolmap.Camera(
-            model="SIMPLE_PINHOLE", width=1, height=1, params=[focal, 0, 0], camera_id=number
+            model="SIMPLE_PINHOLE", width=1, height=1, params=[focal, 0, 0], camera_id=camera_id
         )
         native.add_camera_with_trivial_rig(camera)
         centre = point.xyz - _DISTANCE_M * axes[2]
         pose = pycolmap.Rigid3d(np.column_stack([axes, -axes @ centre]))
         image_id = max(native.images) + 1
-        view = pycolmap.Image(name=f"point/{image_id}", camera_id=number, image_id=image_id)
+        view = pycolmap.Image(name=f"point/{image_id}", camera_id=camera_id, image_id=image_id)
         native.add_image_with_trivial_frame(view, pose)
         yield image_id

@@ -18,7 +18,7 @@ from objconnect.scene.geometry.pose import Pose
 pycolmap.logging.minloglevel = pycolmap.logging.FATAL
 pycolmap.logging.logtostderr = True
 
-VERSION: str = pycolmap.__version__
+PYCOLMAP_VERSION: str = pycolmap.__version__
 Progress = Callable[[int], None]
 """A function that receives the number of steps done."""
 
@@ -28,7 +28,7 @@ SEED = 0
 LEAST_VARIANCE = 0.01
 """Smallest plausible variance of a pixel coordinate (px^2)."""
 
-ROOM = 64 << 20
+MIN_FREE_BYTES = 64 << 20
 """Free disk space required before a step (bytes), because COLMAP ends the process on a full disk.
 A chunk of pairs with its journal takes less."""
 

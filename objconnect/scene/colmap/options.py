@@ -18,13 +18,13 @@ GUESSED_EPIPOLAR_PX: Final = 4.0
 default."""
 
 OUTLIER_SIGMAS: Final = 5.0
-"""Residual in standard deviations above which observations are removed: four in a million of normal
-noise are as large."""
+"""Length of a residual, in standard deviations, above which an observation is removed. Of normally
+distributed residuals, four in a million are longer."""
 
 MIN_ANGLE_DEG: Final = 1.5
 """Triangulation angle below which points are removed; COLMAP's own default."""
 
-ALIGN_M: Final = 1.0
+MAX_ALIGNMENT_ERROR_M: Final = 1.0
 """Largest distance (m) of inlier cameras from their known centres in the alignment."""
 
 

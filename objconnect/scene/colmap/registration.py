@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.colmap.database import MatchingJob, fill_database, is_sound, write_matches
 from objconnect.scene.colmap.models import extend_model, write_model, write_with_poses
-from objconnect.scene.colmap.native import ROOM, Progress
+from objconnect.scene.colmap.native import MIN_FREE_BYTES, Progress
 from objconnect.scene.colmap.options import GUESSED_EPIPOLAR_PX
 from objconnect.scene.colmap.structure_from_motion import adjust_robustly
 from objconnect.scene.colmap.triangulation import pipeline_options
@@ -55,7 +55,7 @@ def match_new(
 
     Args:
         known: the map.
-        photographs: photographs to register; they are whole and of the size of their cameras.
+        photographs: photographs to register; each must be readable and have its camera's size.
         job: pairs to match, each with a new photograph; without pairs it only extracts features.
         database: file, new or of an interrupted call.
         on_progress: called with the number of images and pairs done.
@@ -117,7 +117,7 @@ def register_photographs(
         if on_progress is not None:
             on_progress(registered)
 
-    with scratch(out, ROOM) as folder:
+    with scratch(out, MIN_FREE_BYTES) as folder:
         start = folder / "known"
         start.mkdir()
         write_with_poses(known.images, known.sparse_map, start)

@@ -9,21 +9,21 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from objconnect.scene.colmap.native import ROOM, Progress
+from objconnect.scene.colmap.native import MIN_FREE_BYTES, Progress
 from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.features import Features
 from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.scratch import scratch
 
-CHUNK = 16
+IMAGES_PER_CALL = 16
 """Images per call of the extractor: enough to use all cores, few enough to report progress."""
 
 KEYPOINT_BYTES = 160
 """Size of a keypoint with its descriptor in a database (bytes)."""
 
 # Largest plausible number of keypoints of a photograph.
-_MOST_KEYPOINTS = 1 << 16
+_MAX_KEYPOINTS = 1 << 16
 
 
 class SiftExtractor:
@@ -49,7 +49,7 @@ def extract_sift(
     options: SiftOptions,
     on_progress: Progress | None = None,
     threads: int = -1,
-    beside: Path | None = None,
+    parent: Path | None = None,
 ) -> dict[str, Features]:
     """Extract the SIFT features of many images.
 
@@ -59,7 +59,7 @@ def extract_sift(
         options: options of the detector.
         on_progress: called with the number of images done.
         threads: number of threads; -1 for the number of cores.
-        beside: folder for temporary files, as for ``scratch``.
+        parent: folder for temporary files, as for ``scratch``.
 
     Raises:
         InputError: an image is missing or cannot be read.
@@ -67,12 +67,14 @@ def extract_sift(
     """
     native = _native(options)
     native.num_threads = threads
-    with scratch(beside) as folder:
+    with scratch(parent) as folder:
         database = folder / "database.db"
-        for start in range(0, len(names), CHUNK):
-            chunk = list(names[start : start + CHUNK])
-            most = min(options.max_features, _MOST_KEYPOINTS)
-            require_disk_space(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
+        for start in range(0, len(names), IMAGES_PER_CALL):
+            chunk = list(names[start : start + IMAGES_PER_CALL])
+            max_keypoints = min(options.max_features, _MAX_KEYPOINTS)
+            require_disk_space(
+                database, MIN_FREE_BYTES + 2 * len(chunk) * max_keypoints * KEYPOINT_BYTES
+            )
             pycolmap.extract_features(
                 database,
                 root,
@@ -92,9 +94,12 @@ def extract_sift(
 def read_features(database: Path, root: Path) -> dict[str, Features]:
     """Return the features of a database by image name.
 
+    Args:
+        database: file to read.
+        root: folder of the images, for the error message.
+
     Raises:
-        InputError: an image of the database has no keypoints; ``root`` is its folder, for the
-            message.
+        InputError: an image of the database has no keypoints.
     """
     features = {}
     with pycolmap.Database.open(database) as db:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from objconnect.scene.colmap.database import MappingJob, match_with_poses
 from objconnect.scene.colmap.models import lens_ids, write_model
-from objconnect.scene.colmap.native import LEAST_VARIANCE, ROOM, SEED, Progress
-from objconnect.scene.colmap.options import ALIGN_M, MIN_ANGLE_DEG, OUTLIER_SIGMAS
+from objconnect.scene.colmap.native import LEAST_VARIANCE, MIN_FREE_BYTES, SEED, Progress
+from objconnect.scene.colmap.options import MAX_ALIGNMENT_ERROR_M, MIN_ANGLE_DEG, OUTLIER_SIGMAS
 from objconnect.scene.colmap.triangulation import pipeline_options
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.robust import CAUCHY
+from objconnect.scene.geometry.robust import CAUCHY_SCALE
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.photographs import Photograph
@@ -28,11 +28,11 @@ from objconnect.scene.storage.scratch import scratch
 ADJUSTMENTS = 4
 """Number of rounds of robust adjustment at the end of ``reconstruct``."""
 
-ALIGNABLE = 3
+MIN_ALIGNED_CENTRES = 3
 """Smallest number of camera centres for a similarity transform."""
 
 # Relative change of the cost that ends a round of the robust adjustment.
-_CONVERGED = 1e-8
+_MIN_COST_CHANGE = 1e-8
 
 
 Mapper = Literal["incremental", "global"]
@@ -78,19 +78,21 @@ def reconstruct(
             database, root, folder, pipeline_options(), next_image_callback=on_image
         )
     model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
-    if model is None or model.num_reg_images() < ALIGNABLE:
+    if model is None or model.num_reg_images() < MIN_ALIGNED_CENTRES:
         raise InputError(
-            f"structure from motion could not register {ALIGNABLE} of the {len(images)} "
+            f"structure from motion could not register {MIN_ALIGNED_CENTRES} of the {len(images)} "
             f"images of {root}: they need overlap and texture"
         )
     adjust_robustly(model, on_round=lambda done: report(len(images) + done))
-    robust = pycolmap.RANSACOptions(max_error=ALIGN_M, random_seed=SEED)
+    ransac = pycolmap.RANSACOptions(max_error=MAX_ALIGNMENT_ERROR_M, random_seed=SEED)
     centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
     similarity = pycolmap.align_reconstruction_to_locations(
-        model, [image.name for image in images], np.array(centres), ALIGNABLE, robust
+        model, [image.name for image in images], np.array(centres), MIN_ALIGNED_CENTRES, ransac
     )
     if similarity is None:
-        raise InputError(f"the model of {root} does not fit the known camera centres")
+        raise InputError(
+            f"the model of {root} does not fit the known camera centres: check these positions"
+        )
     model.transform(similarity)
     write_model(model, out)
     return read_model(out), features
@@ -103,8 +105,8 @@ def adjust_robustly(
 ) -> None:
     """Adjust poses and points in rounds with a robust loss; remove outliers after each round.
 
-    COLMAP's mapper ends with least squares over all residuals within four pixels, where a wrong
-    match weighs a hundred times as much as the noise of a right one.
+    COLMAP's mapper ends with least squares over all residuals up to four pixels, where one wrong
+    match can outweigh many right ones.
 
     Args:
         model: model to adjust in place.
@@ -119,7 +121,7 @@ def adjust_robustly(
     )
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.solver_options.num_threads = 1
-    options.ceres.solver_options.function_tolerance = _CONVERGED
+    options.ceres.solver_options.function_tolerance = _MIN_COST_CHANGE
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
@@ -131,7 +133,7 @@ def adjust_robustly(
     for done in range(ADJUSTMENTS):
         on_round(done)
         sigma = _residual_sigma(model)
-        options.ceres.loss_function_scale = CAUCHY * sigma
+        options.ceres.loss_function_scale = CAUCHY_SCALE * sigma
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
         observations = pycolmap.ObservationManager(model)
         observations.filter_all_points3D(OUTLIER_SIGMAS * sigma, MIN_ANGLE_DEG)
@@ -168,20 +170,20 @@ def map_photographs(
 
     Returns:
         Folders of the models, each with its own frame and scale, by decreasing number of
-        photographs. Photographs that are not connected are in several models, or in none.
+        photographs. Photographs without common points end in different models, or in none.
     """
-    numbers = lens_ids(photographs)
+    camera_ids = lens_ids(photographs)
     # A focal length that is refined early from few photographs can distort the whole model.
     refine_focal = not all(p.focal_known for p in photographs)
     fixed = {
-        numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
+        camera_ids[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
     }
-    with scratch(out, ROOM) as folder:
+    with scratch(out, MIN_FREE_BYTES) as folder:
         if mapper == "global":
             pipeline = _global_options()
             adjustment = pipeline.mapper.bundle_adjustment
             adjustment.refine_focal_length = refine_focal
-            adjustment.refine_extra_params = len(fixed) < len(numbers)
+            adjustment.refine_extra_params = len(fixed) < len(camera_ids)
             models = pycolmap.global_mapping(database, root, folder, pipeline)
         else:
             pipeline = pipeline_options()
@@ -189,7 +191,7 @@ def map_photographs(
             pipeline.mapper.abs_pose_refine_focal_length = refine_focal
             pipeline.ba_refine_extra_params = True
             pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
-            pipeline.min_model_size = ALIGNABLE
+            pipeline.min_model_size = MIN_ALIGNED_CENTRES
             models = _map_incrementally(database, root, folder, pipeline, on_progress)
     ordered = sorted(models.values(), key=lambda m: -m.num_reg_images())
     folders = [out / str(k) for k in range(len(ordered))]
@@ -245,7 +247,8 @@ class MeasuredPositions:
     Attributes:
         centres: measured camera centres by name of the photograph, (3,) world metres.
         sigma: standard deviation per axis, (3,) metres.
-        up_sigma: other standard deviations of the height by name, metres.
+        up_sigma: standard deviation of the height, metres, by name of the photograph; it replaces
+            that of ``sigma``.
     """
 
     centres: Mapping[str, NDArray[np.float64]]
@@ -271,17 +274,17 @@ class RefinedLenses:
     principal_point: bool = False
 
 
-def bundle_of(
+def configure_adjustment(
     native: pycolmap.Reconstruction, photographs: Sequence[Photograph], refined: RefinedLenses
 ) -> tuple[pycolmap.BundleAdjustmentConfig, pycolmap.BundleAdjustmentOptions]:
     """Return configuration and options to adjust all images of a model of ``map_photographs``."""
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in native.reg_image_ids():
         config.add_image(image_id)
-    numbers = lens_ids(photographs)
+    camera_ids = lens_ids(photographs)
     for photograph in photographs:
         if photograph.calibrated or (refined.focal and photograph.lens not in refined.focal):
-            config.set_constant_cam_intrinsics(numbers[photograph.lens])
+            config.set_constant_cam_intrinsics(camera_ids[photograph.lens])
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.refine_focal_length = bool(refined.focal)
     options.refine_principal_point = refined.principal_point
@@ -311,7 +314,7 @@ def adjust_to_positions(
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
-    config, options = bundle_of(native, photographs, refined)
+    config, options = configure_adjustment(native, photographs, refined)
     with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
     with_priors.alignment_ransac.random_seed = SEED

@@ -10,7 +10,7 @@ import pycolmap
 
 from objconnect.scene.colmap.database import MappingJob, match_with_poses, write_database
 from objconnect.scene.colmap.models import add_map_points, make_model, write_model
-from objconnect.scene.colmap.native import ROOM, SEED, Progress
+from objconnect.scene.colmap.native import MIN_FREE_BYTES, SEED, Progress
 from objconnect.scene.colmap.sift import read_features
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import read_model
@@ -65,15 +65,15 @@ def triangulate_again(
     out: Path,
     known: SparseMap | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
-    """Triangulate some of the images of a filled database again; their poses are fixed.
+    """Triangulate a selection of the images of a filled database again; their poses are fixed.
 
     Args:
         root: folder that the names are relative to.
         images: some of the images of ``database``; matches with others are ignored.
         database: file filled by ``match_photographs``.
         out: existing folder for the model.
-        known: map of some of the images, with the same poses and keypoints. Its points that no
-            other image observes do not change.
+        known: map of some of the images, with the same poses and keypoints. Its points change only
+            if an image that the map lacks observes them.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -82,33 +82,34 @@ def triangulate_again(
         InputError: no point could be triangulated.
     """
     features = read_features(database, root)
-    wanted = {image.name: features[image.name] for image in images}
-    size = sum(24 * len(item.xy) for item in wanted.values())
-    with scratch(out, ROOM + 2 * size) as folder:
-        part = folder / "database.db"
-        posed, ids = make_model(images, {name: item.xy for name, item in wanted.items()})
-        write_database(part, posed)
-        with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
-            old = {image.name: image.image_id for image in db.read_all_images()}
-            for name, item in wanted.items():
-                copy.write_keypoints(ids[name], item.xy)
-            for a, b in combinations(wanted, 2):
-                if db.exists_two_view_geometry(old[a], old[b]):
-                    geometry = db.read_two_view_geometry(old[a], old[b])
-                    copy.write_two_view_geometry(ids[a], ids[b], geometry)
+    selected = {image.name: features[image.name] for image in images}
+    # A keypoint in a database is six float32.
+    size = sum(24 * len(item.xy) for item in selected.values())
+    with scratch(out, MIN_FREE_BYTES + 2 * size) as folder:
+        new_database = folder / "database.db"
+        posed, ids = make_model(images, {name: item.xy for name, item in selected.items()})
+        write_database(new_database, posed)
+        with pycolmap.Database.open(database) as db, pycolmap.Database.open(new_database) as new_db:
+            old_ids = {image.name: image.image_id for image in db.read_all_images()}
+            for name, item in selected.items():
+                new_db.write_keypoints(ids[name], item.xy)
+            for a, b in combinations(selected, 2):
+                if db.exists_two_view_geometry(old_ids[a], old_ids[b]):
+                    geometry = db.read_two_view_geometry(old_ids[a], old_ids[b])
+                    new_db.write_two_view_geometry(ids[a], ids[b], geometry)
         if known is None:
-            return _triangulate(posed, part, root, out), wanted
+            return _triangulate(posed, new_database, root, out), selected
         add_map_points(posed, {name: ids[name] for name in known.names}, known)
-        added = {number: name for name, number in ids.items() if name not in known.images}
-        _extend(posed, part, set(added))
-        for number, name in added.items():
-            posed.extract_colors_for_image(number, root / name)
+        added = {image_id: name for name, image_id in ids.items() if name not in known.images}
+        _triangulate_added(posed, new_database, set(added))
+        for image_id, name in added.items():
+            posed.extract_colors_for_image(image_id, root / name)
         posed.update_point_3d_errors()
         write_model(posed, out)
-        return read_model(out), wanted
+        return read_model(out), selected
 
 
-def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
+def _triangulate_added(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
     """Triangulate the points of images that were added to a map.
 
     It triangulates, adjusts and filters in rounds, as COLMAP does for a whole map.
@@ -119,37 +120,41 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
         added: identifiers of the added images.
     """
     options = pipeline_options()
-    cached = pycolmap.DatabaseCacheOptions()
-    cached.min_num_matches = options.min_num_matches
+    cache_options = pycolmap.DatabaseCacheOptions()
+    cache_options.min_num_matches = options.min_num_matches
     with pycolmap.Database.open(database) as db:
-        graph = pycolmap.DatabaseCache.create(db, cached).correspondence_graph
+        graph = pycolmap.DatabaseCache.create(db, cache_options).correspondence_graph
     manager = pycolmap.ObservationManager(model, graph)
     triangulator = pycolmap.IncrementalTriangulator(graph, model, manager)
-    before = {number: point.xyz.copy() for number, point in model.points3D.items()}
+    before = {point_id: point.xyz.copy() for point_id, point in model.points3D.items()}
     for image_id in sorted(added):
         triangulator.triangulate_image(options.triangulation, image_id)
-    touched = _observed_ids(model, added)
+    touched = _find_observed_ids(model, added)
     for _ in range(options.ba_global_max_refinements):
-        changed = triangulator.complete_tracks(options.triangulation, _observed_ids(model, added))
-        changed += triangulator.merge_tracks(options.triangulation, _observed_ids(model, added))
-        shown = _observed_ids(model, added)
-        if not shown:
-            break
-        touched |= shown
-        _adjust_points(model, shown)
-        changed += manager.filter_points3D(
-            options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, shown
+        changed = triangulator.complete_tracks(
+            options.triangulation, _find_observed_ids(model, added)
         )
-        if changed <= options.ba_global_max_refinement_change * len(shown):
+        changed += triangulator.merge_tracks(
+            options.triangulation, _find_observed_ids(model, added)
+        )
+        observed = _find_observed_ids(model, added)
+        if not observed:
+            break
+        touched |= observed
+        _adjust_points(model, observed)
+        changed += manager.filter_points3D(
+            options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, observed
+        )
+        if changed <= options.ba_global_max_refinement_change * len(observed):
             break
     # Restore points whose observations by added images were all filtered.
-    for number in (touched - _observed_ids(model, added)) & before.keys():
-        if model.exists_point3D(number):
-            model.point3D(number).xyz = before[number]
+    for point_id in (touched - _find_observed_ids(model, added)) & before.keys():
+        if model.exists_point3D(point_id):
+            model.point3D(point_id).xyz = before[point_id]
 
 
-def _observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
-    """Return the identifiers of the points that some images of a model observe."""
+def _find_observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
+    """Return the identifiers of the points that at least one of the images observes."""
     return {
         point.point3D_id
         for image_id in images
@@ -159,7 +164,7 @@ def _observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
 
 
 def _adjust_points(model: pycolmap.Reconstruction, points: set[int]) -> None:
-    """Adjust some points of a model and keep everything else fixed."""
+    """Adjust the given points of a model and keep everything else fixed."""
     config = pycolmap.BundleAdjustmentConfig()
     for point_id in points:
         config.add_variable_point(point_id)

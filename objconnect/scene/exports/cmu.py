@@ -23,7 +23,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.exports.cmu_names import (
     CAMERAS,
     FIRST_SLICES,
-    SIMULATED,
+    SIMULATED_HEADER,
     ImageName,
     surroundings,
 )
@@ -78,9 +78,10 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             )
         slices[part].append(photograph)
     sparse_map = scene.sparse_map()
-    lines = [f"{name} {_opencv(camera)}\n" for camera, name in cameras.items()]
+    lines = [f"{name} {_convert_to_opencv(camera)}\n" for camera, name in cameras.items()]
     (folder / "intrinsics.txt").write_text(
-        f"{SIMULATED}\n# camera model w h fx fy cx cy k1 k2 p1 p2\n" + "".join(lines), "utf-8"
+        f"{SIMULATED_HEADER}\n# camera model w h fx fy cx cy k1 k2 p1 p2\n" + "".join(lines),
+        "utf-8",
     )
     (folder / "README.md").write_text(
         f"Simulated by ObjConnect (preset {scene.manifest.preset}, seed {scene.manifest.seed}) in "
@@ -101,11 +102,11 @@ def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
             "simulate half of the sessions with another camera"
         )
     if any(camera.is_fisheye for camera in cameras):
-        raise InputError("this format has OPENCV cameras: it cannot hold a fisheye")
+        raise InputError("this format cannot hold a fisheye, only OPENCV cameras: export as colmap")
     return dict(zip(cameras, CAMERAS, strict=True))
 
 
-def _opencv(camera: Camera) -> Camera:
+def _convert_to_opencv(camera: Camera) -> Camera:
     """Return the equal camera of the model OPENCV.
 
     Raises:
@@ -130,27 +131,28 @@ def _photographs(
             name = ImageName(number, cameras[camera], round(1e6 * float(frames.time[k])))
             source = frames.names[k]
             pose = frames.cam_from_world[k]
-            yield part, _Photograph(source, name, source in mapped, _opencv(camera), pose)
+            opencv = _convert_to_opencv(camera)
+            yield part, _Photograph(source, name, source in mapped, opencv, pose)
 
 
 def _write_slice(
-    scene: Scene, whole: SparseMap, number: int, photographs: list[_Photograph], root: Path
+    scene: Scene, scene_map: SparseMap, number: int, photographs: list[_Photograph], root: Path
 ) -> None:
-    """Write the photographs, poses and map of one slice into the tree ``root``."""
+    """Write the photographs, poses and map of one slice into the folder ``root``."""
     name = f"slice{number}"
     folder = root / name
-    for part in ("database", "query", "camera-poses", "sparse"):
-        (folder / part).mkdir(parents=True)
+    for subfolder in ("database", "query", "camera-poses", "sparse"):
+        (folder / subfolder).mkdir(parents=True)
     for photograph in photographs:
         target = folder / ("database" if photograph.is_reference else "query")
         shutil.copyfile(scene.images_root / photograph.source, target / str(photograph.name))
     references = [p for p in photographs if p.is_reference]
     queries = [p for p in photographs if not p.is_reference]
     images = [PosedImage(str(p.name), p.camera, p.cam_from_world) for p in references]
-    sparse_map = _submap(whole, references)
+    sparse_map = _submap(scene_map, references)
     if not len(sparse_map.xyz):
         raise InputError(
-            f"the map of {scene.path} has no point that two photographs of its "
+            f"the map of {scene.path} has no point that at least two photographs of its "
             f"{surroundings(number)} part see: fly more map frames there"
         )
     write_with_poses(images, sparse_map, folder / "sparse")
@@ -163,19 +165,22 @@ def _write_slice(
         file.write_text("".join(p.line() for p in queries if p.name.day == day), "utf-8")
 
 
-def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
-    """Return the references and the points that at least two of them observe, renamed."""
-    mapped = [p for p in references if p.source in whole.images]
-    seen = np.zeros(len(whole.xyz), np.int64)
+def _submap(scene_map: SparseMap, references: list[_Photograph]) -> SparseMap:
+    """Return the map of the reference photographs, under their names in the export.
+
+    It holds the points that at least two of them observe.
+    """
+    mapped = [p for p in references if p.source in scene_map.images]
+    observations = np.zeros(len(scene_map.xyz), np.int64)
     for photograph in mapped:
-        rows = whole.images[photograph.source].point_rows
-        seen += np.bincount(rows[rows >= 0], minlength=len(seen))
-    kept = np.flatnonzero(seen >= 2)
-    row_of = np.full(len(seen) + 1, -1)  # the last entry maps -1, no point, to itself
+        rows = scene_map.images[photograph.source].point_rows
+        observations += np.bincount(rows[rows >= 0], minlength=len(observations))
+    kept = np.flatnonzero(observations >= 2)
+    row_of = np.full(len(observations) + 1, -1)  # the last entry maps -1, no point, to itself
     row_of[kept] = np.arange(len(kept))
 
     def rename(photograph: _Photograph) -> MapImage:
-        image = whole.images[photograph.source]
+        image = scene_map.images[photograph.source]
         return dataclasses.replace(
             image,
             name=str(photograph.name),
@@ -185,8 +190,8 @@ def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
 
     return SparseMap(
         images={str(p.name): rename(p) for p in mapped},
-        xyz=whole.xyz[kept],
-        rgb=whole.rgb[kept],
-        error=whole.error[kept],
-        track_length=seen[kept],
+        xyz=scene_map.xyz[kept],
+        rgb=scene_map.rgb[kept],
+        error=scene_map.error[kept],
+        track_length=observations[kept],
     )

@@ -14,7 +14,7 @@ from objconnect.scene.errors import InputError
 
 # First line of intrinsics.txt of simulated photographs. It keeps their results from being taken for
 # results on the real data set, whose files have the same names.
-SIMULATED: Final = "# simulated by ObjConnect"
+SIMULATED_HEADER: Final = "# simulated by ObjConnect"
 
 CAMERAS: Final = ("c0", "c1")
 FIRST_SLICES: Final = {"urban": 2, "suburban": 9, "park": 18}
@@ -22,7 +22,7 @@ FIRST_SLICES: Final = {"urban": 2, "suburban": 9, "park": 18}
 
 _IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
 # The time zone of Pittsburgh, which decides the day of a photograph.
-_LOCAL: Final = timedelta(hours=-5)
+_UTC_OFFSET: Final = timedelta(hours=-5)
 
 
 class ImageName(NamedTuple):
@@ -46,10 +46,15 @@ class ImageName(NamedTuple):
             )
         return ImageName(int(match[1]), match[2], int(match[3]))
 
+    @staticmethod
+    def matches(name: str) -> bool:
+        """Return whether the name of a file is one of this data set."""
+        return _IMAGE.fullmatch(name) is not None
+
     @property
     def day(self) -> date:
         """Return the day of the photograph in the time zone of the data set."""
-        return (datetime.fromtimestamp(self.microseconds / 1e6, UTC) + _LOCAL).date()
+        return (datetime.fromtimestamp(self.microseconds / 1e6, UTC) + _UTC_OFFSET).date()
 
     def __str__(self) -> str:
         return f"img_{self.number:05d}_{self.camera}_{self.microseconds}us.jpg"

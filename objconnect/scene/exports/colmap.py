@@ -38,9 +38,9 @@ def write_with_database(
     images = _images(sessions)
     write_with_poses(images, sparse_map, folder)
     names = {image.name for image in images}
-    matches = [one for one in iterate_matches(scene, sparse_map) if {one[0], one[1]} <= names]
-    described = {name: features[name] for name in sparse_map.names if name in names}
-    write_matches(folder / "database.db", images, described, matches)
+    matches = [(a, b, rows) for a, b, rows in iterate_matches(scene, sparse_map) if {a, b} <= names]
+    exported = {name: features[name] for name in sparse_map.names if name in names}
+    write_matches(folder / "database.db", images, exported, matches)
 
 
 def _images(sessions: Mapping[str, Frames]) -> list[PosedImage]:

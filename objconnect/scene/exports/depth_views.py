@@ -49,13 +49,13 @@ class DepthView:
 
         depth = self.depth()[::step, ::step].astype(np.float64)
         rays, valid = self.camera.unproject(self.camera.pixel_grid()[::step, ::step])
-        seen = (depth > 0) & np.isfinite(depth) & valid.numpy()
-        local = rays[torch.from_numpy(seen)].numpy() * depth[seen][:, None]
-        return (local - self.cam_from_world[:3, 3]) @ self.cam_from_world[:3, :3], seen
+        mask = (depth > 0) & np.isfinite(depth) & valid.numpy()
+        local = rays[torch.from_numpy(mask)].numpy() * depth[mask][:, None]
+        return (local - self.cam_from_world[:3, 3]) @ self.cam_from_world[:3, :3], mask
 
 
 def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]:
-    """Return the map photographs of some sessions with depth, or all if none is in the map.
+    """Return the map photographs of the sessions, or all photographs if none is in the map.
 
     Exact depth is preferred to estimated depth.
 
@@ -63,18 +63,18 @@ def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]
         InputError: there is no depth, or the results of ``dense`` are damaged.
     """
     mapped = set(scene.splits.map)
-    of_map = any(name in mapped for frames in sessions.values() for name in frames.names)
+    any_mapped = any(name in mapped for frames in sessions.values() for name in frames.names)
     views = []
     for session, frames in sessions.items():
-        with scene.dense(session) as layers:
+        with scene.layers(session) as layers:
             if not layers.has("depth"):
                 continue
         for k, name in enumerate(frames.names):
-            if name in mapped or not of_map:
-                depth = partial(_exact, scene, session, k)
+            if name in mapped or not any_mapped:
+                depth = partial(_read_exact, scene, session, k)
                 rgb = partial(read_rgb, scene.images_root / name, frames.cameras[k])
                 views.append(DepthView(frames.cameras[k], frames.cam_from_world[k], depth, rgb))
-    views = views or _estimate_views(scene, {n for f in sessions.values() for n in f.names})
+    views = views or _read_estimated_views(scene, {n for f in sessions.values() for n in f.names})
     if not views:
         raise InputError(
             f"these sessions of {scene.path} have no depth: run 'objconnect dense {scene.path}'"
@@ -82,12 +82,12 @@ def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]
     return views
 
 
-def _exact(scene: Scene, session: str, index: int) -> NDArray[np.float32]:
-    with scene.dense(session) as layers:
+def _read_exact(scene: Scene, session: str, index: int) -> NDArray[np.float32]:
+    with scene.layers(session) as layers:
         return np.asarray(layers.read("depth", index), np.float32)
 
 
-def _estimate_views(scene: Scene, names: set[str]) -> list[DepthView]:
+def _read_estimated_views(scene: Scene, names: set[str]) -> list[DepthView]:
     workspace = scene.path / DENSE
     if not workspace.is_dir():
         return []
@@ -95,14 +95,17 @@ def _estimate_views(scene: Scene, names: set[str]) -> list[DepthView]:
     for name, image in read_model(workspace / "sparse").images.items():
         file = workspace / "stereo" / "depth_maps" / f"{name}.geometric.bin"
         if name in names and file.is_file():
-            depth = partial(_estimate, file, image.camera)
+            depth = partial(_read_estimate, file, image.camera)
             rgb = partial(read_rgb, workspace / "images" / name, image.camera)
             views.append(DepthView(image.camera, image.cam_from_world, depth, rgb))
     return views
 
 
-def _estimate(file: Path, camera: Camera) -> NDArray[np.float32]:
+def _read_estimate(file: Path, camera: Camera) -> NDArray[np.float32]:
     depth: NDArray[np.float32] = read_array(file, 1)[0]
     if depth.shape != (camera.height, camera.width):
-        raise InputError(f"{file} has another size than its camera: run dense again")
+        raise InputError(
+            f"{file} holds {depth.shape[1]} x {depth.shape[0]} pixels, its camera has "
+            f"{camera.width} x {camera.height}: run 'objconnect dense' again"
+        )
     return depth

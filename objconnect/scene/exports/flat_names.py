@@ -17,7 +17,7 @@ def flat_names(sessions: Mapping[str, Frames], stems: bool = False) -> dict[str,
         stems: omit the suffixes.
 
     Raises:
-        InputError: two photographs would have one name, or a name holds white space.
+        InputError: two photographs would have the same name, or a name holds white space.
     """
     names: dict[str, str] = {}
     owners: dict[str, str] = {}
@@ -28,7 +28,7 @@ def flat_names(sessions: Mapping[str, Frames], stems: bool = False) -> dict[str,
             other = owners.setdefault(names[name], name)
             if other != name:
                 raise InputError(
-                    f"{other} and {name} have one file name, and this format has no folders: "
+                    f"{other} and {name} have the same file name, and this format has no folders: "
                     "export one session with --session"
                 )
             if names[name].split() != [names[name]]:

@@ -7,8 +7,8 @@ see most of it; this is perfect retrieval, an upper bound.
 ``features.h5`` and ``matches.h5`` have the layout of hloc's ``extract_features`` and
 ``match_features``. A photograph is a group with ``keypoints`` (N, 2), whose origin is the centre of
 the top left pixel, ``descriptors`` (D, N), ``scores`` and ``image_size``. A pair is a group
-``NAME0/NAME1``, with "-" for "/" in the names, with ``matches0``: the keypoint of the second
-photograph for each of the first, -1 for none.
+``NAME0/NAME1``, with "-" for "/" in the names. Its ``matches0`` is, for each keypoint of the first
+photograph, the index of the matching keypoint of the second, -1 for none.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from objconnect.scene.bundle.covisibility import COVISIBLE
+from objconnect.scene.bundle.covisibility import MIN_SHARED_SURFACE
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
@@ -34,7 +34,7 @@ PAIRS_PER_QUERY: Final = 20
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
-    """Write the three lists; see ``formats.Writer``.
+    """Write the query list and both pair lists; see ``formats.Writer``.
 
     Raises:
         InputError: the sessions have no query, or the scene has no covisibility.
@@ -49,13 +49,13 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     if not queries:
         raise InputError("these sessions have no query: name a session of queries")
     references = scene.splits.map
-    among = scene.covisibility.select([*references, *queries])
+    covisibility = scene.covisibility.select([*references, *queries])
     query_pairs = []
     for k, query in enumerate(queries, len(references)):
-        shares = among.overlap[k, : len(references)]
+        shares = covisibility.overlap[k, : len(references)]
         best = np.argsort(-shares, kind="stable")[:PAIRS_PER_QUERY]
-        seen = [references[j] for j in best if shares[j] >= COVISIBLE]
-        query_pairs += [_pair(query, name) for name in seen]
+        covisible = [references[j] for j in best if shares[j] >= MIN_SHARED_SURFACE]
+        query_pairs += [_pair(query, name) for name in covisible]
     lists = {
         "queries_with_intrinsics.txt": [
             f"{quote_name(name)} {cameras[name]}\n" for name in queries
@@ -88,11 +88,11 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
     lines = []
     with open_hdf5(folder / "matches.h5") as file:
         for a, b, matches in iterate_matches(scene, sparse_map):
-            to = np.full(len(sparse_map.images[a].xy), -1, np.int32)
-            to[matches[:, 0]] = matches[:, 1]
+            matches0 = np.full(len(sparse_map.images[a].xy), -1, np.int32)
+            matches0[matches[:, 0]] = matches[:, 1]
             group = file.create_group("/".join(name.replace("/", "-") for name in (a, b)))
-            group["matches0"] = to
-            group["matching_scores0"] = (to >= 0).astype(np.float32)
+            group["matches0"] = matches0
+            group["matching_scores0"] = (matches0 >= 0).astype(np.float32)
             lines.append(_pair(a, b))
     (folder / "pairs.txt").write_text("".join(lines), "utf-8")
 

@@ -19,7 +19,7 @@ def coefficients(camera: Camera, names: Sequence[str], file_format: str) -> dict
     Raises:
         InputError: a coefficient that the format lacks is not zero.
 
-    Example:
+    Examples:
         >>> lens = Camera("SIMPLE_RADIAL", 640, 480, (500.0, 320.0, 240.0, -0.1))
         >>> coefficients(lens, ("k1", "k2"), "transforms.json")
         {'k1': -0.1, 'k2': 0.0}

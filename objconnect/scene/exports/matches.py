@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.scene.bundle.covisibility import COVISIBLE
+from objconnect.scene.bundle.covisibility import MIN_SHARED_SURFACE
 from objconnect.scene.bundle.scene import FEATURES, Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.features import FeatureFile
@@ -30,8 +30,8 @@ def read_map_features(scene: Scene) -> tuple[SparseMap, FeatureFile]:
     Raises:
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
-    whole = scene.sparse_map()
-    sparse_map = whole.without(scene.is_added_point(whole))
+    scene_map = scene.sparse_map()
+    sparse_map = scene_map.without(scene.is_added_point(scene_map))
     features = FeatureFile(scene.map_path / FEATURES)
     images = {}
     for name, image in sparse_map.images.items():
@@ -54,7 +54,7 @@ def map_pairs(scene: Scene) -> list[tuple[str, str]]:
     """
     names = scene.splits.map
     mutual = np.triu(scene.covisibility.select(names).mutual, 1)
-    return [(names[i], names[j]) for i, j in np.argwhere(mutual >= COVISIBLE)]
+    return [(names[i], names[j]) for i, j in np.argwhere(mutual >= MIN_SHARED_SURFACE)]
 
 
 def iterate_matches(
@@ -64,15 +64,15 @@ def iterate_matches(
 
     Matches are (K, 2) keypoints of the first and of the second photograph, K >= ``LEAST_MATCHES``.
     """
-    seen = {}
+    observations = {}
     for name, image in sparse_map.images.items():
         keypoints = np.flatnonzero(image.point_rows >= 0)
         points, first = np.unique(image.point_rows[keypoints], return_index=True)
-        seen[name] = points, keypoints[first]
+        observations[name] = points, keypoints[first]
     for a, b in map_pairs(scene):
-        if a not in seen or b not in seen:
+        if a not in observations or b not in observations:
             continue
-        (points_a, keypoints_a), (points_b, keypoints_b) = seen[a], seen[b]
+        (points_a, keypoints_a), (points_b, keypoints_b) = observations[a], observations[b]
         _, i, j = np.intersect1d(points_a, points_b, assume_unique=True, return_indices=True)
         if len(i) >= LEAST_MATCHES:
             yield a, b, np.stack([keypoints_a[i], keypoints_b[j]], -1)

@@ -34,7 +34,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write ``cameras.xml``; see ``formats.Writer``.
 
     Raises:
-        InputError: photographs of two sessions have one file name, or a lens has a denominator.
+        InputError: photographs of two sessions have the same file name, or a lens has a rational
+            distortion (k4, k5 or k6).
     """
     names, origin = flat_names(sessions, stems=True), scene.manifest.origin
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
@@ -49,14 +50,14 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     _add(transform, "rotation", enu_axes(origin).T.ravel().tolist())
     _add(transform, "translation", ecef_from_geodetic(origin).tolist())
     _add(transform, "scale", [1.0])
-    listed = ET.SubElement(chunk, "cameras", next_id=str(len(names)), next_group_id="0")
+    entries = ET.SubElement(chunk, "cameras", next_id=str(len(names)), next_group_id="0")
     for frames in sessions.values():
         matrices = frames.poses.inverse().matrix().numpy()
         for name, camera, matrix in zip(frames.names, frames.cameras, matrices, strict=True):
             entry = ET.SubElement(
-                listed,
+                entries,
                 "camera",
-                id=str(len(listed)),
+                id=str(len(entries)),
                 sensor_id=str(cameras.index(camera)),
                 component_id="0",
                 label=names[name],

@@ -29,7 +29,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write ``transforms.json``; see ``formats.Writer``.
 
     Raises:
-        InputError: the sessions mix perspective and fisheye cameras, or a lens has a denominator.
+        InputError: the sessions mix perspective and fisheye cameras, or a lens has a rational
+            distortion (k4, k5 or k6).
     """
     _write_document(scene, sessions, folder, final, {})
 
@@ -43,18 +44,18 @@ def write_with_depth(
 
     Raises:
         InputError: a session has no depth, the sessions mix perspective and fisheye cameras, or a
-            lens has a denominator.
+            lens has a rational distortion (k4, k5 or k6).
     """
     depths: dict[str, str] = {}
     count = sum(len(frames) for frames in sessions.values())
     with progress_bar("write depth", count) as advance:
         for session, frames in sessions.items():
-            with scene.dense(session) as dense:
+            with scene.layers(session) as layers:
                 for k, name in enumerate(frames.names):
                     depths[name] = (Path("depth") / name).with_suffix(".npy").as_posix()
                     target = folder / depths[name]
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    np.save(target, dense.read("depth", k) * np.float32(_UNITS_PER_METRE))
+                    np.save(target, layers.read("depth", k) * np.float32(_UNITS_PER_METRE))
                     advance(len(depths))
     _write_document(scene, sessions, folder, final, depths)
 
@@ -81,13 +82,13 @@ def _write_document(
         # OpenGL's camera looks along -z with y up.
         transforms = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
         for name, camera, transform in zip(frames.names, frames.cameras, transforms, strict=True):
-            own = {} if shared else _intrinsics(camera)
+            intrinsics = {} if shared else _intrinsics(camera)
             depth = {"depth_file_path": depths[name]} if name in depths else {}
             frames_json.append(
                 {
                     "file_path": (Path(root) / name).as_posix(),
                     **depth,
-                    **own,
+                    **intrinsics,
                     "transform_matrix": transform.tolist(),
                 }
             )
@@ -100,7 +101,7 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
     """Return intrinsics under nerfstudio's names; its pixel coordinates are COLMAP's.
 
     Raises:
-        InputError: the lens has a denominator.
+        InputError: the lens has a rational distortion (k4, k5 or k6).
     """
     (fl_x, fl_y), (cx, cy) = camera.focal, camera.principal
     names = ("k1", "k2", "k3", "k4") if camera.is_fisheye else ("k1", "k2", "p1", "p2")

@@ -1,4 +1,4 @@
-"""Export to GIS: an orthophoto and a surface model as GeoTIFFs of one grid.
+"""Export to GIS: an orthophoto and a surface model as GeoTIFFs on the same grid.
 
 ``orthophoto.tif`` has 8-bit colours and an alpha band; ``dsm.tif`` holds the height of the highest
 surface of each pixel, metres above the ellipsoid. Both are fused from the depth of the photographs:
@@ -36,14 +36,15 @@ SURFACE: Final = "dsm.tif"
 
 # Side of the tiles that are fused in memory, pixels.
 _TILE = 2048
-# Points at most this far below the highest point of a pixel (m), or a slope of 45 degrees below it,
-# belong to the same surface; lower points are walls.
+# A pixel's highest surface consists of the points at most this far (m), or one side of the pixel,
+# below the highest point; lower points are walls.
 _SAME_SURFACE_M = 0.3
 # Number of passes that fill pixels without data from their neighbours.
-_FILLS = 3
+_FILL_PASSES = 3
+# Largest number of pixels of a file.
 _MOST_PIXELS = 1 << 32
 # Step of the rows and columns that determine the footprint of a photograph.
-_SPARSE = 8
+_FOOTPRINT_STEP = 8
 
 
 # More than six parameters: four are those of every writer, two are options of this format.
@@ -79,35 +80,36 @@ def write(
             f"{utm_of(origin)}"
         )
     views = depth_views(scene, sessions)
-    seen = [view.points(_SPARSE)[0] for view in views]
-    views = [view for view, points in zip(views, seen, strict=True) if len(points)]
-    seen = [points for points in seen if len(points)]
+    surfaces = [view.points(_FOOTPRINT_STEP)[0] for view in views]
+    views = [view for view, points in zip(views, surfaces, strict=True) if len(points)]
+    surfaces = [points for points in surfaces if len(points)]
     if not views:
         raise InputError(f"the photographs of {scene.path} show no surface")
-    low = np.min([points.min(0) for points in seen], axis=0)
-    high = np.max([points.max(0) for points in seen], axis=0)
+    low = np.min([points.min(0) for points in surfaces], axis=0)
+    high = np.max([points.max(0) for points in surfaces], axis=0)
     local = LocalProjection.fit(projection, origin, low, high)
-    boxes = [_box(local.coordinates(points)) for points in seen]
-    pixel = max(units_of_metre(projection, origin)) * (resolution or _usual_pixel(views, seen))
+    boxes = [_box(local.coordinates(points)) for points in surfaces]
+    resolution = resolution or _median_pixel(views, surfaces)
+    pixel = max(units_of_metre(projection, origin)) * resolution
     grid = _grid(projection, boxes, pixel)
     _write(folder, grid, local, views, boxes)
 
 
-def utm_of(place: Geodetic) -> str:
-    """Return the EPSG code of the UTM zone of a place.
+def utm_of(position: Geodetic) -> str:
+    """Return the EPSG code of the UTM zone of a position.
 
-    Example:
+    Examples:
         >>> utm_of(Geodetic(47.0, 8.0, 450.0)), utm_of(Geodetic(-33.0, 151.0, 0.0))
         ('EPSG:32632', 'EPSG:32756')
     """
-    zone = min(60, math.floor((place.longitude + 180) / 6) + 1)
-    return f"EPSG:{(32600 if place.latitude >= 0 else 32700) + zone}"
+    zone = min(60, math.floor((position.longitude + 180) / 6) + 1)
+    return f"EPSG:{(32600 if position.latitude >= 0 else 32700) + zone}"
 
 
-def _usual_pixel(views: Sequence[DepthView], seen: Sequence[Array]) -> float:
-    """Return the side of a pixel on the ground, metres, rounded to two digits."""
+def _median_pixel(views: Sequence[DepthView], surfaces: Sequence[Array]) -> float:
+    """Return the median side of the photographs' pixels on the ground, metres, to two digits."""
     sides = []
-    for view, points in zip(views, seen, strict=True):
+    for view, points in zip(views, surfaces, strict=True):
         depth = points @ view.cam_from_world[2, :3] + view.cam_from_world[2, 3]
         sides.append(float(np.median(depth)) / view.camera.focal[0])
     return float(f"{np.median(sides):.2g}")
@@ -119,7 +121,7 @@ def _box(coordinates: Array) -> Box:
 
 
 def _grid(projection: Projection, boxes: Sequence[Box], pixel: float) -> Grid:
-    """Return the grid that holds all boxes, whose edges are multiples of its pixel."""
+    """Return the grid around all boxes; its edges are multiples of ``pixel``, its pixel's side."""
     left = math.floor(min(box.left for box in boxes) / pixel)
     top = math.ceil(max(box.top for box in boxes) / pixel)
     width = math.ceil(max(box.right for box in boxes) / pixel) - left
@@ -143,19 +145,24 @@ def _write(
     """Write both files, tile by tile."""
     tiles = []
     for tile in _tiles(grid):
-        near = [v for v, box in zip(views, boxes, strict=True) if _overlap(box, tile.box)]
-        tiles.append((tile, near))
+        views_of_tile = [v for v, box in zip(views, boxes, strict=True) if _overlap(box, tile.box)]
+        tiles.append((tile, views_of_tile))
     with ExitStack() as stack:
         surface = stack.enter_context(raster_writer(folder / SURFACE, "surface model", grid))
         colours = stack.enter_context(raster_writer(folder / ORTHOPHOTO, "orthophoto", grid))
-        total = sum(2 * len(near) for _, near in tiles)
+        total = sum(2 * len(views_of_tile) for _, views_of_tile in tiles)
         advance = stack.enter_context(progress_bar("orthophoto", total))
         steps = count(1)
-        for tile, near in tiles:
+        for tile, views_of_tile in tiles:
             # Pixels at the edge of a tile need neighbours in the next tile.
-            wide = tile.part(-_FILLS, -_FILLS, tile.height + 2 * _FILLS, tile.width + 2 * _FILLS)
-            fused = _fuse(_Tile(wide, local), near, lambda: advance(next(steps)))
-            inner = fused[:, _FILLS:-_FILLS, _FILLS:-_FILLS]
+            padded_tile = tile.part(
+                -_FILL_PASSES,
+                -_FILL_PASSES,
+                tile.height + 2 * _FILL_PASSES,
+                tile.width + 2 * _FILL_PASSES,
+            )
+            fused = _fuse(_Tile(padded_tile, local), views_of_tile, lambda: advance(next(steps)))
+            inner = fused[:, _FILL_PASSES:-_FILL_PASSES, _FILL_PASSES:-_FILL_PASSES]
             surface(Patch(tile, inner[:1]))
             colours(Patch(tile, inner[1:]))
 
@@ -168,7 +175,7 @@ def _tiles(grid: Grid) -> Iterator[Grid]:
 
 
 def _overlap(a: Box, b: Box) -> bool:
-    # A footprint extends a little beyond the sampled pixels.
+    # A footprint extends beyond the sampled pixels: allow for 5 % of its longer side and 1 m.
     margin = 0.05 * max(a.right - a.left, a.top - a.bottom) + 1
     apart_x = a.right + margin < b.left or b.right < a.left - margin
     return not (apart_x or a.top + margin < b.bottom or b.top < a.bottom - margin)
@@ -185,20 +192,21 @@ class _Tile:
         """Return the points of a photograph inside the tile.
 
         Returns:
-            Cell, height and weight of each point, each (n,), and the mask (H, W) of their pixels in
-            the photograph. Views from above weigh more, because they see roofs whole.
+            Cell (flat index of the tile's pixel), height and weight of each point, each (n,), and
+            the mask (H, W) of their pixels in the photograph. Views from above weigh more, because
+            they see roofs whole.
         """
-        points, seen = view.points()
-        at = self.local.coordinates(points)
-        x, y = self.grid.columns_rows(at[:, 0], at[:, 1])
+        points, mask = view.points()
+        coordinates = self.local.coordinates(points)
+        x, y = self.grid.columns_rows(coordinates[:, 0], coordinates[:, 1])
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         inside = (column >= 0) & (column < self.grid.width) & (row >= 0) & (row < self.grid.height)
         centre = -view.cam_from_world[:3, :3].T @ view.cam_from_world[:3, 3]
         down = centre - points[inside]
         weight = (down[:, 2] / np.linalg.norm(down, axis=1)) ** 4
-        seen[seen] = inside
+        mask[mask] = inside
         cell = (row * self.grid.width + column)[inside]
-        return cell, at[inside, 2], np.maximum(weight, 1e-6), seen
+        return cell, coordinates[inside, 2], np.maximum(weight, 1e-6), mask
 
 
 def _fuse(
@@ -206,7 +214,7 @@ def _fuse(
 ) -> NDArray[np.float32]:
     """Return height and colours of a tile, (4, h, w); NaN without data.
 
-    They are weighted means over all photographs of the points on the highest surface of a pixel.
+    They are weighted means of the points of all photographs on the highest surface of a pixel.
     """
     shape = (tile.grid.height, tile.grid.width)
     top = np.full(shape[0] * shape[1], -np.inf)
@@ -217,22 +225,25 @@ def _fuse(
     floor = top - max(_SAME_SURFACE_M, tile.grid.pixel[0])
     sums = np.zeros((5, len(top)))
     for view in views:
-        cell, height, weight, seen = tile.cells(view)
+        cell, height, weight, mask = tile.cells(view)
         upper = height >= floor[cell]
         cell, weight = cell[upper], weight[upper]
-        rgb = view.rgb()[seen][upper]
+        rgb = view.rgb()[mask][upper]
         for total, values in zip(sums, (1, height[upper], *rgb.T), strict=True):
             total += np.bincount(cell, weight * values, len(top))
         advance()
     with np.errstate(invalid="ignore", divide="ignore"):
         means = np.asarray(sums[1:] / sums[0], np.float32).reshape(4, *shape)
-    for _ in range(_FILLS):
+    for _ in range(_FILL_PASSES):
         means = _fill_gaps(means)
     return means
 
 
 def _fill_gaps(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Give each empty pixel of (bands, H, W) the mean of its eight neighbours that are not."""
+    """Fill each empty pixel of (bands, H, W) with the mean of its eight neighbours that have data.
+
+    At least four of them must have data.
+    """
     known = np.isfinite(values[0])
     padded = np.pad(np.where(known, values, 0), ((0, 0), (1, 1), (1, 1)))
     counted = np.pad(known.astype(np.float32), 1)

@@ -23,8 +23,9 @@ from objconnect.scene.storage.files import require_disk_space, require_readable
 
 _FILE = "scene.rrd"
 _ORANGE = (255, 140, 0)
-# rerun only logs that a disk is full and truncates the file: a disk with less space counts as full.
-_ROOM_BYTES = 1 << 20
+# A disk with less free space counts as full, because rerun only logs a full disk and truncates the
+# file.
+_MIN_FREE_BYTES = 1 << 20
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
@@ -51,7 +52,7 @@ def write_with_images(
 
 def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs: bool) -> None:
     rr = import_extra("rerun", "rerun", "export to rerun")
-    require_disk_space(path, _ROOM_BYTES)
+    require_disk_space(path, _MIN_FREE_BYTES)
     stream = rr.RecordingStream("objconnect", recording_id=scene.name)
     stream.save(path)
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -77,7 +78,7 @@ def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs
             advance(done)
     stream.flush()
     stream.disconnect()
-    require_disk_space(path, _ROOM_BYTES)
+    require_disk_space(path, _MIN_FREE_BYTES)
 
 
 def _log_camera(rr: Any, stream: Any, entity: list[str], frames: Frames, k: int) -> None:

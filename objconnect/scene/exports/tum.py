@@ -25,7 +25,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     for name, frames in sessions.items():
         if np.isnan(frames.time).any():
             raise InputError(
-                f"photographs of session {name} have no time, which a trajectory needs"
+                f"photographs of session {name} have no time, which a trajectory needs: export "
+                "other sessions with --session"
             )
         world_from_cam = frames.poses.inverse()
         wxyz = world_from_cam.quaternion().numpy()

@@ -27,8 +27,13 @@ from objconnect.scene.storage.names import quote_name
 from objconnect.scene.storage.subtitles import Subtitle, compose_subtitles
 from objconnect.scene.storage.video import frame_name, write_video
 
-# Largest deviation from a constant frame rate, as a share of the interval.
-_EVEN: Final = 0.05
+# Largest deviation of an interval between frames from the median, as a share of the median.
+_MAX_DEVIATION: Final = 0.05
+# Smallest and largest interval between frames, seconds.
+_MIN_INTERVAL_S: Final = 1 / 240
+_MAX_INTERVAL_S: Final = 60
+# Width of the sensor to which DJI's focal lengths refer, millimetres.
+_SENSOR_MM: Final = 36
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
@@ -36,7 +41,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
     Raises:
         InputError: PyAV or srt is not installed, a session has fewer than two photographs, they
-            have no time or no constant rate, or they have several sizes or an odd one.
+            have no time or no constant rate, or their sizes differ or have an odd side.
     """
     for name, frames in sessions.items():
         rate_hz = _rate(name, frames)
@@ -47,7 +52,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
         names = [frame_name(name, index) for index in range(len(frames))]
         lines = [
             f"{quote_name(frame)} {' '.join(repr(value) for value in numbers)}\n"
-            for frame, numbers in zip(names, _numbers(frames.poses), strict=True)
+            for frame, numbers in zip(names, _pose_rows(frames.poses), strict=True)
         ]
         # The header differs from that of results, so that 'localize' does not replace the file.
         header = "# true poses: name qw qx qy qz tx ty tz  (world to camera, metres)\n"
@@ -60,15 +65,34 @@ def _rate(session: str, frames: Frames) -> float:
     """Return the frame rate of a session, from 1 per minute to 240 per second.
 
     Raises:
-        InputError: the photographs have no constant rate in this range.
+        InputError: there are fewer than two photographs, or they have no times or no constant rate
+            in this range.
     """
-    steps = np.diff(frames.time)
-    even = len(steps) > 0 and bool(np.isfinite(steps).all())
-    step = float(np.median(steps)) if even else np.nan
-    if not even or not 1 / 240 <= step <= 60 or np.abs(steps - step).max() > _EVEN * step:
+    if len(frames) < 2:
         raise InputError(
-            f"the photographs of session {session} were not taken at one rate, as a video's frames "
-            "are: name a session of at least two photographs at even times"
+            f"session {session} has {len(frames)} photograph: name a session of at least two"
+        )
+    steps = np.diff(frames.time)
+    if not np.isfinite(steps).all():
+        raise InputError(
+            f"session {session} has photographs without a time: name a session that states the "
+            "time of each"
+        )
+    if (steps <= 0).any():
+        raise InputError(
+            f"the photographs of session {session} are not in the order of their times: name a "
+            "session in this order"
+        )
+    step = float(np.median(steps))
+    if np.abs(steps - step).max() > _MAX_DEVIATION * step:
+        raise InputError(
+            f"the photographs of session {session} were not taken at one rate: name a session "
+            f"whose intervals differ from their median by at most {_MAX_DEVIATION:.0%}"
+        )
+    if not _MIN_INTERVAL_S <= step <= _MAX_INTERVAL_S:
+        raise InputError(
+            f"the photographs of session {session} were taken {step:g} s apart: name a session "
+            f"with {_MIN_INTERVAL_S:.3f} to {_MAX_INTERVAL_S} s between photographs"
         )
     return float((len(frames) - 1) / (frames.time[-1] - frames.time[0]))
 
@@ -78,7 +102,7 @@ def _pictures(scene: Scene, frames: Frames) -> Iterator[NDArray[np.uint8]]:
         yield read_rgb(scene.images_root / name, camera)
 
 
-def _numbers(poses: Pose) -> list[list[float]]:
+def _pose_rows(poses: Pose) -> list[list[float]]:
     rows: list[list[float]] = np.hstack([poses.quaternion(), poses.translation]).tolist()
     return rows
 
@@ -91,21 +115,21 @@ def _subtitles(scene: Scene, frames: Frames, rate_hz: float) -> Iterator[Subtitl
         text = (
             f'<font size="28">FrameCnt: {k + 1}, DiffTime: {1000 / rate_hz:.0f}ms\n'
             f"{clock[:23]}\n"
-            f"[focal_len: {36 * frames.cameras[k].focal[0] / frames.cameras[k].width:.2f}] "
+            f"[focal_len: {_SENSOR_MM * frames.cameras[k].focal[0] / frames.cameras[k].width:.2f}] "
             f"{_position(scene, frames, k)}{_gimbal(frames, k)}</font>"
         )
         yield Subtitle(start_s, end_s, text)
 
 
 def _position(scene: Scene, frames: Frames, k: int) -> str:
-    """Return the fields of a position; zeros without a fix."""
+    """Return the fields of the measured position; zeros if there is none."""
     origin = scene.manifest.origin
     if not frames.has_gps[k]:
         return "[latitude: 0.000000] [longitude: 0.000000] "
-    fix = geodetic_from_enu(frames.gps_prior[k], origin)
+    gps = geodetic_from_enu(frames.gps_prior[k], origin)
     return (
-        f"[latitude: {fix.latitude:.6f}] [longitude: {fix.longitude:.6f}] "
-        f"[rel_alt: {fix.altitude - origin.altitude:.3f} abs_alt: {fix.altitude:.3f}] "
+        f"[latitude: {gps.latitude:.6f}] [longitude: {gps.longitude:.6f}] "
+        f"[rel_alt: {gps.altitude - origin.altitude:.3f} abs_alt: {gps.altitude:.3f}] "
     )
 
 

@@ -26,5 +26,5 @@ def read_origin(flight: Path) -> Geodetic | None:
     except (ValueError, KeyError, TypeError, OverflowError):
         origin = Geodetic(math.nan, math.nan, math.nan)
     if not all(map(math.isfinite, origin)):
-        raise InputError(f"{file} must hold numbers lat, lon and alt")
+        raise InputError(f"{file} must hold numbers lat, lon (degrees) and alt (metres)")
     return origin

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 # No map is larger: a position farther away is in another frame or has its columns exchanged.
 _FARTHEST_FROM_MAP_M: Final = 50_000.0
-# A position may be farther away by so many of its standard deviations.
+# This limit grows by so many standard deviations of the position.
 _SIGMAS: Final = 5.0
 
 
@@ -72,8 +72,8 @@ class MapFrame:
         A row without a height gets the median height of the map's cameras.
 
         Raises:
-            InputError: the row has latitude and longitude but the map no position on earth, or the
-                position is too far from the map.
+            InputError: the row has latitude and longitude but the map has no position on earth, or
+                the position is too far from the map.
         """
         first, second = stated.horizontal
         up = self.middle[2] if stated.vertical is None else stated.vertical
@@ -82,8 +82,8 @@ class MapFrame:
             if self.origin is None:
                 raise InputError(
                     f"{stated.where}: latitude and longitude cannot be used, because the map has "
-                    "no position on earth: write e, n, u in metres in the map's frame, or give a "
-                    "flight its origin.json (lat, lon, alt)"
+                    "no position on earth: write e, n, u in metres in the map's frame, or, for the "
+                    "map of a flight, add origin.json (lat, lon, alt) to the flight's folder"
                 )
             camera_altitude = self.origin.altitude + float(self.middle[2])
             altitude = camera_altitude if stated.vertical is None else stated.vertical
@@ -94,17 +94,17 @@ class MapFrame:
         return position
 
     def _require_near(self, stated: StatedPrior, position: NDArray[np.float64]) -> None:
-        """Refuse a position farther away than any map is large, unless its sigma covers that."""
-        away = float(np.linalg.norm(position - self.middle))
-        if away <= _FARTHEST_FROM_MAP_M + _SIGMAS * (stated.sigma_m or 0.0):
+        """Refuse a position that is too far from the map, also in view of its sigma."""
+        distance_m = float(np.linalg.norm(position - self.middle))
+        if distance_m <= _FARTHEST_FROM_MAP_M + _SIGMAS * (stated.sigma_m or 0.0):
             return
         remedy = (
-            "check whether lat and lon are exchanged, and whether it is the right map"
+            "check whether lat and lon are exchanged, and whether this is the right map"
             if stated.frame is Frame.EARTH
             else "e, n, u are metres in the map's frame, not eastings and northings of a grid"
         )
         raise InputError(
-            f"{stated.where}: the position is {away / 1000:.0f} km off the map: {remedy}"
+            f"{stated.where}: the position is {distance_m / 1000:.0f} km off the map: {remedy}"
         )
 
 

@@ -15,7 +15,7 @@ from objconnect.scene.bundle.manifest import ALL_CONDITIONS
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.priors import PriorTable, StatedPrior
 from objconnect.scene.geometry.camera import MODELS, Camera
-from objconnect.scene.geometry.colmap_models import READ
+from objconnect.scene.geometry.colmap_models import CONVERTIBLE_MODELS
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, is_on_earth
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.colmap_files import check_pose
@@ -29,24 +29,26 @@ from objconnect.scene.storage.files import is_safe_path, read_text
 from objconnect.scene.storage.names import quote_name, split_name, split_words, unquote_cell
 from objconnect.scene.storage.tables import read_header, read_table
 
-_POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
-_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_POSE_COLUMNS: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
+_QUATERNION_COLUMNS: Final = ("qw", "qx", "qy", "qz")
 _SIGMA_M: Final = "sigma_m"
 _SIGMA_DEG: Final = "sigma_deg"
-_GPS: Final = ("name", "e", "n", "u")
-_CONDITIONS: Final = ("name", "condition")
+_GPS_COLUMNS: Final = ("name", "e", "n", "u")
+_CONDITION_COLUMNS: Final = ("name", "condition")
 
 # Smallest sigma (metres, degrees): no sensor is better, and weights would overflow.
 _LEAST_SIGMA: Final = 1e-6
 
-# A name ends where the model of a camera begins.
-_MODEL: Final = re.compile(rf"\s+(?=({'|'.join((*MODELS, *READ))})(\s|$))")
+# The space between a name and the camera model behind it.
+_MODEL: Final = re.compile(rf"\s+(?=({'|'.join((*MODELS, *CONVERTIBLE_MODELS))})(\s|$))")
 _SPACE: Final = re.compile(r"\s+")
 
 T = TypeVar("T")
 
 
-def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
+def read_poses(
+    path: Path, centres: bool = False, most_unclear_m: float | None = None
+) -> dict[str, Pose]:
     """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
 
     Names are quoted as by ``quote_name``; a name without quotes may contain spaces.
@@ -54,6 +56,8 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     Args:
         path: text file.
         centres: whether the last three columns are the camera centre instead of the translation.
+        most_unclear_m: largest error of a camera centre by the rounding of its quaternion, metres,
+            which matters for large coordinates; None accepts any.
 
     Returns:
         cam_from_world by name, in the order of the file.
@@ -66,18 +70,35 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     poses: dict[str, Pose] = {}
     for where, line in _lines(path, "pose file"):
         try:
-            name, numbers = split_name(line, len(_POSE) - 1)
+            name, numbers = split_name(line, len(_POSE_COLUMNS) - 1)
         except ValueError as error:
             raise InputError(
-                f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), {error}"
+                f"{where}: expected {len(_POSE_COLUMNS)} columns ({' '.join(_POSE_COLUMNS)}), "
+                f"{error}"
             ) from None
         values = _numbers(where, numbers)
         check_pose(values[:4], values[4:], f"{where}: {name}")
+        if most_unclear_m is not None:
+            _require_clear_centre(values, most_unclear_m, f"{where}: {name}")
         pose = Pose.from_quaternion(values[:4], values[4:])
         if centres:
             pose = Pose(pose.rotation, -(pose.rotation @ pose.translation))
         _add(poses, name, pose, where)
     return poses
+
+
+def _require_clear_centre(values: NDArray[np.float64], most_m: float, where: str) -> None:
+    """Refuse a pose (7,) whose quaternion is too coarse for its translation.
+
+    A quaternion off unit length by d turns the translation t into a centre that is unclear by
+    ``|t| d``.
+    """
+    unclear = np.linalg.norm(values[4:]) * abs(float(np.linalg.norm(values[:4])) - 1)
+    if unclear > most_m:
+        raise InputError(
+            f"{where}: the quaternion has too few digits for a translation this long: the position "
+            f"is unclear by {unclear:.2f} m; write it with 12 digits or more"
+        )
 
 
 def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
@@ -111,10 +132,10 @@ def _camera_of(line: str) -> tuple[str, Camera]:
     if line.startswith('"'):
         name, *rest = split_words(line)
         return name, Camera.parse(rest)
-    model = _MODEL.search(line) or _SPACE.search(line)
-    if model is None:
+    gap = _MODEL.search(line) or _SPACE.search(line)
+    if gap is None:
         return line, Camera.parse([])
-    return line[: model.start()], Camera.parse(line[model.end() :].split())
+    return line[: gap.start()], Camera.parse(line[gap.end() :].split())
 
 
 def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
@@ -166,15 +187,16 @@ def read_priors(path: Path) -> PriorTable:
 
 def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
     """Return the position columns of a table of priors."""
-    attitude = [column for column in _QUATERNION if column in header]
-    reading = position_columns(header, ("name", _SIGMA_M, *_QUATERNION, _SIGMA_DEG))
+    attitude = [column for column in _QUATERNION_COLUMNS if column in header]
+    reading = position_columns(header, ("name", _SIGMA_M, *_QUATERNION_COLUMNS, _SIGMA_DEG))
     columns = reading.require(f"{path}:1", f"{POSITION_COLUMNS}, and leave other columns out")
-    if attitude and len(attitude) < len(_QUATERNION):
-        missing = ", ".join(column for column in _QUATERNION if column not in header)
+    if attitude and len(attitude) < len(_QUATERNION_COLUMNS):
+        missing = ", ".join(column for column in _QUATERNION_COLUMNS if column not in header)
         raise InputError(f"{path}:1: the attitude lacks the column {missing}")
     if _SIGMA_DEG in header and not attitude:
         raise InputError(
-            f"{path}:1: {_SIGMA_DEG} is given without an attitude: add {', '.join(_QUATERNION)}"
+            f"{path}:1: {_SIGMA_DEG} is given without an attitude: add "
+            f"{', '.join(_QUATERNION_COLUMNS)}"
         )
     return columns
 
@@ -187,7 +209,9 @@ def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -
     vertical = None if columns.vertical is None else _parse_number(where, row, columns.vertical)
     if columns.frame is Frame.MAP:
         if max(abs(first), abs(second), abs(vertical or 0.0)) > FARTHEST_M:
-            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+            raise InputError(
+                f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away from the map's origin"
+            )
     elif not is_on_earth(Geodetic(first, second, vertical or 0.0)):
         names = ", ".join(columns.horizontal)
         raise InputError(
@@ -223,7 +247,7 @@ def _check_sigmas(where: str, sigmas: Mapping[str, float]) -> None:
 
 def _rotation(where: str, row: Mapping[str, str]) -> NDArray[np.float64] | None:
     """Return the attitude of a row, (3, 3); None where its cells are empty or missing."""
-    words = [row.get(column, "") for column in _QUATERNION]
+    words = [row.get(column, "") for column in _QUATERNION_COLUMNS]
     if not any(words):
         return None
     quaternion = _numbers(where, words)
@@ -244,10 +268,12 @@ def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
             repeated name.
     """
     fixes: dict[str, NDArray[np.float64]] = {}
-    for where, row in read_table(path, "GPS table", _GPS):
-        position = _numbers(where, [row[column] for column in _GPS[1:]])
+    for where, row in read_table(path, "GPS table", _GPS_COLUMNS):
+        position = _numbers(where, [row[column] for column in _GPS_COLUMNS[1:]])
         if np.abs(position).max() > FARTHEST_M:
-            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+            raise InputError(
+                f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away from the origin"
+            )
         _add(fixes, _name(where, row), position, where)
     return fixes
 
@@ -263,11 +289,15 @@ def read_conditions(path: Path) -> dict[str, str]:
             columns, a condition that is empty, not printable or "all", or a repeated name.
     """
     conditions: dict[str, str] = {}
-    for where, row in read_table(path, "table of conditions", _CONDITIONS):
+    for where, row in read_table(path, "table of conditions", _CONDITION_COLUMNS):
         condition = row["condition"].strip()
-        if not condition or not condition.isprintable() or condition == ALL_CONDITIONS:
+        if not condition:
+            raise InputError(f"{where}: the condition is empty: give a name like winter-dusk")
+        if not condition.isprintable():
+            raise InputError(f"{where}: {condition!r} has a control character: remove it")
+        if condition == ALL_CONDITIONS:
             raise InputError(
-                f"{where}: {condition!r} is no condition: give a name like winter-dusk"
+                f"{where}: {condition!r} stands for all conditions: give a name like winter-dusk"
             )
         _add(conditions, _name(where, row), condition, where)
     return conditions
@@ -305,7 +335,7 @@ def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
 
 
 def _name(where: str, row: Mapping[str, str]) -> str:
-    """Return the photograph of a row; ``where`` is the row's location."""
+    """Return the name of a row's photograph; ``where`` is the row's location."""
     try:
         return unquote_cell(row["name"])
     except ValueError as error:
@@ -330,5 +360,5 @@ def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
     if not is_safe_path(name):
         raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
     if name in table:
-        raise InputError(f"{where}: {name} is listed twice")
+        raise InputError(f"{where}: {name} is listed twice: remove one of the rows")
     table[name] = value

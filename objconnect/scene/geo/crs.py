@@ -6,6 +6,7 @@ Only this module imports pyproj, which the extra ``[geo]`` installs.
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,14 @@ _SEA_LEVEL = "EPSG:4326+5773"
 # WGS84 with ellipsoidal heights, the system of ``Geodetic``.
 _WGS84 = "EPSG:4979"
 # Tolerated distance from a system's area of use, degrees.
-_BESIDE_DEG = 3.0
-# Accuracy of a conversion to WGS84 above which the user is warned, metres. Current systems convert
-# to 1 to 4 m; those of the last century to 8 to 50 m without their grids.
-_EXACT_M = 5.0
+_AREA_MARGIN_DEG = 3.0
+# Error of a conversion to WGS84 above which the user is warned, metres. Conversions from current
+# systems have 1 to 4 m; those from systems of the last century 8 to 50 m without PROJ's grids.
+_MAX_ERROR_M = 5.0
 # Arm of the cross that measures the scale of a system, metres.
 _CROSS_M = 10.0
-# Longer descriptions are not repeated in messages (characters).
-_SHORT = 60
+# Longer descriptions of a system are not repeated in messages (characters).
+_MAX_LABEL_LENGTH = 60
 
 
 class Projection:
@@ -53,7 +54,7 @@ class Projection:
                 for example because a grid is not installed.
         """
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
-        label = for_terminal(crs) if len(crs) <= _SHORT else "the description"
+        label = for_terminal(crs) if len(crs) <= _MAX_LABEL_LENGTH else "the description"
         try:
             self._crs: Any = pyproj.CRS.from_user_input(crs)
         except pyproj.exceptions.ProjError:
@@ -72,10 +73,10 @@ class Projection:
             raise InputError(
                 f"heights in {self.name} point down: give a system with heights that point up"
             )
-        self._up = (self.height_unit_m or 1.0) if metric_heights else 1.0
+        self._height_scale = (self.height_unit_m or 1.0) if metric_heights else 1.0
         try:
-            self._from = _transformer(pyproj, _WGS84, self._crs)
-            self._to = _transformer(pyproj, self._crs, _WGS84)
+            self._from_wgs84 = _transformer(pyproj, _WGS84, self._crs)
+            self._to_wgs84 = _transformer(pyproj, self._crs, _WGS84)
         except pyproj.exceptions.ProjError:
             raise InputError(self._describe_failure(pyproj)) from None
 
@@ -113,8 +114,9 @@ class Projection:
     @property
     def is_metric(self) -> bool:
         """Return whether the system is projected and all its coordinates are metres."""
-        grid = all(axis.unit_conversion_factor == 1 for axis in self._crs.axis_info[:2])
-        return bool(self._crs.is_projected) and grid and (self.height_unit_m or 1.0) == self._up
+        horizontal = all(axis.unit_conversion_factor == 1 for axis in self._crs.axis_info[:2])
+        vertical = (self.height_unit_m or 1.0) == self._height_scale
+        return bool(self._crs.is_projected) and horizontal and vertical
 
     @property
     def height_unit_m(self) -> float | None:
@@ -126,35 +128,41 @@ class Projection:
         """Return the units of the system per metre on the ground, along its east and north.
 
         They are close to 1 in survey grids, and 1 / cos(latitude) in Web Mercator.
+
+        Raises:
+            InputError: the place lies outside the system's range.
         """
         ends = np.array([[_CROSS_M, 0, 0], [-_CROSS_M, 0, 0], [0, _CROSS_M, 0], [0, -_CROSS_M, 0]])
-        at = np.array([self.from_geodetic(geodetic_from_enu(x, place))[:2] for x in ends])
-        units = np.stack([at[0] - at[1], at[2] - at[3]], -1) / (2 * _CROSS_M)
+        xy = np.array([self.from_geodetic(geodetic_from_enu(end, place))[:2] for end in ends])
+        units = np.stack([xy[0] - xy[1], xy[2] - xy[3]], -1) / (2 * _CROSS_M)
         if not np.isfinite(units).all() or not np.linalg.det(units):
-            raise InputError(f"{self.name} has no scale at {place.latitude:g}, {place.longitude:g}")
+            where = f"latitude {place.latitude:g}, longitude {place.longitude:g}"
+            raise InputError(f"{self.name} does not cover {where}: give a system that does")
         metres = np.linalg.norm(np.linalg.inv(units), axis=0)
         return float(1 / metres[0]), float(1 / metres[1])
 
     def doubt_at(self, place: Geodetic) -> str:
-        """Return a warning if the conversion at a place is less accurate than 5 m; else empty."""
+        """Return a warning if the conversion at a place may be off by over 5 m, else no text."""
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
         self.from_geodetic(place)
         try:
-            used = self._from.get_last_used_operation()
+            operation = self._from_wgs84.get_last_used_operation()
         except pyproj.exceptions.ProjError:  # the system does not reach there
             return ""
-        if used.accuracy <= _EXACT_M:
+        if operation.accuracy <= _MAX_ERROR_M:
             return ""
         grid = _missing_grid(pyproj, self._crs)
-        remedy = ": PROJ's grids, which projsync installs, make it better" if grid else ""
-        return f"positions in {self.name} are exact to {used.accuracy:g} m on earth{remedy}"
+        remedy = ": PROJ's grids, which projsync installs, improve this" if grid else ""
+        accuracy_m = operation.accuracy
+        return f"positions in {self.name} are accurate to {accuracy_m:g} m on earth{remedy}"
 
     def _describe_failure(self, pyproj: Any) -> str:
         """Return why there is no exact conversion, and what to do."""
         if not self._crs.axis_info[2:]:
             return (
-                f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark, which "
-                "leaves out the change of datum: give the system of the datum, such as EPSG:n"
+                f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark one, "
+                "which ignores the change of datum: give the EPSG code of a system whose datum "
+                "PROJ knows, such as EPSG:25832"
             )
         if grid := _missing_grid(pyproj, self._crs):
             return (
@@ -163,7 +171,7 @@ class Projection:
             )
         return (
             f"PROJ knows no conversion between heights in {self.name} and the ellipsoid but a "
-            "ballpark: give the horizontal system alone"
+            "ballpark one: give the horizontal system alone"
         )
 
     def reaches(self, place: Geodetic) -> bool:
@@ -172,42 +180,65 @@ class Projection:
         if area is not None:
             east = (place.longitude - area.west) % 360
             width = (area.east - area.west) % 360 or 360
-            if min(max(0, east - width), 360 - east) > _BESIDE_DEG:
+            if min(max(0, east - width), 360 - east) > _AREA_MARGIN_DEG:
                 return False
-            if not area.south - _BESIDE_DEG <= place.latitude <= area.north + _BESIDE_DEG:
+            if not area.south - _AREA_MARGIN_DEG <= place.latitude <= area.north + _AREA_MARGIN_DEG:
                 return False
         return bool(np.isfinite(self.from_geodetic(place)).all())
 
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
-        """Convert a place to east, north and height, (3,) in the system's units."""
-        x, y, h = self._from.transform(place.longitude, place.latitude, place.altitude)
-        return np.array([x, y, h * self._up])
+        """Convert a place to east, north and height, (3,) in the system's units.
+
+        With ``metric_heights`` the height is in metres.
+        """
+        x, y, h = self._from_wgs84.transform(place.longitude, place.latitude, place.altitude)
+        return np.array([x, y, h * self._height_scale])
 
     def to_geodetic(self, coordinates: NDArray[np.float64]) -> Geodetic:
-        """Convert east, north and height, (3,) in the system's units, to a place.
+        """Convert east, north and height, (3,) in the units of ``from_geodetic``, to a place.
 
         Raises:
             InputError: the coordinates are outside the system's range.
         """
         x, y, h = coordinates
-        longitude, latitude, altitude = self._to.transform(x, y, h / self._up)
+        longitude, latitude, altitude = self._to_wgs84.transform(x, y, h / self._height_scale)
         if not np.isfinite([longitude, latitude, altitude]).all():
-            at = ", ".join(f"{value:g}" for value in coordinates)
-            raise InputError(f"{at} is no position in {self.name}")
+            numbers = ", ".join(f"{value:g}" for value in coordinates)
+            raise InputError(f"{numbers} is no position in {self.name}")
         return Geodetic(latitude, longitude, altitude)
 
 
 def geoid_undulation(place: Geodetic) -> float | None:
     """Return the height of the geoid (EGM96) above the ellipsoid at a place, metres.
 
-    It is None if pyproj or its grid ``us_nga_egm96_15.tif`` is not installed.
+    It is None if pyproj or its grid ``us_nga_egm96_15.tif`` is not installed. A process that was
+    running while the grid was installed does not see it.
     """
     try:
-        above_sea = Projection(_SEA_LEVEL).from_geodetic(place)[2]
+        pyproj = import_extra("pyproj", "geo", "a height above sea level")
     except InputError:
         return None
-    undulation = place.altitude - float(above_sea)
+    sea_level = _sea_level(pyproj.datadir.get_data_dir())
+    if sea_level is None:
+        return None
+    undulation = place.altitude - float(sea_level.from_geodetic(place)[2])
     return undulation if np.isfinite(undulation) else None
+
+
+@lru_cache(maxsize=4)
+def _sea_level(folders: str) -> Projection | None:
+    """Return the system of heights above sea level, or None if its grid is not installed.
+
+    The result is cached, because every photograph of a flight needs it, and PROJ takes 0.1 s to
+    find that there is no grid.
+
+    Args:
+        folders: where PROJ searches for grids.
+    """
+    try:
+        return Projection(_SEA_LEVEL)
+    except InputError:
+        return None
 
 
 def _transformer(pyproj: Any, start: Any, end: Any) -> Any:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geometry.geodesy import Geodetic
 
-# Largest scale error of a survey grid.
-_SURVEY = 0.01
+# Largest relative error of the scale of a survey grid.
+_MAX_SURVEY_ERROR = 0.01
 
 
 def units_of_metre(projection: Projection, place: Geodetic) -> tuple[float, float]:
@@ -23,7 +23,7 @@ def units_of_metre(projection: Projection, place: Geodetic) -> tuple[float, floa
     They are exactly 1 if they are within 1 %, as in survey grids.
     """
     scale = projection.scale_at(place)
-    return (1.0, 1.0) if max(abs(math.log(x)) for x in scale) < _SURVEY else scale
+    return (1.0, 1.0) if max(abs(math.log(x)) for x in scale) < _MAX_SURVEY_ERROR else scale
 
 
 class Box(NamedTuple):
@@ -57,13 +57,13 @@ class Grid:
 
     @property
     def box(self) -> Box:
-        """Return the outline."""
+        """Return the outline of the raster."""
         right = self.left + self.width * self.pixel[0]
         return Box(self.left, self.top - self.height * self.pixel[1], right, self.top)
 
     @property
     def middle(self) -> Geodetic:
-        """Return the place of the middle, at height 0."""
+        """Return the geodetic position of the raster's middle, at height 0."""
         box = self.box
         east, north = (box.left + box.right) / 2, (box.bottom + box.top) / 2
         return self.projection.to_geodetic(np.array([east, north, 0.0]))
@@ -79,7 +79,7 @@ class Grid:
 
     @property
     def longest_m(self) -> float:
-        """Return the longer side on the ground, metres."""
+        """Return the length of the raster's longer side on the ground, metres."""
         return max(self.width * self.ground_pixel[0], self.height * self.ground_pixel[1])
 
     def columns_rows(

@@ -25,12 +25,12 @@ Kind = Literal["orthophoto", "surface model", "class mask"]
 REFERENCE_TAG: Final = "HEIGHTS"
 """The tag of our own surface models that states the height reference."""
 
-# GDAL decodes whole blocks, and a file of a few bytes may claim any size.
+# Largest size of a block. GDAL decodes whole blocks, and a header may state blocks of any size.
 _MOST_BLOCK_BYTES = 1 << 29
 # Suffixes of world files.
-_WORLD_FILES = (".tfw", ".tifw", ".tiffw", ".wld")
+_WORLD_FILE_SUFFIXES = (".tfw", ".tifw", ".tiffw", ".wld")
 # Tolerance of a world file, pixels: some programs write the corner of a pixel, others its centre.
-_SAME_PIXELS = 1.0
+_WORLD_FILE_TOLERANCE_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -39,24 +39,24 @@ class Layout:
 
     Attributes:
         bands: bands to read.
-        metres: conversion of a band's numbers to metres; colours are not converted.
-        table: (N, 4) RGBA colours 0..255 of a palette; None without a palette.
+        to_metres: conversion of a band's numbers to metres; colours are not converted.
+        palette: (N, 4) RGBA colours 0..255 of a palette; None without a palette.
         inverted: whether 0 is white.
-        unit: whether the file states the unit of its heights.
-        reference: whether the file states the height reference.
+        states_unit: whether the file states the unit of its heights.
+        states_reference: whether the file states the height reference.
     """
 
     bands: ColourBands
-    metres: BandToMetres = field(default_factory=BandToMetres)
-    table: NDArray[np.float32] | None = None
+    to_metres: BandToMetres = field(default_factory=BandToMetres)
+    palette: NDArray[np.float32] | None = None
     inverted: bool = False
-    unit: bool = True
-    reference: bool = True
+    states_unit: bool = True
+    states_reference: bool = True
 
     @property
     def channels(self) -> int:
         """Return the number of values of a pixel."""
-        return len(self.bands.colours) if self.table is None else 3
+        return len(self.bands.colours) if self.palette is None else 3
 
 
 def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
@@ -85,15 +85,19 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
             f"{kind} {path} is in {projection.name}, whose units are not metres: gdalwarp -t_srs "
             "EPSG:n converts it, for example to UTM"
         )
-    place = source.transform
-    if place.is_identity:
-        raise InputError(f"{kind} {path} has no place on earth: it has no geotransform")
-    numbers = (place.a, place.b, place.c, place.d, place.e, place.f)
-    if not all(math.isfinite(x) for x in numbers) or place.b or place.d:
+    transform = source.transform
+    if transform.is_identity:
+        raise InputError(f"{kind} {path} has no geotransform: gdal_edit -a_ullr adds it")
+    a, b, left, d, e, top = tuple(transform)[:6]
+    if not all(math.isfinite(x) for x in (a, b, left, d, e, top)):
+        raise InputError(
+            f"{kind} {path} has a geotransform that is not finite: gdal_edit -a_ullr replaces it"
+        )
+    if b or d:
         raise InputError(f"{kind} {path} is rotated against north: gdalwarp makes it north-up")
-    if place.a <= 0 or place.e >= 0:
+    if a <= 0 or e >= 0:
         raise InputError(f"{kind} {path} is mirrored or upside down: gdalwarp makes it north-up")
-    grid = Grid(projection, place.c, place.f, (place.a, -place.e), source.width, source.height)
+    grid = Grid(projection, left, top, (a, -e), source.width, source.height)
     try:
         _ = grid.middle
     except InputError as error:
@@ -104,7 +108,7 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
 
 def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
     """Refuse a GeoTIFF that contradicts the world file beside it."""
-    for file in (path.with_suffix(end) for end in _WORLD_FILES):
+    for file in (path.with_suffix(end) for end in _WORLD_FILE_SUFFIXES):
         try:
             numbers = [float(word) for word in file.read_text().split()]
         except (OSError, ValueError):
@@ -112,13 +116,14 @@ def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
         if len(numbers) != 6:
             continue
         across, _, _, down, left, top = numbers
-        size = math.hypot(across / grid.pixel[0] - 1, -down / grid.pixel[1] - 1)
+        scale_error = math.hypot(across / grid.pixel[0] - 1, -down / grid.pixel[1] - 1)
+        stretch = scale_error * max(grid.width, grid.height)
         centre = grid.left + grid.pixel[0] / 2, grid.top - grid.pixel[1] / 2
         shift = math.hypot((left - centre[0]) / grid.pixel[0], (top - centre[1]) / grid.pixel[1])
-        if not (size * max(grid.width, grid.height) <= _SAME_PIXELS and shift <= _SAME_PIXELS):
+        if not (stretch <= _WORLD_FILE_TOLERANCE_PX and shift <= _WORLD_FILE_TOLERANCE_PX):
             raise InputError(
-                f"{kind} {path} and its world file {file.name} name two places: remove the one "
-                "that is wrong"
+                f"{kind} {path} and its world file {file.name} state different positions: remove "
+                "the world file if it is wrong, else correct the GeoTIFF with gdal_edit -a_ullr"
             )
 
 
@@ -136,23 +141,29 @@ def layout_of(source: Any, path: Path, kind: Kind, projection: Projection) -> La
     """Return the conversion of the bands to colours, heights in metres, or class numbers.
 
     Raises:
-        InputError: the file has other bands, or does not state what they are.
+        InputError: the bands do not fit the kind, or the file does not state what they are.
     """
     if kind == "orthophoto":
-        return _colours(source, path, kind)
+        return _colour_layout(source, path, kind)
     if kind == "surface model":
-        return _heights(source, path, kind, projection)
+        return _height_layout(source, path, kind, projection)
     if source.count != 1 or set(source.dtypes) != {"uint8"}:
-        raise InputError(f"{kind} {path} is not one band of 8 bits")
+        raise InputError(
+            f"{kind} {path} has {source.count} bands of {', '.join(sorted(set(source.dtypes)))}: "
+            "gdal_translate -b 1 -ot Byte makes one band of 8 bits"
+        )
     return Layout(ColourBands((1,)))
 
 
-def _heights(source: Any, path: Path, kind: Kind, projection: Projection) -> Layout:
+def _height_layout(source: Any, path: Path, kind: Kind, projection: Projection) -> Layout:
     names = [interpretation.name for interpretation in source.colorinterp]
     bands = [n for n, name in enumerate(names, 1) if name != "alpha"]
     alphas = [n for n, name in enumerate(names, 1) if name == "alpha"]
     if len(bands) != 1 or len(alphas) > 1:
-        raise InputError(f"{kind} {path} has {source.count} bands, heights are one band")
+        raise InputError(
+            f"{kind} {path} has {source.count} bands, heights are one band: give a surface model "
+            "or keep its band with gdal_translate -b"
+        )
     k = bands[0] - 1
     if np.dtype(source.dtypes[k]).kind not in "iuf":
         raise InputError(f"{kind} {path} has values of type {source.dtypes[k]}, not heights")
@@ -169,24 +180,29 @@ def _heights(source: Any, path: Path, kind: Kind, projection: Projection) -> Lay
         f"{kind} {path}", "state it once: gdal_edit -a_srs EPSG:n -units metre (or foot)"
     )
     chosen = ColourBands((bands[0],), alphas[0] if alphas else None)
-    has_reference = projection.height_unit_m is not None or REFERENCE_TAG in source.tags()
-    return Layout(chosen, conversion, unit=NO_UNIT not in metres.doubts, reference=has_reference)
+    return Layout(
+        chosen,
+        conversion,
+        states_unit=NO_UNIT not in metres.doubts,
+        states_reference=projection.height_unit_m is not None or REFERENCE_TAG in source.tags(),
+    )
 
 
-def heights_note(layout: Layout, path: Path, stated: bool) -> str | None:
+def heights_note(layout: Layout, path: Path, user_states: bool) -> str | None:
     """Return a note on assumed units or references of heights; None if the file states both.
 
     Args:
         layout: layout of a surface model.
         path: its file.
-        stated: whether the user states the reference.
+        user_states: whether the user states the reference.
     """
-    if layout.unit and (layout.reference or stated):
+    has_reference = layout.states_reference or user_states
+    if layout.states_unit and has_reference:
         return None
-    if layout.reference or stated:
+    if has_reference:
         return f"{path.name} states no unit of its heights: taken as metres"
-    missing = "no reference" if layout.unit else "neither unit nor reference"
-    unit = "" if layout.unit else "metres "
+    missing = "no reference" if layout.states_unit else "neither unit nor reference"
+    unit = "" if layout.states_unit else "metres "
     return f"{path.name} states {missing} of its heights: taken as {unit}above the ellipsoid"
 
 
@@ -199,14 +215,13 @@ def check_undulation(projection: Projection, path: Path, undulation: float) -> N
         )
 
 
-def _colours(source: Any, path: Path, kind: Kind) -> Layout:
+def _colour_layout(source: Any, path: Path, kind: Kind) -> Layout:
     names = [interpretation.name for interpretation in source.colorinterp]
     structure = source.tags(ns="IMAGE_STRUCTURE")
     types = set(source.dtypes)
     if types != {"uint8"} and not ("palette" in names and types <= {"uint8", "uint16"}):
         raise InputError(
-            f"{kind} {path} has values of type {source.dtypes[0]}: gdal_translate -ot Byte -scale "
-            "makes 8 bits"
+            f"{kind} {path} has values of type {source.dtypes[0]}: {_to_bytes(source.dtypes[0])}"
         )
     space = structure.get("SOURCE_COLOR_SPACE", "YCbCr")
     if space != "YCbCr":
@@ -224,10 +239,20 @@ def _colours(source: Any, path: Path, kind: Kind) -> Layout:
         )
     if not bands.palette:
         return Layout(bands, inverted=structure.get("MINISWHITE") == "YES")
-    return Layout(bands, table=_table(source, path, kind, bands.colours[0]))
+    return Layout(bands, palette=_read_palette(source, path, kind, bands.colours[0]))
 
 
-def _table(source: Any, path: Path, kind: Kind, band: int) -> NDArray[np.float32]:
+def _to_bytes(dtype: str) -> str:
+    """Return how to convert values of a type to 8 bits."""
+    if not dtype.startswith("float"):
+        return "gdal_translate -ot Byte -scale makes 8 bits"
+    return (
+        "gdal_translate -a_nodata 0 -ot Byte -scale LOWEST HIGHEST 1 255 makes 8 bits and declares "
+        "0 as no data (undeclared NaN would become black ground)"
+    )
+
+
+def _read_palette(source: Any, path: Path, kind: Kind, band: int) -> NDArray[np.float32]:
     try:
         colours = source.colormap(band)
     except ValueError:

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from objconnect.scene.errors import InputError
 from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from objconnect.scene.geometry.pose import Pose
 
 Array = NDArray[np.float64]
 
+MOST_STRETCH: Final = 2e-3
+"""Largest relative difference of a grid's metre from the metre that ``world_pose`` accepts."""
+
+# Half the length of the lines that measure the axes of a system, metres.
+_ARM_M: Final = 10.0
 # Sample positions of the polynomial fit along each axis of the box.
 _NODES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
@@ -96,8 +105,47 @@ def world_from(projection: Projection, origin: Geodetic, coordinates: Array) -> 
     return np.stack([enu_from_geodetic(projection.to_geodetic(x), origin) for x in coordinates])
 
 
+def world_pose(projection: Projection, origin: Geodetic, cam_from_grid: Pose) -> Pose:
+    """Convert a pose in the coordinates of a reference system to the world of a scene.
+
+    The axes of the system at the camera are turned against east, north and up, by the convergence
+    of the grid and by the curvature of the earth. They become the nearest rotation: a pose cannot
+    keep the scale of the system, which is within a few parts in ten thousand in survey grids.
+
+    Args:
+        projection: reference system with metric coordinates east, north and height.
+        origin: origin of the world.
+        cam_from_grid: pose with a translation in metres of the system.
+
+    Returns:
+        cam_from_world.
+
+    Raises:
+        InputError: the camera is outside the system's range, or the system stretches lengths there
+            by more than ``MOST_STRETCH``.
+    """
+    centre = cam_from_grid.centre().numpy()
+    steps = _ARM_M * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    world = world_from(projection, origin, centre + steps)
+    left, lengths, right = np.linalg.svd((world[1:4] - world[4:]).T / (2 * _ARM_M))
+    stretch = 1 / np.maximum(lengths, 1e-9)
+    worst = float(stretch[np.abs(stretch - 1).argmax()])
+    if abs(worst - 1) > MOST_STRETCH:
+        raise InputError(
+            f"at this position a metre is {worst:.4f} m in {projection.name}: check the position, "
+            "and give poses in a survey grid, such as UTM"
+        )
+    rotation = cam_from_grid.rotation @ torch.from_numpy(left @ right).T
+    return Pose(rotation, -(rotation @ torch.from_numpy(world[0])))
+
+
 def at_height(projection: Projection, place: Geodetic, height: float) -> Geodetic:
-    """Return a place at a height of a reference system, metres, above or below another place.
+    """Return the point straight above or below ``place`` at a height of a reference system.
+
+    Args:
+        projection: reference system with metric heights.
+        place: any point on the vertical.
+        height: height in the reference system, metres.
 
     Raises:
         InputError: the place is outside the reference system's range.

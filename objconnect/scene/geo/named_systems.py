@@ -1,4 +1,4 @@
-"""Coordinate reference systems by the first lines of ODM's files.
+"""Parsing of the coordinate reference systems that the first lines of ODM's files name.
 
 A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or a PROJ string. A system that defines heights has a
 unit of heights. In a two-dimensional system heights are metres if coordinates are metres or
@@ -56,33 +56,33 @@ def parse_system(line: str, where: str) -> NamedSystem:
     """Return the system that a line names.
 
     Args:
-        line: the text.
+        line: name of the system, EPSG code, WKT or PROJ string.
         where: file and line, for messages.
 
     Raises:
         InputError: PROJ knows no such system, or pyproj is not installed.
     """
-    words = " ".join(line.split()).strip("'\"").strip()
+    name = " ".join(line.split()).strip("'\"").strip()
     stated: list[tuple[str, str]] = []
-    if not words.startswith("+"):  # PROJ reads these parameters, but not beside a code
-        stated = _VERTICAL.findall(words)
-        words = _VERTICAL.sub("", words).strip()
-    utm = _UTM.fullmatch(words)
+    if not name.startswith("+"):  # PROJ reads these parameters, but not beside a code
+        stated = _VERTICAL.findall(name)
+        name = _VERTICAL.sub("", name).strip()
+    utm = _UTM.fullmatch(name)
     if utm is not None:
         if not 1 <= int(utm[1]) <= 60:
             raise InputError(f"{where}: UTM has no zone {utm[1]}")
-        words = f"EPSG:{326 if utm[2].upper() == 'N' else 327}{int(utm[1]):02d}"
+        name = f"EPSG:{326 if utm[2].upper() == 'N' else 327}{int(utm[1]):02d}"
     try:
-        projection = Projection(words)
+        projection = Projection(name)
     except InputError as error:
         if "pyproj" in str(error):
             raise
         raise InputError(f"{where}: {error}") from None
-    return NamedSystem(projection, _height_unit(words, projection, stated, where))
+    return NamedSystem(projection, _height_unit(name, projection, stated, where))
 
 
 def _height_unit(
-    words: str, projection: Projection, stated: list[tuple[str, str]], where: str
+    name: str, projection: Projection, stated: list[tuple[str, str]], where: str
 ) -> Reading[float]:
     """Return the metres per unit of height."""
     factors = {_parse_metres(word, text, where) for word, text in stated}
@@ -101,12 +101,19 @@ def _height_unit(
         return known(1.0, projection.name)
     return unknown(
         "the unit of heights",
-        f"{for_terminal(words)} has eastings in {units[0]} and no heights",
+        f"{for_terminal(name)} has eastings in {units[0]} and no heights",
     )
 
 
 def _parse_metres(word: str, text: str, where: str) -> float:
-    factor = metres_per(text) if word.lower() == "vunits" else parse_number(text)
+    if word.lower() == "vunits":
+        unit = metres_per(text)
+        if unit is None:
+            raise InputError(f"{where}: +{word}={text} is no unit of length: give m, ft or us-ft")
+        return unit
+    factor = parse_number(text)
     if factor is None or not factor > 0:
-        raise InputError(f"{where}: +{word}={text} is no unit of length: give m, ft or us-ft")
+        raise InputError(
+            f"{where}: +{word}={text} is no positive number: give the metres per unit of height"
+        )
     return factor

@@ -41,11 +41,12 @@ from objconnect.scene.storage.files import require_readable
 NO_HEIGHT: Final = -9999.0
 """The no-data height of the surface models that we write."""
 
+# Largest patch, pixels.
 _MOST_PATCH_PIXELS = 1 << 28
 # Number of pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
-# Rows of the strips in the search for undeclared no data, and largest number of searched pixels.
-_SURVEYED_ROWS, _MOST_SURVEYED = 256, 1 << 26
+# The search for undeclared no data reads strips of so many rows, and so many pixels at most.
+_SEARCHED_ROWS, _MOST_SEARCHED_PIXELS = 256, 1 << 26
 # Side of the tiles of the files that we write, pixels.
 _TILE = 256
 
@@ -100,7 +101,7 @@ class Raster:
         """Return notes on the file for the user, one line each.
 
         Args:
-            place: place where it is used.
+            place: place where the file is used.
             undulation: geoid undulation that the user states, metres; None if not stated.
 
         Raises:
@@ -109,10 +110,10 @@ class Raster:
         projection = self.grid.projection
         lines = [projection.doubt_at(place), *self.doubts]
         if not projection.reaches(self.grid.middle):
-            at = self.grid.middle
+            latitude, longitude, _ = self.grid.middle
             lines.append(
-                f"{self.path.name} lies at {at.latitude:.3f}, {at.longitude:.3f}, far outside the "
-                f"area that {projection.name} is for: check its system, axes and units"
+                f"{self.path.name} lies at latitude {latitude:.3f}, longitude {longitude:.3f}, far "
+                f"outside the area that {projection.name} is for: check its system, axes and units"
             )
         if self.kind == "surface model":
             check_undulation(projection, self.path, undulation or 0.0)
@@ -199,9 +200,9 @@ class Raster:
 
     def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
         """Return heights in metres, (1, H, W); NaN for impossible heights and holes."""
-        metres = self.layout.metres
-        exact = np.float32 if metres.is_metres else np.float64
-        values = source.read(list(self.bands), window=window, out_dtype=exact)
+        metres = self.layout.to_metres
+        dtype = np.float32 if metres.is_metres else np.float64
+        values = source.read(list(self.bands), window=window, out_dtype=dtype)
         if not metres.is_metres:
             values = (values * metres.factor + metres.offset).astype(np.float32)
         values[~((values >= self.lowest) & (values < self.highest))] = np.nan
@@ -211,17 +212,17 @@ class Raster:
 
     def _colours(self, source: Any, window: Any) -> NDArray[np.float32]:
         """Return colours in 0..255, or class numbers, (channels, H, W)."""
-        table = self.layout.table
+        palette = self.layout.palette
         values = source.read(list(self.bands), window=window)
-        if table is None:
+        if palette is None:
             return np.asarray(255 - values if self.layout.inverted else values, np.float32)
         numbers = values[0]
-        colours = table[np.minimum(numbers, len(table) - 1)]
-        colours[(numbers >= len(table)) | (colours[..., 3] == 0)] = np.nan
+        colours = palette[np.minimum(numbers, len(palette) - 1)]
+        colours[(numbers >= len(palette)) | (colours[..., 3] == 0)] = np.nan
         return np.moveaxis(colours[..., :3], -1, 0)
 
     def strips(self, rows: int = 1024, every: int = 1) -> Iterator[Patch]:
-        """Read the whole raster from top to bottom, ``rows`` rows at a time.
+        """Read strips of the raster from top to bottom.
 
         Args:
             rows: height of a strip, pixels.
@@ -245,9 +246,9 @@ def _check_heights(raster: Raster, declared: bool) -> Raster:
     """
 
     def strips() -> Iterator[NDArray[np.float32]]:
-        return (strip.values[0] for strip in raster.strips(_SURVEYED_ROWS, every))
+        return (strip.values[0] for strip in raster.strips(_SEARCHED_ROWS, every))
 
-    every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SURVEYED)
+    every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SEARCHED_PIXELS)
     pixel_m = max(raster.grid.ground_pixel)
     ground = find_ground(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
     return replace(

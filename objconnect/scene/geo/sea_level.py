@@ -16,7 +16,7 @@ def above_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
         undulation_m: geoid undulation at the place, metres; None takes it from PROJ's grid, if
             that is installed.
     """
-    if exif.position is None or not exif.is_above_sea:
+    if exif.position is None or not exif.refers_to_sea_level:
         return exif
     if undulation_m is None:
         undulation_m = geoid_undulation(exif.position)

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 _MAX_PARAMETER = 1e9
 # Smaller distortion coefficients have no measurable effect.
 _MIN_COEFFICIENT = 1e-12
-# Perspective models with more coefficients have a denominator.
-_POLYNOMIAL = 4
-# Smaller products of coefficients count as zero; roots with a smaller relative imaginary part are
-# real.
-_MIN_PRODUCT, _REAL = 1e-30, 1e-6
+# Perspective models with more coefficients are rational: their distortion has a denominator.
+_POLYNOMIAL_COUNT = 4
+# Smaller products of coefficients count as zero. A root is real if its imaginary part is a smaller
+# share of its absolute value.
+_MIN_PRODUCT, _MAX_IMAGINARY_SHARE = 1e-30, 1e-6
 
 MODELS: Final[dict[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -59,7 +59,7 @@ class Camera:
     Raises:
         InputError: the model is unknown, the number of parameters is wrong, or a value is invalid.
 
-    Example:
+    Examples:
         >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
         >>> camera.focal
         (500.0, 500.0)
@@ -100,7 +100,7 @@ class Camera:
         Raises:
             InputError: a word is missing or is not a number, or the model is not supported.
 
-        Example:
+        Examples:
             >>> Camera.parse("SIMPLE_PINHOLE 640 480 500 320 240".split()).principal
             (320.0, 240.0)
         """
@@ -193,7 +193,7 @@ class Camera:
         return self.intrinsics(xy.dtype, xy.device).unproject(xy)
 
     def contains(self, xy: Tensor, border: float = 0.0) -> Tensor:
-        """Return whether pixels (..., 2) lie in the image, ``border`` pixels from its edge."""
+        """Return whether pixels (..., 2) lie in the image, at least ``border`` from its edge."""
         x, y = xy[..., 0], xy[..., 1]
         return (
             (x >= border) & (x <= self.width - border) & (y >= border) & (y <= self.height - border)
@@ -214,7 +214,7 @@ class Camera:
         Raises:
             InputError: the model has one focal length and cannot hold two different scales.
 
-        Example:
+        Examples:
             >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
             >>> str(camera.resize(320, 240))
             'PINHOLE 320 240 250.0 250.0 160.0 120.0'
@@ -233,7 +233,7 @@ class Camera:
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the camera of a crop whose top left corner is at pixel (``left``, ``top``).
 
-        Example:
+        Examples:
             >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
             >>> str(camera.crop(20, 40, 600, 400))
             'PINHOLE 600 400 500.0 500.0 300.0 200.0'
@@ -247,7 +247,7 @@ class Camera:
 @lru_cache(maxsize=1024)
 def _fold_limit(fisheye: bool, distortion: tuple[float, ...]) -> float:
     """Return ``Camera.fold_limit``, cached because every projection needs it."""
-    if len(distortion) > _POLYNOMIAL:
+    if len(distortion) > _POLYNOMIAL_COUNT:
         return _rational_limit(distortion)
     k1, k2, k3, k4 = distortion
     if fisheye:
@@ -264,13 +264,18 @@ def _fold_limit(fisheye: bool, distortion: tuple[float, ...]) -> float:
 def _rational_limit(distortion: tuple[float, ...]) -> float:
     """Return the radius at which a rational distortion folds over or its denominator vanishes."""
     k1, k2, _, _, k3, k4, k5, k6 = distortion
-    above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    # The derivative of r * above / below times the squared denominator, a polynomial in r^2.
-    bend = above.deriv() * below - above * below.deriv()
-    slope = above * below + 2 * np.poly1d([1.0, 0.0]) * bend
+    numerator, denominator = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    # The derivative of r * numerator / denominator times the squared denominator, a polynomial in
+    # r^2.
+    derivative = numerator.deriv() * denominator - numerator * denominator.deriv()
+    slope = numerator * denominator + 2 * np.poly1d([1.0, 0.0]) * derivative
     limits = [math.inf]
-    for polynomial in (slope.coeffs, below.coeffs):
+    for polynomial in (slope.coeffs, denominator.coeffs):
         kept = polynomial[np.argmax(np.abs(polynomial) > _MIN_PRODUCT) :]
         roots = np.roots(kept)
-        limits += [math.sqrt(r.real) for r in roots if r.real > 0 and abs(r.imag) <= _REAL * abs(r)]
+        limits += [
+            math.sqrt(r.real)
+            for r in roots
+            if r.real > 0 and abs(r.imag) <= _MAX_IMAGINARY_SHARE * abs(r)
+        ]
     return min(limits)

@@ -33,7 +33,7 @@ _EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "SIMPLE_DIVISION": ("SIMPLE_PINHOLE", ("f", "cx", "cy", "k")),
     "DIVISION": ("PINHOLE", (*_PINHOLE, "k")),
 }
-_OURS: Final = {
+_OUR_PARAMETERS: Final = {
     "OPENCV_FISHEYE": _FISHEYE,
     "PINHOLE": _PINHOLE,
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -61,15 +61,15 @@ MODEL_IDS: Final[dict[int, str]] = {
 }
 """COLMAP's model names by their identifiers in binary files."""
 
-# Numbers of parameters of FULL_OPENCV and of OPENCV, whose parameters come first.
-_FULL, _SHORT = 12, 8
+# Numbers of parameters. FULL_OPENCV begins with the parameters of OPENCV.
+_FULL_OPENCV_COUNT, _OPENCV_COUNT = 12, 8
 
-READ: Final = tuple(_EQUAL)
+CONVERTIBLE_MODELS: Final = tuple(_EQUAL)
 """Models of COLMAP that are converted to another model."""
 
 
 def parameter_count(model: str) -> int | None:
-    """Return the number of parameters of a model of ``READ``; None for other models."""
+    """Return the number of parameters of a convertible model; None for other models."""
     return len(_EQUAL[model][1]) if model in _EQUAL else None
 
 
@@ -77,7 +77,8 @@ def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, 
     """Return the supported model that projects every point to the same pixel.
 
     Args:
-        model: COLMAP's name; models other than ``READ`` and FULL_OPENCV are returned unchanged.
+        model: COLMAP's name; models other than ``CONVERTIBLE_MODELS`` and FULL_OPENCV are returned
+            unchanged.
         params: parameters in COLMAP's order.
 
     Returns:
@@ -87,25 +88,29 @@ def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, 
         InputError: a coefficient that the equal model lacks is not zero, or the number of
             parameters is wrong.
 
-    Example:
+    Examples:
         >>> equal_model("SIMPLE_RADIAL_FISHEYE", (500.0, 320.0, 240.0, 0.01))
         ('OPENCV_FISHEYE', (500.0, 500.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0))
     """
-    if model == "FULL_OPENCV" and len(params) == _FULL and not any(params[_SHORT:]):
-        return "OPENCV", tuple(params[:_SHORT])
+    if (
+        model == "FULL_OPENCV"
+        and len(params) == _FULL_OPENCV_COUNT
+        and not any(params[_OPENCV_COUNT:])
+    ):
+        return "OPENCV", tuple(params[:_OPENCV_COUNT])
     if model not in _EQUAL:
         return model, tuple(params)
     ours, names = _EQUAL[model]
     if len(params) != len(names):
         raise InputError(f"camera model {model} takes {len(names)} parameters, got {len(params)}")
     value = dict(zip(names, params, strict=True))
-    if "f" in value and "f" not in _OURS[ours]:
+    if "f" in value and "f" not in _OUR_PARAMETERS[ours]:
         value["fx"] = value["fy"] = value.pop("f")
-    rest = [name for name in value if name not in _OURS[ours] and value[name] != 0]
-    if rest:
+    lost = [name for name in value if name not in _OUR_PARAMETERS[ours] and value[name] != 0]
+    if lost:
         raise InputError(
-            f"camera model {model} is supported only where {', '.join(rest)} "
-            f"{'is' if len(rest) == 1 else 'are'} zero: undistort the photographs, or calibrate "
+            f"camera model {model} is supported only where {', '.join(lost)} "
+            f"{'is' if len(lost) == 1 else 'are'} zero: undistort the photographs, or calibrate "
             f"them as {ours}"
         )
-    return ours, tuple(value.get(name, 0.0) for name in _OURS[ours])
+    return ours, tuple(value.get(name, 0.0) for name in _OUR_PARAMETERS[ours])

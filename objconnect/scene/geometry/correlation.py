@@ -3,9 +3,9 @@
 Least squares assumes independent residuals. Residuals of matches are correlated: a keypoint that is
 detected twice, errors of the calibration and points triangulated from the same photographs move the
 matches of an image region together. The sandwich estimator of Conley (J. Econometrics 92, 1999)
-sums over pairs of neighbours. Here their correlation decreases with distance as in a spherical
-variogram; so it has one parameter, which is fitted to the residuals, and the covariance stays
-positive definite.
+sums the products of neighbouring residuals. Here the correlation of two residuals decreases with
+their distance as in a spherical variogram; so it has one parameter, which is fitted to the
+residuals, and the covariance stays positive definite.
 """
 
 from __future__ import annotations
@@ -24,20 +24,22 @@ _ROWS: Final = 256
 
 
 @dataclass(frozen=True)
-class Neighbours:
+class NeighbourCorrelation:
     """The correlation of neighbouring residuals.
 
     Attributes:
         correlation: correlation of two residuals at the same pixel, 0 to 1.
         information: (P, P) contribution of all pairs to the information of P parameters for
-            correlation 1, in units of the variance of a residual.
+            correlation 1, to be divided by the variance of a residual.
     """
 
     correlation: float
     information: Array
 
 
-def count_neighbours(xy: Array, residuals: Array, jacobian: Array, reach: float) -> Neighbours:
+def estimate_correlation(
+    xy: Array, residuals: Array, jacobian: Array, reach: float
+) -> NeighbourCorrelation:
     """Estimate the correlation of neighbouring residuals.
 
     The correlation is fitted to the products of all pairs of residuals by least squares. It is
@@ -45,21 +47,21 @@ def count_neighbours(xy: Array, residuals: Array, jacobian: Array, reach: float)
 
     Args:
         xy: (N, 2) positions of the residuals, pixels.
-        residuals: (N, 2) signed residuals.
+        residuals: (N, 2) signed residuals, pixels.
         jacobian: (N, 2, P) derivatives of the residuals by the parameters, of full rank.
         reach: distance (pixels) beyond which residuals are uncorrelated; 0 for no correlation.
     """
     parameters = jacobian.shape[2]
-    nothing = Neighbours(0.0, np.zeros((parameters, parameters)))
+    uncorrelated = NeighbourCorrelation(0.0, np.zeros((parameters, parameters)))
     # The variance of one coordinate.
     variance = float((residuals**2).sum()) / max(2 * len(xy) - parameters, 1)
     if reach <= 0 or variance <= 0:
-        return nothing
+        return uncorrelated
     order = np.argsort(xy[:, 0], kind="stable")
     xy, residuals, jacobian = xy[order], residuals[order], jacobian[order]
-    # Products of its rows are the loss of covariance of two residuals by the fit.
+    # The fit lowers the covariance of two residuals by the product of their rows of this matrix.
     leverage = np.linalg.qr(jacobian.reshape(-1, parameters))[0].reshape(len(xy), -1)
-    product, loss, norm, information = 0.0, 0.0, 0.0, nothing.information
+    product, loss, norm, information = 0.0, 0.0, 0.0, uncorrelated.information
     for rows, columns, weight in _pairs(xy, reach):
         product += float((weight * (residuals[rows] @ residuals[columns].T)).sum())
         loss += float((weight * (leverage[rows] @ leverage[columns].T)).sum())
@@ -67,9 +69,9 @@ def count_neighbours(xy: Array, residuals: Array, jacobian: Array, reach: float)
         for axis in range(2):
             information = information + jacobian[rows, axis].T @ weight @ jacobian[columns, axis]
     if norm == 0:
-        return nothing
+        return uncorrelated
     correlation = (product / variance + loss) / (2 * norm)
-    return Neighbours(float(np.clip(correlation, 0, 1)), information)
+    return NeighbourCorrelation(float(np.clip(correlation, 0, 1)), information)
 
 
 def _pairs(xy: Array, reach: float) -> Iterator[tuple[slice, slice, Array]]:
@@ -84,6 +86,6 @@ def _pairs(xy: Array, reach: float) -> Iterator[tuple[slice, slice, Array]]:
         columns = slice(int(low), int(high))
         distance = np.linalg.norm(xy[rows, None] - xy[None, columns], axis=2) / reach
         weight = np.where(distance < 1, 1 - 1.5 * distance + 0.5 * distance**3, 0.0)
-        own = np.arange(rows.start, rows.stop)
-        weight[own - rows.start, own - columns.start] = 0.0
+        itself = np.arange(rows.start, rows.stop)
+        weight[itself - rows.start, itself - columns.start] = 0.0
         yield rows, columns, weight

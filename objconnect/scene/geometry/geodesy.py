@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# The ellipsoid WGS84: semi-major axis (m), flattening, squared eccentricity.
 _SEMI_MAJOR = 6_378_137.0
 _FLATTENING = 1 / 298.257223563
 _E2 = _FLATTENING * (2 - _FLATTENING)
@@ -17,7 +18,7 @@ _E2 = _FLATTENING * (2 - _FLATTENING)
 class Geodetic(NamedTuple):
     """Latitude and longitude in degrees, altitude in metres above the ellipsoid.
 
-    An unknown altitude is NaN; of this module, only ``median_place`` accepts it.
+    An unknown altitude is NaN; in this module only ``median_place`` accepts one.
     """
 
     latitude: float
@@ -31,6 +32,7 @@ damage, and powers of them overflow."""
 
 # Largest altitude of an aircraft (m).
 _MAX_ALTITUDE_M = 1e6
+# A centimetre along a meridian, in degrees.
 _CENTIMETRE_DEG = 1e-7
 
 
@@ -69,7 +71,7 @@ def enu_axes(origin: Geodetic) -> NDArray[np.float64]:
 def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
     """Return east, north and up of ``place``, (3,) metres from ``origin``.
 
-    Example:
+    Examples:
         >>> origin = Geodetic(47.0, 8.0, 400.0)
         >>> east, north, up = enu_from_geodetic(Geodetic(47.001, 8.0, 450.0), origin)
         >>> f"{north:.2f} m north, {up:.2f} m up"
@@ -83,7 +85,7 @@ def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
 
     The result is exact to well under a millimetre.
 
-    Example:
+    Examples:
         >>> place = geodetic_from_enu(np.array([100.0, 0.0, 0.0]), Geodetic(47.0, 8.0, 400.0))
         >>> f"{place.latitude:.6f} {place.longitude:.6f} {place.altitude:.3f}"
         '47.000000 8.001315 400.001'
@@ -115,8 +117,9 @@ def median_place(places: Sequence[Geodetic]) -> Geodetic:
     Longitudes are measured from that of the median in earth-centred coordinates, so that they do
     not wrap. Unknown altitudes are ignored; if all are unknown, so is the median.
     """
-    whole = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]
-    x, y, _ = np.median([ecef_from_geodetic(place) for place in whole], axis=0).tolist()
+    with_altitudes = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]
+    x, y, _ = np.median([ecef_from_geodetic(place) for place in with_altitudes], axis=0).tolist()
+    # Longitude of the median of the earth-centred positions.
     middle = math.degrees(math.atan2(y, x))
     unwrapped = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))

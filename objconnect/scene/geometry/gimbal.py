@@ -7,8 +7,8 @@ import torch
 
 from objconnect.scene.geometry.pose import Pose
 
-# Tilt (rad) below which a camera looks straight down.
-_PLUMB = 1e-6
+# Tilt (rad) below which a camera looks straight down or up.
+_MAX_PLUMB_TILT = 1e-6
 
 
 def gimbal_pose(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
@@ -39,7 +39,7 @@ def gimbal_angles(pose: Pose) -> tuple[float, float, float]:
     right, _, forward = pose.rotation.numpy()
     level = float(np.hypot(forward[0], forward[1]))
     pitch = float(np.arctan2(forward[2], level))
-    if level < _PLUMB:
+    if level < _MAX_PLUMB_TILT:
         return float(np.degrees(np.arctan2(-right[1], right[0]))), float(np.degrees(pitch)), 0.0
     yaw = float(np.arctan2(forward[0], forward[1]))
     level_right = np.array([np.cos(yaw), -np.sin(yaw), 0.0])

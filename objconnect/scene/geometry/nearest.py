@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 class Nearest:
-    """A nearest-neighbour index of points (N, 2) that are sorted by x.
+    """A nearest-neighbour index of points (N, 2), which it sorts by x.
 
     A query computes distances only in a strip of x, which grows with the square root of the number
     of points at constant density.
@@ -17,29 +17,29 @@ class Nearest:
         self._rows = np.argsort(xy[:, 0], kind="stable")
         self._xy = xy[self._rows]
 
-    def __call__(self, place: NDArray[np.float64], k: int) -> NDArray[np.int64]:
-        """Return the rows of the ``k`` points nearest to ``place`` (2,), nearest first.
+    def __call__(self, point: NDArray[np.float64], k: int) -> NDArray[np.int64]:
+        """Return the rows of the ``k`` points nearest to ``point`` (2,), nearest first.
 
         Points at equal distance are ordered by row.
 
         Raises:
-            ValueError: the place is not finite.
+            ValueError: the point is not finite.
         """
-        if not np.isfinite(place).all():
-            raise ValueError(f"the place must be finite, got {place}")
+        if not np.isfinite(point).all():
+            raise ValueError(f"the point must be finite, got {point}")
         # Points are sorted by x, so those within a radius lie in one range of rows.
-        first, count = self._xy[:, 0], len(self._xy)
+        sorted_x, count = self._xy[:, 0], len(self._xy)
         k = min(k, count)
         if not k:
             return np.zeros(0, np.int64)
         # Start with a strip of at least k points, and double it until k are in the circle.
-        at = int(first.searchsorted(place[0]))
-        ends = first[[max(0, at - k), min(count, at + k) - 1]]
-        radius = float(np.abs(ends - place[0]).max())
+        position = int(sorted_x.searchsorted(point[0]))
+        ends = sorted_x[[max(0, position - k), min(count, position + k) - 1]]
+        radius = float(np.abs(ends - point[0]).max())
         while True:
-            begin = int(first.searchsorted(place[0] - radius))
-            end = int(first.searchsorted(place[0] + radius, "right"))
-            squares = np.square(self._xy[begin:end] - place).sum(1)
+            begin = int(sorted_x.searchsorted(point[0] - radius))
+            end = int(sorted_x.searchsorted(point[0] + radius, "right"))
+            squares = np.square(self._xy[begin:end] - point).sum(1)
             within = np.flatnonzero(squares <= radius * radius)  # ** raises OverflowError instead
             if end - begin == count:
                 within = np.arange(count)
@@ -47,15 +47,15 @@ class Nearest:
                 break
             radius = 2 * radius or 1e-6
         if len(within) > k:
-            least = np.partition(squares[within], k - 1)[k - 1]
-            within = within[squares[within] <= least]
+            kth_square = np.partition(squares[within], k - 1)[k - 1]
+            within = within[squares[within] <= kth_square]
         rows = self._rows[begin:end][within]
         return np.asarray(rows[np.lexsort((rows, squares[within]))][:k], np.int64)
 
-    def within(self, place: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
-        """Return the rows of the points at most ``radius`` from ``place`` (2,), in order."""
-        first = self._xy[:, 0]
-        begin = int(first.searchsorted(place[0] - radius))
-        end = int(first.searchsorted(place[0] + radius, "right"))
-        away = np.linalg.norm(self._xy[begin:end] - place, axis=1)
-        return np.sort(self._rows[begin:end][away <= radius])
+    def within(self, point: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
+        """Return the rows of the points at most ``radius`` from ``point`` (2,), ascending."""
+        sorted_x = self._xy[:, 0]
+        begin = int(sorted_x.searchsorted(point[0] - radius))
+        end = int(sorted_x.searchsorted(point[0] + radius, "right"))
+        distances = np.linalg.norm(self._xy[begin:end] - point, axis=1)
+        return np.sort(self._rows[begin:end][distances <= radius])

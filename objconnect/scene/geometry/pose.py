@@ -115,7 +115,7 @@ class Pose:
         rotation: rotation matrices, (..., 3, 3).
         translation: translations, (..., 3) metres.
 
-    Example:
+    Examples:
         >>> cam_from_world = Pose.from_quaternion([1, 0, 0, 0], [0.0, 0.0, 5.0])
         >>> cam_from_world.transform(torch.zeros(1, 3, dtype=torch.float64)).tolist()
         [[0.0, 0.0, 5.0]]

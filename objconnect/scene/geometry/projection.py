@@ -16,16 +16,18 @@ from torch.nn.functional import pad
 
 # Points with a smaller z (in units of the camera frame) count as behind the camera.
 MIN_DEPTH: Final = 1e-6
-# Points with a larger x/z or y/z do too: powers of it overflow single precision.
+# So do points with a larger |x/z| or |y/z|, because its powers overflow single precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
-# Number of coefficients of a perspective model without a denominator.
-_POLYNOMIAL = 4
-# With a denominator, Newton's method stays within this share of the fold-over limit and starts from
-# the result of so many bisections.
-_INSIDE, _HALVINGS = 0.9999, 24
+# Number of coefficients of a perspective model with polynomial, not rational, distortion.
+_POLYNOMIAL_COUNT = 4
+# For a rational distortion, Newton's method stays within this share of the fold-over limit and
+# starts from the result of so many bisections.
+_LIMIT_SHARE, _BISECTIONS = 0.9999, 24
 # Smallest absolute denominator, which keeps pixels finite.
-_LEAST_BELOW = 1e-6
+_MIN_DENOMINATOR = 1e-6
+# First and largest angle (rad) of Newton's method for a fisheye: 86 and 89 degrees.
+_START_ANGLE, _MAX_ANGLE = 1.5, 1.5533
 
 
 class Projection(NamedTuple):
@@ -69,8 +71,8 @@ class Intrinsics:
         Args:
             cameras: at least one camera; all have the same batch dimensions.
         """
-        most = max(camera.distortion.shape[-1] for camera in cameras)
-        distortion = [pad(c.distortion, (0, most - c.distortion.shape[-1])) for c in cameras]
+        count = max(camera.distortion.shape[-1] for camera in cameras)
+        distortion = [pad(c.distortion, (0, count - c.distortion.shape[-1])) for c in cameras]
         return cls(
             fisheye=cameras[0].fisheye,
             focal=torch.stack([camera.focal for camera in cameras]),
@@ -84,7 +86,7 @@ class Intrinsics:
 
         The batch dimensions of the intrinsics precede N.
 
-        Example:
+        Examples:
             >>> camera = Intrinsics(
             ...     fisheye=False,
             ...     focal=torch.tensor([100.0, 100.0]),
@@ -125,18 +127,18 @@ class Intrinsics:
         tolerance = max(1e-7, 16 * torch.finfo(target.dtype).eps)
         if self.fisheye:
             radius = target.norm(dim=-1)
-            theta = radius.clamp(max=1.5)
+            theta = radius.clamp(max=_START_ANGLE)
             for _ in range(_NEWTON_STEPS):
                 value, slope = self._fisheye_angle(theta)
                 theta = theta - (value - radius) / slope.clamp_min(1e-3)
-                theta = theta.clamp(0.0, 1.5533)
+                theta = theta.clamp(0.0, _MAX_ANGLE)
             value, _ = self._fisheye_angle(theta)
             converged = ((value - radius).abs() < tolerance) & (theta < self.limit[..., None])
             scale = torch.tan(theta) / radius.clamp_min(1e-12)
             scale = torch.where(radius < 1e-9, torch.ones_like(scale), scale)
             uv = target * scale[..., None]
         else:
-            uv = self._without_tangential(target)
+            uv = self._newton_start(target)
             distorted = bool(self.distortion.any())
             for _ in range(_NEWTON_STEPS if distorted else 0):
                 value, local, _ = self._distort(uv, jacobian=True)
@@ -195,36 +197,36 @@ class Intrinsics:
         local = torch.stack([j00, j01, j01, j11], -1).reshape(*uv.shape[:-1], 2, 2)
         return distorted, local, inside
 
-    def _without_tangential(self, target: Tensor) -> Tensor:
+    def _newton_start(self, target: Tensor) -> Tensor:
         """Return the start of Newton's method for distorted coordinates (..., N, 2).
 
-        It is the target itself; for a rational distortion, which may be too steep for that, it is
-        the solution without tangential terms, found by bisection.
+        A rational distortion may be too steep to start from ``target``. Its start is the solution
+        without tangential terms, found by bisection.
         """
         k1, k2, _, _, *more = (c[..., None] for c in self.distortion.unbind(-1))
         if not more:
             return target
         distorted = target.norm(dim=-1)
-        middle = least = torch.zeros_like(distorted)
-        most = (_INSIDE * self.limit[..., None]).clamp_max(MAX_SLOPE).expand_as(distorted)
-        for _ in range(_HALVINGS):
-            middle = (least + most) / 2
+        middle = low = torch.zeros_like(distorted)
+        high = (_LIMIT_SHARE * self.limit[..., None]).clamp_max(MAX_SLOPE).expand_as(distorted)
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
             stretch, _ = _rational(middle * middle, (k1, k2, *more))
             short = middle * stretch < distorted
-            least, most = torch.where(short, middle, least), torch.where(short, most, middle)
+            low, high = torch.where(short, middle, low), torch.where(short, high, middle)
         start: Tensor = target * (middle / distorted.clamp_min(1e-12))[..., None]
         return start
 
     def _within_limit(self, uv: Tensor) -> Tensor:
-        """Clamp coordinates (..., N, 2) to the fold-over limit if there is a denominator.
+        """Clamp coordinates (..., N, 2) of a rational distortion to the fold-over limit.
 
-        Beyond its zeros, Newton's method would leave for another branch.
+        Beyond a zero of the denominator, Newton's method would leave for another branch.
         """
-        if self.distortion.shape[-1] == _POLYNOMIAL:
+        if self.distortion.shape[-1] == _POLYNOMIAL_COUNT:
             return uv
-        most = (_INSIDE * self.limit[..., None]).clamp_max(MAX_SLOPE)
+        limit = (_LIMIT_SHARE * self.limit[..., None]).clamp_max(MAX_SLOPE)
         radius = uv.norm(dim=-1)
-        return uv * torch.where(radius > most, most / radius.clamp_min(MIN_DEPTH), 1)[..., None]
+        return uv * torch.where(radius > limit, limit / radius.clamp_min(MIN_DEPTH), 1)[..., None]
 
     def _fisheye_angle(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distorted angle and its derivative, both (..., N), of angles (..., N)."""
@@ -255,16 +257,20 @@ class Intrinsics:
 
 
 def _rational(r2: Tensor, coefficients: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Return the radial factor at squared radii (..., N), and twice its derivative by them.
+    """Return the radial factor at squared radii, and twice its derivative by them, each (..., N).
 
     Args:
-        r2: (..., N).
+        r2: squared radii, (..., N).
         coefficients: k1 to k3 of the numerator and k4 to k6 of the denominator.
     """
     k1, k2, k3, k4, k5, k6 = coefficients
-    below = 1 + r2 * (k4 + r2 * (k5 + k6 * r2))
-    below = torch.where(below.abs() < _LEAST_BELOW, torch.full_like(below, _LEAST_BELOW), below)
-    radial = (1 + r2 * (k1 + r2 * (k2 + k3 * r2))) / below
-    above_slope = k1 + r2 * (2 * k2 + 3 * k3 * r2)
-    below_slope = k4 + r2 * (2 * k5 + 3 * k6 * r2)
-    return radial, 2 * (above_slope - radial * below_slope) / below
+    denominator = 1 + r2 * (k4 + r2 * (k5 + k6 * r2))
+    denominator = torch.where(
+        denominator.abs() < _MIN_DENOMINATOR,
+        torch.full_like(denominator, _MIN_DENOMINATOR),
+        denominator,
+    )
+    radial = (1 + r2 * (k1 + r2 * (k2 + k3 * r2))) / denominator
+    numerator_slope = k1 + r2 * (2 * k2 + 3 * k3 * r2)
+    denominator_slope = k4 + r2 * (2 * k5 + 3 * k6 * r2)
+    return radial, 2 * (numerator_slope - radial * denominator_slope) / denominator

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN, SINGULAR
+from objconnect.scene.geometry.robust import CAUCHY_SCALE, MAX_CONDITION, SIGMA_OF_MEDIAN
 
-# Keeps denominators away from zero.
+# Smallest denominator.
 _TINY = 1e-24
 # Steps (rad and m) shorter than this change nothing measurable.
-_CONVERGED = 1e-7
-# Smallest noise of matches (px), for exact ones.
+_MIN_STEP = 1e-7
+# Smallest noise of matches (px); that of simulated, exact matches would be zero.
 _LEAST_SIGMA = 1e-3
 # Largest number of Levenberg-Marquardt steps; a pose that still moves then is unconstrained.
-_MOST_STEPS: Final = 30
+_MAX_STEPS: Final = 30
 
 
 @dataclass(frozen=True)
@@ -48,26 +48,26 @@ class Matches:
         cross = torch.linalg.cross
         relative = pose @ self.reference.inverse()
         query = self.query_rays
-        seen = self.reference_rays @ relative.rotation.T
-        baseline = relative.translation.expand_as(seen)
+        reference_in_query = self.reference_rays @ relative.rotation.T
+        baseline = relative.translation.expand_as(reference_in_query)
         # Epipolar lines in the query, E x_r, and in the photograph, E^T x_q, and their components
         # in the image plane, both in the query's frame.
-        line = cross(baseline, seen)
-        other = cross(query, baseline) @ relative.rotation
+        line = cross(baseline, reference_in_query)
+        reference_line = cross(query, baseline) @ relative.rotation
         plane = torch.tensor([1.0, 1.0, 0.0], dtype=line.dtype)
-        here, there = line * plane, (other * plane) @ relative.rotation.T
-        squared = (here.square().sum(1) + there.square().sum(1)).clamp_min(_TINY)[:, None]
+        line_xy, reference_xy = line * plane, (reference_line * plane) @ relative.rotation.T
+        squared = (line_xy.square().sum(1) + reference_xy.square().sum(1)).clamp_min(_TINY)[:, None]
         value = (query * line).sum(1, keepdim=True)
-        d_value = torch.cat([cross(line, query), cross(seen, query)], 1)
-        d_rotation = cross(line, here) + cross(query, cross(there, baseline))
-        d_translation = cross(seen, here) + cross(there, query)
+        d_value = torch.cat([cross(line, query), cross(reference_in_query, query)], 1)
+        d_rotation = cross(line, line_xy) + cross(query, cross(reference_xy, baseline))
+        d_translation = cross(reference_in_query, line_xy) + cross(reference_xy, query)
         half_d_squared = torch.cat([d_rotation, d_translation], 1)
         jacobian = (d_value - value / squared * half_d_squared) / squared.sqrt()
         return focal * (value / squared.sqrt())[:, 0], focal * jacobian
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedPose:
     """The result of ``refine``.
 
     Attributes:
@@ -82,7 +82,7 @@ class Refined:
     iterations: int
 
 
-def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined:
+def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> RefinedPose:
     """Minimize the Sampson errors over all photographs by Levenberg-Marquardt with a Cauchy loss.
 
     Args:
@@ -92,27 +92,28 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
     """
     pose, damping, iterations = start, 1e-3, 0
     error, jacobian = _stack(pose, photographs, focal)
-    while iterations < _MOST_STEPS:
+    while iterations < _MAX_STEPS:
         iterations += 1
-        scale = CAUCHY * _sigma(error)
+        scale = CAUCHY_SCALE * _sigma(error)
         weighted = jacobian / (1 + (error / scale) ** 2)[:, None]
         information = weighted.T @ jacobian
         damped = information + damping * torch.diag(information.diagonal() + _TINY)
         step = torch.linalg.solve(damped, -weighted.T @ error)
-        moved = Pose.exp(step) @ pose
-        error_there, jacobian_there = _stack(moved, photographs, focal)
-        if _cost(error_there, scale) <= _cost(error, scale):
-            pose, error, jacobian, damping = moved, error_there, jacobian_there, damping / 10
+        candidate = Pose.exp(step) @ pose
+        candidate_error, candidate_jacobian = _stack(candidate, photographs, focal)
+        if _cost(candidate_error, scale) <= _cost(error, scale):
+            pose, error, jacobian = candidate, candidate_error, candidate_jacobian
+            damping /= 10
         else:
             damping *= 10
-        if float(step.norm()) < _CONVERGED:
+        if float(step.norm()) < _MIN_STEP:
             break
     sigma = _sigma(error)
-    weighted = jacobian / (1 + (error / (CAUCHY * sigma)) ** 2)[:, None]
+    weighted = jacobian / (1 + (error / (CAUCHY_SCALE * sigma)) ** 2)[:, None]
     information = weighted.T @ jacobian
-    if not float(torch.linalg.cond(information)) < SINGULAR:
-        return Refined(pose, None, iterations)
-    return Refined(pose, (torch.linalg.inv(information) * sigma**2).numpy(), iterations)
+    if not float(torch.linalg.cond(information)) < MAX_CONDITION:
+        return RefinedPose(pose, None, iterations)
+    return RefinedPose(pose, (torch.linalg.inv(information) * sigma**2).numpy(), iterations)
 
 
 def _stack(pose: Pose, photographs: Sequence[Matches], focal: float) -> tuple[Tensor, Tensor]:

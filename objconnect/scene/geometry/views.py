@@ -22,23 +22,25 @@ from numpy.typing import NDArray
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 
-# Features this near (px of the view) to the edge of the photograph see the black beyond it.
+# Features within this distance (px of the view) of the edge of the photograph are affected by the
+# black beyond it.
 MARGIN: Final = 8.0
 # Largest vertical component of the optical axis of a camera that looks down.
-_LEVEL: Final = -0.5
+_MAX_AXIS_UP: Final = -0.5
 # Smaller rotations (radians) and relative changes of scale leave a photograph unchanged.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
-# Largest rotation of the optical axis by levelling, radians: more would stretch the image too much.
-_MOST_LEVELLED: Final = np.pi / 4
-# Largest distance from the axis in a levelled view, in focal lengths.
-_WIDEST: Final = 2.2
+# Largest rotation of the optical axis by levelling, radians. A larger one would stretch the image
+# too much.
+_MAX_LEVELLING: Final = np.pi / 4
+# Largest distance of a pixel of a levelled view from its axis, in focal lengths.
+_MAX_RADIUS: Final = 2.2
 # Largest ratio of the pixels of a levelled view to those of the photograph at the same scale.
-_MOST_PIXELS: Final = 2.0
+_MAX_PIXEL_RATIO: Final = 2.0
 
 
 def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
     """Return whether a camera of this rotation (3, 3) looks at least 30 degrees downwards."""
-    return bool(cam_from_world[2, 2] <= _LEVEL)
+    return bool(cam_from_world[2, 2] <= _MAX_AXIS_UP)
 
 
 def north_angle(cam_from_world: NDArray[np.float64]) -> float:
@@ -49,7 +51,7 @@ def north_angle(cam_from_world: NDArray[np.float64]) -> float:
     Args:
         cam_from_world: rotation (3, 3).
 
-    Example:
+    Examples:
         A camera that looks straight down, with north at the top of the image:
 
         >>> north_angle(np.diag([1.0, -1.0, -1.0]))
@@ -77,15 +79,15 @@ def map_angle(cam_from_world: NDArray[np.float64]) -> float:
 def tilt(cam_from_world: NDArray[np.float64]) -> float:
     """Return the angle (rad) between a camera's axis and nadir; 0 looks straight down.
 
-    Example:
+    Examples:
         >>> tilt(np.diag([1.0, -1.0, -1.0]))
         0.0
     """
     return float(np.arccos(np.clip(-cam_from_world[2, 2], -1, 1)))
 
 
-def level_rotation(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of a camera levelled to a tilt of ``least`` rad, north up.
+def level_rotation(cam_from_world: NDArray[np.float64], target_tilt: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a camera levelled to a tilt of ``target_tilt`` rad, north up.
 
     The axis rotates by 45 degrees at most. A camera of less tilt is only rotated north up.
     """
@@ -93,10 +95,10 @@ def level_rotation(cam_from_world: NDArray[np.float64], least: float) -> NDArray
     north_up = roll_rotation(map_angle(cam_from_world)) @ cam_from_world
     vector = cv2.Rodrigues(north_up @ down)[0][:, 0]
     angle = float(np.linalg.norm(vector))
-    kept = max(least, angle - _MOST_LEVELLED)
-    if angle <= kept:
+    new_tilt = max(target_tilt, angle - _MAX_LEVELLING)
+    if angle <= new_tilt:
         return np.asarray(north_up)
-    return np.asarray(cv2.Rodrigues(vector * (kept / angle))[0] @ down)
+    return np.asarray(cv2.Rodrigues(vector * (new_tilt / angle))[0] @ down)
 
 
 def roll_rotation(angle: float) -> NDArray[np.float64]:
@@ -105,12 +107,12 @@ def roll_rotation(angle: float) -> NDArray[np.float64]:
     return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
 
 
-def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotate_north_up(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation (3, 3) of a camera rotated about its axis so that north is up."""
     return np.asarray(roll_rotation(north_angle(cam_from_world)) @ cam_from_world)
 
 
-_Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+_PixelTransform = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -129,15 +131,18 @@ class WarpedImage:
     picture: NDArray[np.uint8]
     camera: Camera
     view_from_camera: NDArray[np.float64]
-    in_photograph: _Map
+    in_photograph: _PixelTransform
     scale: float
     size: NDArray[np.int64]
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether pixels of the view (..., 2) lie in the photograph, 8 px from its edge."""
+        """Return whether pixels of the view (..., 2) lie in the photograph, 8 px from its edge.
+
+        The 8 pixels are those of the view, ``MARGIN``.
+        """
         source, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
-        (x, y), (wide, high) = source.T, self.size - margin
-        inside = (x >= margin) & (x <= wide) & (y >= margin) & (y <= high)
+        (x, y), (right, bottom) = source.T, self.size - margin
+        inside = (x >= margin) & (x <= right) & (y >= margin) & (y <= bottom)
         return np.asarray(inside.reshape(xy.shape[:-1]))
 
     @cached_property
@@ -145,18 +150,18 @@ class WarpedImage:
         """Return whether the photograph fills the view."""
         return bool(np.allclose(self.view_from_camera, np.eye(3)))
 
-    def middle(self, side: int) -> WarpedImage:
+    def crop_middle(self, side: int) -> WarpedImage:
         """Return the central crop of at most ``side`` pixels in width and height."""
         whole = np.array([self.camera.width, self.camera.height])
         size = np.minimum(whole, side)
         corner = (whole - size) // 2
         if not corner.any():
             return self
-        (left, top), (wide, high) = corner.tolist(), size.tolist()
+        (left, top), (width, height) = corner.tolist(), size.tolist()
         return replace(
             self,
-            picture=np.ascontiguousarray(self.picture[top : top + high, left : left + wide]),
-            camera=self.camera.crop(left, top, wide, high),
+            picture=np.ascontiguousarray(self.picture[top : top + height, left : left + width]),
+            camera=self.camera.crop(left, top, width, height),
             in_photograph=partial(_add_corner, self.in_photograph, corner),
         )
 
@@ -200,25 +205,25 @@ def warp_image(
     # Pixels become square, so that the same camera model describes the rotated lens.
     focal = np.array(camera.focal)
     per_axis = scale * focal.mean() / focal
-    turn = roll_rotation(angle)
-    extent = np.abs(turn[:2, :2]) @ (size * per_axis)
-    wide = np.ceil(extent - 1e-6).astype(int)
-    linear = turn[:2, :2] * per_axis
-    affine = np.column_stack([linear, wide / 2 - linear @ (size / 2)])
+    rotation = roll_rotation(angle)
+    extent = np.abs(rotation[:2, :2]) @ (size * per_axis)
+    view_size = np.ceil(extent - 1e-6).astype(int)
+    linear = rotation[:2, :2] * per_axis
+    affine = np.column_stack([linear, view_size / 2 - linear @ (size / 2)])
     params = (*(focal * per_axis), *(linear @ camera.principal + affine[:, 2]))
     if camera.is_fisheye:
         model, lens = "OPENCV_FISHEYE", camera.distortion
     else:
         k1, k2, p1, p2, *more = camera.distortion
         # Radial distortion has no direction; tangential distortion rotates with the image.
-        p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
+        p2, p1 = (rotation[:2, :2] @ [p2, p1]).tolist()
         model, lens = "FULL_OPENCV" if more else "OPENCV", (k1, k2, p1, p2, *more)
-    turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
+    view = Camera(model, int(view_size[0]), int(view_size[1]), (*(float(p) for p in params), *lens))
     # The inverse of a rotation after a scaling, written out: starting LAPACK's threads takes 2 ms.
-    inverse = turn[:2, :2].T / per_axis[:, None]
+    inverse = rotation[:2, :2].T / per_axis[:, None]
     back = partial(_affine_back, inverse, affine[:, 2])
-    along = float(np.linalg.norm(affine[:, 0]))
-    return WarpedImage(resample(rgb, affine, wide), turned, turn, back, along, size)
+    axis_scale = float(np.linalg.norm(affine[:, 0]))
+    return WarpedImage(resample(rgb, affine, view_size), view, rotation, back, axis_scale, size)
 
 
 def level_image(
@@ -239,30 +244,32 @@ def level_image(
     edge = np.linspace(0, 1, 33)
     x, y = np.meshgrid(edge * size[0], edge * size[1])
     rays, valid = camera.unproject(torch.from_numpy(np.stack([x.ravel(), y.ravel()], -1)))
-    turned = rays[valid].double().numpy() @ view_from_camera.T
-    flat = turned[:, :2] / np.maximum(turned[:, 2:], 1e-6)
-    flat = flat[np.linalg.norm(flat, axis=1) <= _WIDEST]
-    extent = np.ptp(flat, axis=0)
+    view_rays = rays[valid].double().numpy() @ view_from_camera.T
+    normalised = view_rays[:, :2] / np.maximum(view_rays[:, 2:], 1e-6)
+    normalised = normalised[np.linalg.norm(normalised, axis=1) <= _MAX_RADIUS]
+    extent = np.ptp(normalised, axis=0)
     focal = float(np.mean(camera.focal))
     pixels = float(np.prod(extent)) * focal**2 / float(np.prod(size))
-    focal *= scale * min(1.0, (_MOST_PIXELS / pixels) ** 0.5)
-    wide, high = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
-    principal = (-flat.min(0) * focal).tolist()
-    view = Camera("PINHOLE", wide, high, (focal, focal, *principal))
+    focal *= scale * min(1.0, (_MAX_PIXEL_RATIO / pixels) ** 0.5)
+    width, height = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
+    principal = (-normalised.min(0) * focal).tolist()
+    view = Camera("PINHOLE", width, height, (focal, focal, *principal))
     back = partial(_to_camera_pixels, view, view_from_camera, camera)
     grid = view.pixel_grid(torch.float64).reshape(-1, 2).numpy()
     shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
     small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
     # OpenCV counts from the first pixel's centre.
-    source = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(high, wide, 2)
+    source = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(height, width, 2)
     source = np.nan_to_num(source, nan=-1e4)
     picture = cv2.remap(small, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
-    along = focal / float(np.mean(camera.focal))
-    return WarpedImage(np.asarray(picture, np.uint8), view, view_from_camera, back, along, size)
+    axis_scale = focal / float(np.mean(camera.focal))
+    return WarpedImage(
+        np.asarray(picture, np.uint8), view, view_from_camera, back, axis_scale, size
+    )
 
 
 def _add_corner(
-    in_photograph: _Map, corner: NDArray[np.int64], xy: NDArray[np.float64]
+    in_photograph: _PixelTransform, corner: NDArray[np.int64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     return in_photograph(xy + corner)
 
@@ -298,11 +305,11 @@ def resample(
         small = small.astype(int)
         rgb = np.asarray(cv2.resize(rgb, small.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
         affine = np.column_stack([affine[:, :2] * ([width, height] / small), affine[:, 2]])
-    moved = from_pixel_centres(affine)
+    moved = opencv_affine(affine)
     return np.asarray(cv2.warpAffine(rgb, moved, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
 
 
-def from_pixel_centres(affine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert an affine map (2, 3) of COLMAP pixels to OpenCV's, whose origin is a pixel centre."""
+def opencv_affine(affine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the affine map (2, 3) of COLMAP pixels for OpenCV, whose origin is a pixel centre."""
     shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
     return np.column_stack([affine[:, :2], shift])

@@ -33,8 +33,8 @@ FORMATS: Final[Registry[Format]] = Registry(
 )
 
 
-FRAMED: Final = "a reconstruction.json of ODM or OpenSfM"
-"""The files whose frame the user may state."""
+FRAMELESS_FILES: Final = "a reconstruction.json of ODM or OpenSfM"
+"""Phrase for the files that do not state the frame of their poses, so that the user may."""
 
 
 def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
@@ -60,6 +60,6 @@ def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
                     return form.read(path)
                 if form.read_in_frame is not None:
                     return form.read_in_frame(path, frame)
-                raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
+                raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
         descriptions.append(form.description)
     raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(descriptions)}")

@@ -1,8 +1,9 @@
 """Conversion of other programs' lenses to cameras of this project.
 
-Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two coefficients
-are COLMAP's OPENCV model, three its FULL_OPENCV model without a denominator. For four, or for skew,
-the nearest such camera is fitted; a lens that it cannot approximate is refused.
+Photogrammetry programs describe a lens by up to four radial coefficients and skew. With two
+coefficients it is COLMAP's OPENCV model, with three the FULL_OPENCV model with k4 to k6 zero. With
+four, or with skew, the nearest FULL_OPENCV camera is fitted; a lens that it cannot approximate is
+refused.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 
-MOST_OFF: Final = 1e-3
-"""Largest error of the camera fitted to a lens, in longer sides of the picture."""
+MAX_FIT_ERROR: Final = 1e-3
+"""Largest error of the camera fitted to a lens, as a share of the picture's longer side."""
 
 LONGEST_FOCAL: Final = 100.0
-"""Largest plausible focal length, in longer sides of the picture."""
+"""Largest plausible focal length, in units of the picture's longer side."""
 
 LARGEST_SIDE: Final = 1_000_000
 """Largest plausible width and height of a picture (pixels)."""
@@ -35,7 +36,7 @@ _ROUNDS = 20
 def require_inside(
     principal: tuple[float, float], size: tuple[int, int], names: tuple[str, str]
 ) -> None:
-    """Refuse a principal point outside the picture: its origin or unit is another one.
+    """Refuse a principal point outside the picture, whose origin or unit must be another one.
 
     Args:
         principal: (cx, cy), COLMAP pixels.
@@ -45,10 +46,10 @@ def require_inside(
     Raises:
         InputError: the principal point is outside.
     """
-    for at, side, name in zip(principal, size, names, strict=True):
-        if not 0 <= at <= side:
+    for pixel, side, name in zip(principal, size, names, strict=True):
+        if not 0 <= pixel <= side:
             raise InputError(
-                f"{name} puts the principal point at {at:.0f} of {side} pixels, outside the "
+                f"{name} puts the principal point at {pixel:.0f} of {side} pixels, outside the "
                 "picture: it is counted from another point or in another unit"
             )
 
@@ -80,18 +81,18 @@ class BrownLens:
         """Return the equal OPENCV or FULL_OPENCV camera, or the nearest one.
 
         Raises:
-            InputError: the parameters are invalid, or no camera is within ``MOST_OFF``.
+            InputError: the parameters are invalid, or no camera is within ``MAX_FIT_ERROR``.
         """
         k1, k2, k3, k4 = self.radial
-        exact = self._with((*self.focal, *self.principal, k1, k2, *self.tangential, k3))
+        exact = self._make_camera((*self.focal, *self.principal, k1, k2, *self.tangential, k3))
         if not (k4 or self.skew):
             return exact
         extra = (k4, self.skew)
         if not np.isfinite(extra).all() or np.abs(extra).max() > 1e9:
-            raise InputError("camera parameters are out of range")
+            raise InputError("the coefficient k4 or the skew is out of range")
         return self._fit()
 
-    def _with(self, params: Sequence[float]) -> Camera:
+    def _make_camera(self, params: Sequence[float]) -> Camera:
         """Return the camera of fx, fy, cx, cy, k1, k2, p1, p2 and k3."""
         *most, k3 = params
         if k3 == 0:
@@ -116,8 +117,8 @@ class BrownLens:
         x, y = radius * np.cos(angle), radius * np.sin(angle)
         xy = self.project(x.ravel(), y.ravel()).reshape(*x.shape, 2)
         inside = ((xy >= 0) & (xy <= np.array(self.size))).all(-1)
-        out = np.linalg.norm(xy - np.array(self.principal), axis=-1)
-        inside[:, 1:] &= np.diff(out, axis=1) > 0
+        distance = np.linalg.norm(xy - np.array(self.principal), axis=-1)
+        inside[:, 1:] &= np.diff(distance, axis=1) > 0
         kept = np.logical_and.accumulate(inside, axis=1)
         return x[kept], y[kept]
 
@@ -139,15 +140,18 @@ class BrownLens:
         for _ in range(_ROUNDS):
             root = np.sqrt(np.tile(weight, 2))
             solution = np.linalg.lstsq(rows * root[:, None], pixels * root, rcond=None)[0]
-            off = np.linalg.norm((rows @ solution - pixels).reshape(2, -1), axis=0)
-            if not off.any():
+            errors = np.linalg.norm((rows @ solution - pixels).reshape(2, -1), axis=0)
+            if not errors.any():
                 break
-            weight *= off / (weight @ off)
-        f, *bent = solution.tolist()
-        most = float(off.max()) / max(self.size)
-        if not (most <= MOST_OFF and f > 0):
+            weight *= errors / (weight @ errors)
+        f, *scaled_coefficients = solution.tolist()
+        max_error = float(errors.max()) / max(self.size)
+        if not (max_error <= MAX_FIT_ERROR and f > 0):
             raise InputError(
-                f"the lens is {most * max(self.size):.1f} px from the nearest FULL_OPENCV camera: "
-                "undistort the photographs, or calibrate without skew and with fewer coefficients"
+                f"the lens is {max_error * max(self.size):.1f} px from the nearest FULL_OPENCV "
+                "camera: undistort the photographs, or calibrate without skew and with fewer "
+                "coefficients"
             )
-        return self._with((f, f * ratio, *self.principal, *(value / f for value in bent)))
+        return self._make_camera(
+            (f, f * ratio, *self.principal, *(value / f for value in scaled_coefficients))
+        )

@@ -36,19 +36,19 @@ def _read(path: Path) -> ForeignPoses:
     # Unused sensors have an empty calibration.
     used = dict.fromkeys(camera.get("sensor_id") for camera in aligned)
     cameras = {name: camera_of(path, sensors[name]) for name in used if name in sensors}
-    worlds = _worlds(path, chunk, aligned)
+    transforms = _world_from_chunk(path, chunk, aligned)
     names, lenses, matrices = [], [], []
     for camera in aligned:
         name = camera.get("label", "")
         chunk_from_cam = numbers_of(path, camera.find("transform"), 16, f"transform of {name!r}")
-        chunk_from_cam = _with_last_row(path, chunk_from_cam.reshape(4, 4), name)
+        chunk_from_cam = _require_last_row(path, chunk_from_cam.reshape(4, 4), name)
         names.append(name)
         lenses.append(cameras.get(camera.get("sensor_id")))
-        matrices.append(_to_world(chunk_from_cam, worlds[camera.get("component_id")]))
-    world_from_cam, origin = _on_earth(np.array(matrices).reshape(-1, 4, 4))
-    if origin is None and len(worlds) > 1:
+        matrices.append(_to_world(chunk_from_cam, transforms[camera.get("component_id")]))
+    world_from_cam, origin = _localize_geocentric(np.array(matrices).reshape(-1, 4, 4))
+    if origin is None and len(transforms) > 1:
         raise InputError(
-            f"{path}: its photographs are in {len(worlds)} components, which nothing places in one "
+            f"{path}: its photographs are in {len(transforms)} components, which have no common "
             "frame: export one component, or align and reference them together"
         )
     return check_poses(path, names, lenses, world_from_cam, origin)
@@ -59,12 +59,13 @@ def _chunk(path: Path) -> ET.Element:
     chunks = list(_parse(path).iter("chunk"))
     if not chunks:
         raise InputError(f"{path} has no chunk: export it with Metashape's Export Cameras")
-    full = [chunk for chunk in chunks if any(map(_is_aligned, chunk.iter("camera")))]
-    if len(full) > 1:
+    with_photographs = [chunk for chunk in chunks if any(map(_is_aligned, chunk.iter("camera")))]
+    if len(with_photographs) > 1:
         raise InputError(
-            f"{path} has {len(full)} chunks, each in a frame of its own: export the cameras of one"
+            f"{path} has photographs in {len(with_photographs)} chunks, each with its own frame: "
+            "export the cameras of one chunk"
         )
-    return full[0] if full else chunks[0]
+    return with_photographs[0] if with_photographs else chunks[0]
 
 
 def _is_aligned(camera: ET.Element) -> bool:
@@ -73,25 +74,31 @@ def _is_aligned(camera: ET.Element) -> bool:
     return camera.find("transform") is not None and enabled is not False
 
 
-def _worlds(
+def _world_from_chunk(
     path: Path, chunk: ET.Element, aligned: Sequence[ET.Element]
 ) -> dict[str | None, Array | None]:
-    """Return world_from_chunk of each component with photographs; None for a local frame.
+    """Return world_from_chunk (4, 4) of each component with photographs; None for a local frame.
 
     Older files have one transform, that of the chunk.
     """
-    own = {one.get("id"): _similarity(path, one) for one in chunk.iter("component")}
+    by_component = {one.get("id"): _similarity(path, one) for one in chunk.iter("component")}
     used = dict.fromkeys(camera.get("component_id") for camera in aligned)
-    worlds = {name: own.get(name) for name in used}
-    if not any(world is not None for world in own.values()) and len(worlds) == 1:
-        return dict.fromkeys(worlds, _similarity(path, chunk))
-    placed = [world is not None for world in worlds.values()]
-    if any(placed) and not all(placed):
-        raise InputError(f"{path}: some photographs are in a component without a transform")
-    return worlds
+    transforms = {name: by_component.get(name) for name in used}
+    if (
+        not any(transform is not None for transform in by_component.values())
+        and len(transforms) == 1
+    ):
+        return dict.fromkeys(transforms, _similarity(path, chunk))
+    is_placed = [transform is not None for transform in transforms.values()]
+    if any(is_placed) and not all(is_placed):
+        raise InputError(
+            f"{path}: some photographs are in a component without a transform: export one "
+            "component, or align and reference them together"
+        )
+    return transforms
 
 
-def _with_last_row(path: Path, matrix: Array, name: str) -> Array:
+def _require_last_row(path: Path, matrix: Array, name: str) -> Array:
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
         raise InputError(f"{path}: the transform of {name!r} does not end with the row 0 0 0 1")
     return matrix
@@ -138,7 +145,7 @@ def _to_world(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
     return moved
 
 
-def _on_earth(world_from_cam: Array) -> tuple[Array, Geodetic | None]:
+def _localize_geocentric(world_from_cam: Array) -> tuple[Array, Geodetic | None]:
     """Convert geocentric poses to east, north, up from their median; others stay unchanged."""
     if not len(world_from_cam):
         return world_from_cam, None

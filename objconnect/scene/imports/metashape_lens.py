@@ -2,7 +2,7 @@
 
 The principal point ``cx``, ``cy`` is in COLMAP pixels from the middle of the picture. ``b1`` is
 fx - fy, ``b2`` the skew, and ``p1`` and ``p2`` are OpenCV's in reverse order (Metashape
-Professional's user manual, appendix "Camera models"). Zero coefficients are omitted.
+Professional's user manual, appendix "Camera models"). Metashape omits coefficients that are zero.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from objconnect.scene.imports.lens import LARGEST_SIDE, BrownLens, require_insid
 log = logging.getLogger(__name__)
 
 # Fisheye cameras have no skew and no tangential distortion; smaller values have no visible effect.
-_NOTHING: Final = 1e-9
-_READ: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
+_NEGLIGIBLE: Final = 1e-9
+_PARAMETERS: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
 # Elements of a calibration that are no lens parameters.
-_OTHER: Final = ("resolution", "covariance", "date", "correlation")
+_OTHER_ELEMENTS: Final = ("resolution", "covariance", "date", "correlation")
 
 
 def numbers_of(
@@ -42,7 +42,7 @@ def numbers_of(
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
-        raise InputError(f"{path}: the {what} must be {count} numbers")
+        raise InputError(f"{path}: the {what} must be {count} finite numbers")
     return values
 
 
@@ -72,18 +72,18 @@ def camera_of(path: Path, sensor: ET.Element) -> Camera | None:
 
 
 def _parameters(path: Path, calibration: ET.Element, where: str) -> dict[str, float]:
-    part = {}
+    params = {}
     for element in calibration:
-        if element.tag in _OTHER:
+        if element.tag in _OTHER_ELEMENTS:
             continue
-        if element.tag in _READ:
+        if element.tag in _PARAMETERS:
             what = f"{element.tag} of {where}"
-            part[element.tag] = float(numbers_of(path, element, 1, what)[0])
+            params[element.tag] = float(numbers_of(path, element, 1, what)[0])
         elif (element.text or "").strip() not in ("", "0"):
             raise InputError(f"the coefficient {element.tag} is not supported")
-    if "f" not in part:
+    if "f" not in params:
         raise InputError("no focal length f")
-    return part
+    return params
 
 
 def _size(sensor: ET.Element, calibration: ET.Element) -> tuple[int, int]:
@@ -122,21 +122,23 @@ def _kind(sensor: ET.Element, calibration: ET.Element) -> str:
     return stated[0] if stated else "frame"
 
 
-def _lens(kind: str, size: tuple[int, int], part: dict[str, float]) -> Camera:
+def _lens(kind: str, size: tuple[int, int], params: dict[str, float]) -> Camera:
     """Return the camera of a calibration.
 
     Raises:
         InputError: the type is not supported, or the parameters are invalid.
     """
-    f, b1, b2, p1, p2 = (part.get(name, 0.0) for name in ("f", "b1", "b2", "p1", "p2"))
-    k1, k2, k3, k4 = (part.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))
-    cx, cy = (part.get(name, 0.0) + side / 2 for name, side in zip(("cx", "cy"), size, strict=True))
+    f, b1, b2, p1, p2 = (params.get(name, 0.0) for name in ("f", "b1", "b2", "p1", "p2"))
+    k1, k2, k3, k4 = (params.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))
+    cx, cy = (
+        params.get(name, 0.0) + side / 2 for name, side in zip(("cx", "cy"), size, strict=True)
+    )
     require_inside((cx, cy), size, ("cx", "cy"))
     if kind == "frame":
         radial = (k1, k2, k3, k4)
         return BrownLens(size, (f + b1, f), (cx, cy), radial, (p2, p1), b2).camera()
     if kind != "fisheye":
         raise InputError(f"cameras of type {kind!r} are not supported")
-    if max(abs(b2), abs(p1), abs(p2)) > _NOTHING:
+    if max(abs(b2), abs(p1), abs(p2)) > _NEGLIGIBLE:
         raise InputError("a fisheye with b2, p1 or p2 is not supported: fix them at 0")
     return Camera("OPENCV_FISHEYE", *size, (f + b1, f, cx, cy, k1, k2, k3, k4))

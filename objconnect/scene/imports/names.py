@@ -41,31 +41,32 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
         InputError: a name matches two photographs, for example a name without a folder and
             photographs of that name in two folders.
 
-    Example:
+    Examples:
         >>> match_files(["a/IMG_1.JPG", "IMG_2.JPG"], ["img_1.jpg", "IMG_2"], Path("poses.xml"))
         {'a/IMG_1.JPG': 'img_1.jpg', 'IMG_2.JPG': 'IMG_2'}
     """
     found: dict[str, str] = {}
-    free = list(names)
-    for spelled in _SPELLINGS:
-        named: dict[str, list[str]] = {}
-        for name in free:
-            named.setdefault(spelled(name), []).append(name)
+    unmatched = list(names)
+    for spell in _SPELLINGS:
+        names_by_spelling: dict[str, list[str]] = {}
+        for name in unmatched:
+            names_by_spelling.setdefault(spell(name), []).append(name)
         owners: dict[str, str] = {}
         for file in files:
-            alike = named.get(spelled(file), [])
+            alike = names_by_spelling.get(spell(file), [])
             if file in found or len(alike) != 1:
                 continue
-            other = owners.setdefault(alike[0], file)
-            if other != file:
-                raise _ambiguity_error(where, alike[0], other, file)
+            owner = owners.setdefault(alike[0], file)
+            if owner != file:
+                raise _ambiguity_error(where, alike[0], owner, file)
             found[file] = alike[0]
-        free = [name for name in free if name not in owners]
-    bare = {_fold_case(name): file for file, name in found.items()}
+        unmatched = [name for name in unmatched if name not in owners]
+    # A matched name without a folder may also mean a photograph of that name in another folder.
+    file_of_name = {_fold_case(name): file for file, name in found.items()}
     for file in files:
-        other = bare.get(PurePosixPath(_fold_case(file)).name, file)
-        if file not in found and other != file:
-            raise _ambiguity_error(where, found[other], other, file)
+        owner = file_of_name.get(PurePosixPath(_fold_case(file)).name, file)
+        if file not in found and owner != file:
+            raise _ambiguity_error(where, found[owner], owner, file)
     return {file: found[file] for file in files if file in found}
 
 

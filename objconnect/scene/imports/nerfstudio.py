@@ -34,20 +34,20 @@ class _Document(Intrinsics):
     applied_scale: FiniteFloat | None = Field(None, gt=1e-6, lt=1e6)
 
 
-_WHOLE = {"frames", "applied_transform", "applied_scale"}
-_OF_A_FRAME = {"file_path", "transform_matrix"}
+_DOCUMENT_FIELDS = {"frames", "applied_transform", "applied_scale"}
+_FRAME_FIELDS = {"file_path", "transform_matrix"}
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _read(path: Path) -> ForeignPoses:
     file = path / _FILE if path.is_dir() else path
     document = read_json(file, _Document, "nerfstudio's transforms")
-    shared = document.model_dump(exclude=_WHOLE, exclude_none=True)
+    shared = document.model_dump(exclude=_DOCUMENT_FIELDS, exclude_none=True)
     cameras = []
     for frame in document.frames:
-        own = frame.model_dump(exclude=_OF_A_FRAME, exclude_none=True)
+        frame_values = frame.model_dump(exclude=_FRAME_FIELDS, exclude_none=True)
         try:
-            cameras.append(Intrinsics.model_validate(shared | own).camera())
+            cameras.append(Intrinsics.model_validate(shared | frame_values).camera())
         except InputError as error:
             raise InputError(f"{file}: {frame.file_path}: {error}") from None
     matrices = np.array([frame.transform_matrix for frame in document.frames]).reshape(-1, 4, 4)
@@ -55,7 +55,7 @@ def _read(path: Path) -> ForeignPoses:
         if not np.allclose(matrix[3], _LAST_ROW, rtol=0, atol=1e-6):
             raise InputError(
                 f"{file}: transform_matrix of {frame.file_path!r} does not end with the row "
-                "0 0 0 1: is it transposed?"
+                "0 0 0 1: transpose it if it is stored by columns"
             )
     matrices = _undo_transform(file, document, matrices)
     # OpenGL's camera looks along -z with y up.

@@ -28,21 +28,21 @@ _COEFFICIENTS: Final = {
     "RADIAL_FISHEYE": ("k1", "k2"),
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
-_ONE_FOCAL: Final = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE")
+_ONE_FOCAL_MODELS: Final = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE")
 # Keys that change the lens or the pose and are not supported.
-_REFUSED: Final = re.compile(
+_UNSUPPORTED_KEYS: Final = re.compile(
     r"k[0-9]+|p[0-9]+|s[0-9]+|b[0-9]+|[sc]x[0-9]|sy[0-9]|xi|omega|skew|alpha|beta|ftheta_p\d|"
     r"f_?theta.*|latlong|equirectangular|orthographic|lens_params|rolling_shutter|from_na|"
     r"camera_convention|coordinate_system|transform_matrix_(start|end)|distortion.*",
     re.IGNORECASE,
 )
-# A focal length below this share of the longer side is not in pixels, nor is a principal point
-# whose coordinates are at most 1.
-_LEAST_FOCAL, _LARGEST_RELATIVE = 0.05, 1.0
+# A focal length is not in pixels if it is below this share of the longer side in pixels, and a
+# principal point is not if its coordinates are at most 1.
+_MIN_FOCAL_SHARE, _MAX_RELATIVE = 0.05, 1.0
 
 
 class Intrinsics(BaseModel):
-    """The intrinsics of a file or of one of its frames."""
+    """The intrinsics of a file or of one of its frames: lengths in pixels, angles in radians."""
 
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
 
@@ -74,16 +74,16 @@ class Intrinsics(BaseModel):
         model = self._model()
         if self.w is None or self.h is None or self.fl_x is None:
             return None
-        width, height = _whole("w", self.w), _whole("h", self.h)
+        width, height = _require_whole("w", self.w), _require_whole("h", self.h)
         fisheye = model.endswith("FISHEYE")
         focal = self._focal(self.fl_x, (width, height), fisheye)
-        if model in _ONE_FOCAL and focal[0] != focal[1]:
+        if model in _ONE_FOCAL_MODELS and focal[0] != focal[1]:
             raise InputError(f"camera_model {model} has one focal length, but fl_y is not fl_x")
         principal = (
             width / 2 if self.cx is None else self.cx,
             height / 2 if self.cy is None else self.cy,
         )
-        if max(map(abs, principal)) <= _LARGEST_RELATIVE < min(width, height):
+        if max(map(abs, principal)) <= _MAX_RELATIVE < min(width, height):
             raise InputError(f"cx, cy {principal} are not in pixels of {width} x {height}")
         require_inside(principal, (width, height), ("cx", "cy"))
         k1, k2, k3, k4, p1, p2 = (getattr(self, name) or 0.0 for name in _COEFFICIENTS["OPENCV"])
@@ -98,8 +98,8 @@ class Intrinsics(BaseModel):
         flag = None if self.is_fisheye is None else parse_flag(self.is_fisheye)
         if self.is_fisheye is not None and flag is None:
             raise InputError(f"is_fisheye is {self.is_fisheye!r}, neither true nor false")
-        usual = "OPENCV_FISHEYE" if flag else "OPENCV"
-        model = usual if self.camera_model is None else self.camera_model.strip().upper()
+        default = "OPENCV_FISHEYE" if flag else "OPENCV"
+        model = default if self.camera_model is None else self.camera_model.strip().upper()
         if model not in _COEFFICIENTS:
             raise InputError(f"camera_model {self.camera_model!r} is not supported")
         if flag is not None and flag != model.endswith("FISHEYE"):
@@ -107,16 +107,16 @@ class Intrinsics(BaseModel):
                 f"camera_model {model} and is_fisheye {self.is_fisheye!r} contradict each other"
             )
         values = {name: getattr(self, name) for name in _COEFFICIENTS["OPENCV"]}
-        more = [name for name, v in values.items() if v and name not in _COEFFICIENTS[model]]
-        if more:
+        lost = [name for name, v in values.items() if v and name not in _COEFFICIENTS[model]]
+        if lost:
             field = "camera_model" if self.camera_model is not None else "is_fisheye"
-            raise InputError(f"{field} says {model}, which has no {', '.join(more)}")
+            raise InputError(f"{field} says {model}, which has no {', '.join(lost)}")
         return model
 
     def _focal(self, fl_x: float, size: tuple[int, int], fisheye: bool) -> tuple[float, float]:
         """Return the focal lengths (pixels), checked against the angles of view."""
         fl_y = fl_x if self.fl_y is None else self.fl_y
-        if min(fl_x, fl_y) < _LEAST_FOCAL * max(size):
+        if min(fl_x, fl_y) < _MIN_FOCAL_SHARE * max(size):
             raise InputError(f"fl_x, fl_y {fl_x:g}, {fl_y:g} are no focal lengths in pixels")
         stated = (("x", fl_x, self.camera_angle_x), ("y", fl_y, self.camera_angle_y))
         for (axis, focal, angle), side in zip(stated, size, strict=True):
@@ -136,7 +136,7 @@ def _refuse_unsupported(keys: dict[str, Any]) -> None:
         InputError: such a key has a value other than zero, false or empty.
     """
     for key, value in keys.items():
-        if _REFUSED.fullmatch(key) and _is_set(value):
+        if _UNSUPPORTED_KEYS.fullmatch(key) and _is_set(value):
             raise InputError(f"the key {key!r} changes the camera and is not supported")
 
 
@@ -148,7 +148,7 @@ def _is_set(value: object) -> bool:
     return bool(value)
 
 
-def _whole(name: str, value: float) -> int:
+def _require_whole(name: str, value: float) -> int:
     if value != round(value):
         raise InputError(f"{name} is {value:g}, but a picture has whole pixels")
     return int(value)

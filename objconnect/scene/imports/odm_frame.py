@@ -1,12 +1,12 @@
 """The frame of ODM's reconstructions: metres east, north and up, or a projected system.
 
 OpenSfM writes ``reconstruction.json`` in metres east, north and up from ``reference_lla``. ODM then
-runs ``export_geocoords --reconstruction``: an affine map moves it to a UTM zone minus an offset and
-overwrites the file; the original is kept as ``reconstruction.topocentric.json``. Both files have
-the same fields and the same ``reference_lla``. The frame is inferred from the other file, from the
-file name, from the GPS positions of the shots (which stay along east and north), from a project of
-plain OpenSfM (which moves nothing), or it is stated by the user. It is an error if the frame
-remains unknown or if two sources contradict each other.
+runs ``export_geocoords --reconstruction``, which transforms the reconstruction to a UTM zone minus
+an offset and overwrites the file; the original is kept as ``reconstruction.topocentric.json``. Both
+files have the same fields and the same ``reference_lla``. The frame is inferred from the other
+file, from the file name, from the GPS positions of the shots (which stay along east and north),
+from a project of plain OpenSfM (which transforms nothing), or it is stated by the user. It is an
+error if the frame remains unknown or if two sources contradict each other.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ log = logging.getLogger(__name__)
 TOPOCENTRIC: Final = "reconstruction.topocentric.json"
 """ODM's name of the reconstruction in metres east, north and up."""
 
-_REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt beside it"
-_NAMES: Final[dict[str, Frame]] = {
+_REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt in its project"
+_FRAME_OF_NAME: Final[dict[str, Frame]] = {
     TOPOCENTRIC: "topocentric",
     "reconstruction.geocoords.json": "projected",  # of export_geocoords
 }
-_FRAMES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
+_FRAME_OF_AXES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
 _OPTION: Final = "--poses-frame"
 # A folder of plain OpenSfM has all of these; ODM has a list of photographs instead of images.
-_OF_OPENSFM: Final = ("images", "exif", "camera_models.json")
-_OF_ODM: Final = "image_list.txt"
+_OPENSFM_FILES: Final = ("images", "exif", "camera_models.json")
+_ODM_FILE: Final = "image_list.txt"
 # Largest distance of a camera from the origin of its world, metres.
-_FARTHEST_M: Final = 100_000.0
+_MAX_ORIGIN_DISTANCE_M: Final = 100_000.0
 # Two files hold one reconstruction if a similarity maps their poses within these tolerances (m,
 # radians, share of the extent) with a scale this near to one.
-_SAME_M, _SAME_RAD, _SAME_PART, _SCALE = 0.02, 2e-3, 1e-3, 0.01
+_SAME_M, _SAME_RAD, _SAME_PART, _SAME_SCALE = 0.02, 2e-3, 1e-3, 0.01
 # Axes closer than this (radians) count as equal: over a flight they differ by centimetres.
 _SMALL_TURN: Final = 2e-4
 
@@ -80,14 +80,14 @@ class Shots:
 
 
 def topocentric(
-    path: Path, shots: Shots, beside: Shots | None, stated: Frame | None = None
+    path: Path, shots: Shots, sibling: Shots | None, stated: Frame | None = None
 ) -> Shots:
     """Return shots in metres east, north and up from their origin.
 
     Args:
         path: file of the shots.
         shots: shots in the frame of the file.
-        beside: shots of the file ``TOPOCENTRIC`` in the same folder; None without one.
+        sibling: shots of the file ``TOPOCENTRIC`` in the same folder; None without one.
         stated: frame that the user states; None if not stated.
 
     Raises:
@@ -98,10 +98,10 @@ def topocentric(
         return shots  # unchanged, because ``check_poses`` reports the error
     if path.name == TOPOCENTRIC:
         return _check_without_coords(path, shots, stated)
-    if beside is not None and not _is_sane(beside):
+    if sibling is not None and not _is_sane(sibling):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
-    if beside is not None:
-        topocentric_shots = _from_beside(path, shots, beside, stated)
+    if sibling is not None:
+        topocentric_shots = _from_sibling(path, shots, sibling, stated)
         if topocentric_shots is not None:
             return topocentric_shots
     system = _system_of(path)
@@ -116,7 +116,7 @@ def _is_sane(shots: Shots) -> bool:
 
 def _require_near_origin(path: Path, shots: Shots) -> Shots:
     """Return the shots, or raise ``InputError`` if the cameras are too far from the origin."""
-    if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
+    if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _MAX_ORIGIN_DISTANCE_M:
         raise InputError(
             f"{path}: its shots are not in metres from reference_lla but in a projected system, as "
             f"export_geocoords writes: give OpenSfM's own reconstruction, or {TOPOCENTRIC}"
@@ -124,62 +124,62 @@ def _require_near_origin(path: Path, shots: Shots) -> Shots:
     return shots
 
 
-def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) -> Shots | None:
-    """Return the poses of the topocentric file; None if it lacks a shot."""
-    row = {name: k for k, name in enumerate(beside.names)}
+def _from_sibling(path: Path, shots: Shots, sibling: Shots, stated: Frame | None) -> Shots | None:
+    """Return the shots with the poses of the topocentric file; None if that lacks a shot."""
+    row = {name: k for k, name in enumerate(sibling.names)}
     if not set(shots.names) <= row.keys():
         return None
-    if not is_same_place(shots.origin, beside.origin, _SAME_M):
+    if not is_same_place(shots.origin, sibling.origin, _SAME_M):
         raise InputError(
             f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: remove the file of "
             "the other reconstruction"
         )
-    there = beside.world_from_cam[[row[name] for name in shots.names]]
-    if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
-        _agree(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
+    topocentric_poses = sibling.world_from_cam[[row[name] for name in shots.names]]
+    if np.allclose(topocentric_poses, shots.world_from_cam, rtol=0, atol=1e-6):
+        _require_agreement(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
         return shots
-    if not _is_moved(shots.world_from_cam, there):
+    if not _is_transformed(shots.world_from_cam, topocentric_poses):
         raise InputError(
             f"{path} and {TOPOCENTRIC} beside it are of two reconstructions: give the latter, or "
-            "move it away"
+            "move one of the files to another folder"
         )
-    _agree(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
+    _require_agreement(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
     log.warning("%s is in a projected system: poses are those of %s", path, TOPOCENTRIC)
-    return replace(shots, world_from_cam=there, origin=beside.origin)
+    return replace(shots, world_from_cam=topocentric_poses, origin=sibling.origin)
 
 
-def _is_moved(projected: Array, there: Array) -> bool:
+def _is_transformed(projected: Array, enu_poses: Array) -> bool:
     """Return whether a vertical rotation, a shift and a scale near one map the two sets of poses.
 
     Args:
         projected: (N, 4, 4) world_from_cam.
-        there: (N, 4, 4) world_from_cam in metres east, north and up.
+        enu_poses: (N, 4, 4) world_from_cam in metres east, north and up.
     """
     left, _, right = np.linalg.svd(
-        (projected[:, :3, :3] @ there[:, :3, :3].transpose(0, 2, 1)).sum(0)
+        (projected[:, :3, :3] @ enu_poses[:, :3, :3].transpose(0, 2, 1)).sum(0)
     )
-    turn = left @ right
-    off = turn @ there[:, :3, :3] - projected[:, :3, :3]
-    if np.abs(off).max() > _SAME_RAD or turn[2, 2] < math.cos(_SAME_RAD):
+    rotation = left @ right
+    residual = rotation @ enu_poses[:, :3, :3] - projected[:, :3, :3]
+    if np.abs(residual).max() > _SAME_RAD or rotation[2, 2] < math.cos(_SAME_RAD):
         return False
-    own = projected[:, :3, 3] - projected[:, :3, 3].mean(0)
-    other = (there[:, :3, 3] - there[:, :3, 3].mean(0)) @ turn.T
-    extent = float(np.linalg.norm(other, axis=1).max())
-    spread = float((other**2).sum())
-    scale = float((own * other).sum()) / spread if spread > 0 else 1.0
-    most = float(np.abs(own - scale * other).max())
-    return abs(scale - 1) < _SCALE and most < _SAME_M + _SAME_PART * extent
+    projected_centres = projected[:, :3, 3] - projected[:, :3, 3].mean(0)
+    enu_centres = (enu_poses[:, :3, 3] - enu_poses[:, :3, 3].mean(0)) @ rotation.T
+    extent = float(np.linalg.norm(enu_centres, axis=1).max())
+    spread = float((enu_centres**2).sum())
+    scale = float((projected_centres * enu_centres).sum()) / spread if spread > 0 else 1.0
+    distance = float(np.abs(projected_centres - scale * enu_centres).max())
+    return abs(scale - 1) < _SAME_SCALE and distance < _SAME_M + _SAME_PART * extent
 
 
 def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
     """Return the projected system of ODM's project and its offset (2,), from coords.txt."""
-    place = path.parent.resolve()  # of a relative path, ``parent.parent`` may be ``parent``
-    for folder in (place / "odm_georeferencing", place.parent / "odm_georeferencing"):
+    parent = path.parent.resolve()  # of a relative path, ``parent.parent`` may be ``parent``
+    for folder in (parent / "odm_georeferencing", parent.parent / "odm_georeferencing"):
         for file in (folder / "coords.txt", folder / "odm_georeferencing_model_geo.txt"):
             if file.is_file():
                 return _read_system(file)
-    beside = place / "coords.txt"
-    return _read_system(beside) if beside.is_file() else None
+    file = parent / "coords.txt"
+    return _read_system(file) if file.is_file() else None
 
 
 def _read_system(file: Path) -> tuple[NamedSystem, Array]:
@@ -196,40 +196,43 @@ def _read_system(file: Path) -> tuple[NamedSystem, Array]:
 def _from_system(
     path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: Frame | None
 ) -> Shots:
-    """Return the shots with ODM's move undone, if the file was moved."""
-    linear, shift = _move(path, shots.origin, system, offset)
+    """Return the shots with ODM's transform undone, if the file was transformed."""
+    linear, shift = _export_transform(path, shots.origin, system, offset)
     turn = math.atan2(linear[1, 0], linear[0, 0])
-    back = _undo_shift(shots, linear, shift)
-    between = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
-    if between < _SAME_M and abs(turn) < _SMALL_TURN:
+    back = _undo_transform(shots, linear, shift)
+    difference = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
+    if difference < _SAME_M and abs(turn) < _SMALL_TURN:
         return back
-    if _frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
+    if _find_frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
         return _require_near_origin(path, shots)
-    log.warning("%s is in %s: its poses are moved back", path, system.projection.name)
+    log.warning("%s is in %s: its poses are transformed back", path, system.projection.name)
     return _require_near_origin(path, back)
 
 
-def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> tuple[Array, Array]:
+def _export_transform(
+    path: Path, origin: Geodetic, system: NamedSystem, offset: Array
+) -> tuple[Array, Array]:
     """Return the linear part (3, 3) and shift (3,) of the affine map of export_geocoords."""
     steps = np.vstack([np.zeros(3), np.eye(3)])
     places = [geodetic_from_enu(step, origin) for step in steps]
-    seen = np.array([system.projection.from_geodetic(place) for place in places])
-    if not np.isfinite(seen).all():
+    projected = np.array([system.projection.from_geodetic(place) for place in places])
+    if not np.isfinite(projected).all():
         raise InputError(f"{path}: reference_lla is no place in {system.projection.name}")
     # OpenSfM keeps the altitude: the system's own heights do not matter.
-    seen[:, 2] = [place.altitude for place in places]
-    shift = seen[0] - [*offset, 0.0]
-    if np.abs(shift[:2]).max() > _FARTHEST_M:
+    projected[:, 2] = [place.altitude for place in places]
+    shift = projected[0] - [*offset, 0.0]
+    if np.abs(shift[:2]).max() > _MAX_ORIGIN_DISTANCE_M:
         raise InputError(f"{path}: reference_lla is not near the offset in ODM's coords.txt")
-    return (seen[1:] - seen[0]).T, shift
+    return (projected[1:] - projected[0]).T, shift
 
 
-def _undo_shift(shots: Shots, linear: Array, shift: Array) -> Shots:
+def _undo_transform(shots: Shots, linear: Array, shift: Array) -> Shots:
+    """Return the shots before the affine map of export_geocoords."""
     left, _, right = np.linalg.svd(linear)
-    there = shots.world_from_cam.copy()
-    there[:, :3, :3] = (left @ right).T @ there[:, :3, :3]
-    there[:, :3, 3] = np.linalg.solve(linear, (shots.centres - shift).T).T
-    return replace(shots, world_from_cam=there)
+    world_from_cam = shots.world_from_cam.copy()
+    world_from_cam[:, :3, :3] = (left @ right).T @ world_from_cam[:, :3, :3]
+    world_from_cam[:, :3, 3] = np.linalg.solve(linear, (shots.centres - shift).T).T
+    return replace(shots, world_from_cam=world_from_cam)
 
 
 def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Shots:
@@ -237,7 +240,7 @@ def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Sho
     _require_near_origin(path, shots)
     zone = utm_zone(shots.origin.longitude)
     grid = f"a UTM grid, such as zone {zone}"
-    frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
+    frame = _find_frame(path, shots, convergence(shots.origin, zone), stated, grid)
     if frame.value == "projected":
         raise InputError(
             f"{path}: its poses are in a projected system by {frame.source}, and its offset is "
@@ -246,7 +249,7 @@ def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Sho
     return shots
 
 
-def _frame(
+def _find_frame(
     path: Path, shots: Shots, turn: float, stated: Frame | None, grid: str
 ) -> Reading[Frame]:
     """Return the frame of a file on which all sources agree.
@@ -262,19 +265,21 @@ def _frame(
         InputError: no source states the frame, or two contradict each other.
     """
     axes = infer_axes(shots.centres[:, :2], shots.measured[:, :2], turn)
-    why, seen = axes.why, None
+    why, gps_frame = axes.why, None
     if axes.value is not None and abs(turn) > _SMALL_TURN:
-        seen = _FRAMES[axes.value]
+        gps_frame = _FRAME_OF_AXES[axes.value]
     elif axes.value is not None:
         degrees = math.degrees(_SMALL_TURN)
         why = f"{axes.source} cannot distinguish axes within {degrees:.2g} degrees"
-    frame = _agree(
+    frame = _require_agreement(
         path,
         {
-            "its name": _NAMES.get(path.name),
-            f"gps_position ({why})" if why else "gps_position": seen,
+            "its name": _FRAME_OF_NAME.get(path.name),
+            f"gps_position ({why})" if why else "gps_position": gps_frame,
             "its field frame": shots.frame,
-            "OpenSfM's project around it": "topocentric" if _is_plain(path.parent) else None,
+            "OpenSfM's project around it": "topocentric"
+            if _is_plain_opensfm(path.parent)
+            else None,
             _OPTION: stated,
         },
     )
@@ -286,7 +291,7 @@ def _frame(
     return frame
 
 
-def _agree(path: Path, sources: Mapping[str, Frame | None]) -> Reading[Frame]:
+def _require_agreement(path: Path, sources: Mapping[str, Frame | None]) -> Reading[Frame]:
     """Return the frame that the sources state; unknown if none states one.
 
     Raises:
@@ -305,7 +310,7 @@ def _agree(path: Path, sources: Mapping[str, Frame | None]) -> Reading[Frame]:
     return known(frame, first)
 
 
-def _is_plain(folder: Path) -> bool:
+def _is_plain_opensfm(folder: Path) -> bool:
     """Return whether a folder is a project of plain OpenSfM, not of ODM."""
-    is_project = all((folder / name).exists() for name in _OF_OPENSFM)
-    return is_project and not (folder / _OF_ODM).exists()
+    is_project = all((folder / name).exists() for name in _OPENSFM_FILES)
+    return is_project and not (folder / _ODM_FILE).exists()

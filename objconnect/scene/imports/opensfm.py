@@ -60,7 +60,10 @@ class _Lens(_Part):
         if fx is None or fy is None:
             raise InputError("no focal length")
         if not max(fx, fy) <= LONGEST_FOCAL:
-            raise InputError(f"focal {max(fx, fy):g} is not in longer sides of the picture")
+            raise InputError(
+                f"focal {max(fx, fy):g} is not in units of the picture's longer side (at most "
+                f"{LONGEST_FOCAL:g})"
+            )
         focal = (fx * size, fy * size)
         principal = (self.width / 2 + self.c_x * size, self.height / 2 + self.c_y * size)
         require_inside(principal, (self.width, self.height), ("c_x", "c_y"))
@@ -112,7 +115,7 @@ def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
     used = {shot.camera for shot in best.shots.values()}
     missing = sorted(used - best.cameras.keys())
     if missing:
-        raise InputError(f"{path}: a shot has the camera {missing[0]!r}, which is not there")
+        raise InputError(f"{path}: a shot has the camera {missing[0]!r}, which the file lacks")
     cameras = {}
     for name in sorted(used):
         try:
@@ -122,10 +125,10 @@ def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
     shots, matrices, origin = _shots(path, best), _matrices(best), None
     if shots is None and frame is not None:
         raise InputError(
-            f"{path} has no place in reference_lla, and is placed by GPS: leave out --poses-frame"
+            f"{path} has no position in reference_lla, and GPS places it: leave out --poses-frame"
         )
     if shots is not None:
-        shots = topocentric(path, shots, _beside(path), frame)
+        shots = topocentric(path, shots, _read_sibling(path), frame)
         matrices, origin = shots.world_from_cam, shots.origin
     return check_poses(
         path,
@@ -149,8 +152,8 @@ def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
     if origin[:2] == (0.0, 0.0) and reconstruction.frame is None:
         log.warning("%s: reference_lla is 0, 0, OpenSfM's value without GPS: it is ignored", path)
         return None
-    nowhere = (np.nan, np.nan, np.nan)
-    measured = [shot.gps_position or nowhere for shot in reconstruction.shots.values()]
+    not_measured = (np.nan, np.nan, np.nan)
+    measured = [shot.gps_position or not_measured for shot in reconstruction.shots.values()]
     return Shots(
         tuple(reconstruction.shots),
         _matrices(reconstruction),
@@ -160,7 +163,7 @@ def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
     )
 
 
-def _beside(path: Path) -> Shots | None:
+def _read_sibling(path: Path) -> Shots | None:
     """Return the shots of ODM's topocentric file in the same folder; None if there is none."""
     other = path.parent / TOPOCENTRIC
     if path.name == TOPOCENTRIC or not other.is_file():
@@ -184,7 +187,7 @@ def _world_from_cam(shot: _Shot) -> NDArray[np.float64]:
 
 
 def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
-    """Return the origin of the reconstruction, or else of ``reference_lla.json`` beside it."""
+    """Return the origin that the reconstruction states, else ``reference_lla.json`` beside it."""
     file = path.parent / "reference_lla.json"
     other = read_json(file, _Reference, "reference") if file.is_file() else None
     reference = stated or other

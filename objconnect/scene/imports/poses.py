@@ -94,11 +94,14 @@ def check_poses(
     _require_finite(path, names, world_from_cam.reshape(len(names), -1), centres)
     left, _, right = np.linalg.svd(rotation)
     nearest = left @ right
-    off = np.abs(nearest - rotation).max((1, 2))
-    wrong = (off > _ROTATION_TOLERANCE) | (np.linalg.det(nearest) < 0)
+    deviation = np.abs(nearest - rotation).max((1, 2))
+    wrong = (deviation > _ROTATION_TOLERANCE) | (np.linalg.det(nearest) < 0)
     if wrong.any():
         name = names[int(np.flatnonzero(wrong)[0])]
-        raise InputError(f"{path}: the pose of {name!r} has no rotation matrix")
+        raise InputError(
+            f"{path}: the rotation of {name!r} is scaled, sheared or mirrored: write a rotation "
+            "matrix, with orthonormal rows and determinant 1"
+        )
     cam_from_world = np.tile(np.eye(4), (len(names), 1, 1))
     cam_from_world[:, :3, :3] = nearest.transpose(0, 2, 1)
     cam_from_world[:, :3, 3] = -(cam_from_world[:, :3, :3] @ centres[..., None])[..., 0]

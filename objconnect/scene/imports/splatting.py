@@ -1,8 +1,9 @@
 """Reader of poses from ``cameras.json`` of 3D Gaussian splatting.
 
 ``rotation`` is the rotation of world_from_cam, row by row, and ``position`` the camera centre;
-camera axes are OpenCV's (``camera_to_JSON`` in its ``utils/camera_utils.py``). The world is that of
-the COLMAP model it was trained on. Cameras are not read: the file lacks principal points.
+camera axes are OpenCV's (``camera_to_JSON`` in the program's ``utils/camera_utils.py``). The world
+is that of the COLMAP model from which the splats were trained. Cameras are not read, because the
+file lacks principal points.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, RootModel
 from objconnect.scene.bundle.manifest import Vector, read_json
 from objconnect.scene.imports.poses import ForeignPoses, Format, check_poses
 
+# A file of this format has these keys in the first object of its list, within so many bytes.
 _HEAD_BYTES = 4096
 _KEYS = re.compile(rb'^\xef?\xbb?\xbf?\s*\[\s*\{(?=[^{}]*"img_name")(?=[^{}]*"position")')
 

@@ -14,7 +14,10 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text
 
 _HEAD_BYTES: Final = 4096
-_SHOWN: Final = 4
+_SHOWN_KEYS: Final = 4
+_ODM_REMEDY: Final = (
+    "give the project's reconstruction.topocentric.json, or its reconstruction.json if it has none"
+)
 
 # Pattern of a text's beginning, its format, and what to do.
 _TEXTS: Final = (
@@ -43,7 +46,7 @@ def refuse_unsupported(path: Path) -> None:
     described = _describe_json(path) if head[:1] in ("{", "[") else _describe_text(head)
     if described is not None:
         what, remedy = described
-        raise InputError(f"{path} is no file of poses that is known: it is {what}: {remedy}")
+        raise InputError(f"{path} is not supported as a file of poses: it is {what}: {remedy}")
 
 
 def _describe_text(head: str) -> tuple[str, str] | None:
@@ -66,10 +69,10 @@ def _describe_json(path: Path) -> tuple[str, str] | None:
     if not isinstance(value, dict) or "frames" in value:
         return None
     if value.get("type") == "FeatureCollection":
-        return "GeoJSON, such as ODM's shots.geojson", "give reconstruction.topocentric.json"
+        return "GeoJSON, such as ODM's shots.geojson", _ODM_REMEDY
     lenses = value.values()
     if value and all(isinstance(one, dict) and "projection_type" in one for one in lenses):
-        return "lenses without poses, as cameras.json of ODM", "give reconstruction.json"
+        return "lenses without poses, as cameras.json of ODM", _ODM_REMEDY
     return _describe_keys(value)
 
 
@@ -78,5 +81,5 @@ def _is_splatting(first: Mapping[str, Any]) -> bool:
 
 
 def _describe_keys(keys: Mapping[str, Any]) -> tuple[str, str]:
-    names = ", ".join(repr(key) for key in list(keys)[:_SHOWN]) or "nothing"
+    names = ", ".join(repr(key) for key in list(keys)[:_SHOWN_KEYS]) or "nothing"
     return f"JSON with {names[:200]}", "give a file of COLMAP, ODM, nerfstudio or Metashape"

@@ -20,10 +20,15 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import MODELS, Camera
-from objconnect.scene.geometry.colmap_models import MODEL_IDS, READ, equal_model, parameter_count
+from objconnect.scene.geometry.colmap_models import (
+    CONVERTIBLE_MODELS,
+    MODEL_IDS,
+    equal_model,
+    parameter_count,
+)
 from objconnect.scene.geometry.geodesy import FARTHEST_M
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.files import is_safe_path, require_readable
+from objconnect.scene.storage.files import is_safe_path, require_folder, require_readable
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
 """Files that ``read_model`` reads."""
@@ -48,13 +53,12 @@ def read_model(folder: Path) -> SparseMap:
         InputError: the folder or a file is missing, a file is truncated or damaged, a pose is not
             finite, a quaternion is not of unit length, or the map holds no image or no point.
 
-    Example:
+    Examples:
         >>> sparse_map = read_model(Path("scene/map"))  # doctest: +SKIP
         >>> sparse_map.xyz.shape, len(sparse_map.images)  # doctest: +SKIP
         ((48213, 3), 214)
     """
-    if not folder.is_dir():
-        raise InputError(f"map folder {folder} does not exist")
+    require_folder(folder, "map folder")
     cameras = _read_cameras(folder / "cameras.bin")
     ids, xyz, rgb, error, track_length = _read_points(folder / "points3D.bin")
     images = _read_images(folder / "images.bin", cameras, ids)
@@ -130,6 +134,7 @@ class _Reader:
         return value
 
 
+# Records of the three files.
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")
 _IMAGE = struct.Struct("<I4d3dI")
@@ -153,7 +158,7 @@ def _camera(reader: _Reader, model_id: int, width: int, height: int) -> Camera:
     model = MODEL_IDS.get(model_id, f"number {model_id}")
     count = len(MODELS[model]) if model in MODELS else parameter_count(model)
     if count is None:
-        supported = ", ".join((*MODELS, *READ))
+        supported = ", ".join((*MODELS, *CONVERTIBLE_MODELS))
         raise InputError(f"its model {model} is not supported; supported: {supported}")
     params = struct.unpack_from(f"<{count}d", reader.data, reader.take(8 * count))
     if not all(map(math.isfinite, params)):
@@ -235,7 +240,9 @@ def _read_points(
         raise InputError(f"{path}: point {bad} has a coordinate that is not finite")
     if n and np.abs(table[:, :3]).max() > FARTHEST_M:
         far = int(ids[(np.abs(table[:, :3]) > FARTHEST_M).any(1)][0])
-        raise InputError(f"{path}: point {far} lies more than {FARTHEST_M:g} m away")
+        raise InputError(
+            f"{path}: point {far} lies more than {FARTHEST_M:g} m away from the origin"
+        )
     if (ids[1:] == ids[:-1]).any():
         raise InputError(f"{path}: two points share an identifier")
     return (
@@ -258,13 +265,13 @@ def check_pose(
         where: subject of the message: file and image.
 
     Raises:
-        InputError: a number is not finite, the camera is more than ``FARTHEST_M`` away, or the
-            quaternion is not of unit length.
+        InputError: a number is not finite, the camera is more than ``FARTHEST_M`` away from the
+            origin, or the quaternion is not of unit length.
     """
     if not (np.isfinite(quaternion).all() and np.isfinite(translation).all()):
         raise InputError(f"{where} has a pose that is not finite")
     if np.abs(translation).max() > FARTHEST_M:
-        raise InputError(f"{where} has a pose more than {FARTHEST_M:g} m away")
+        raise InputError(f"{where} has a pose more than {FARTHEST_M:g} m away from the origin")
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1) > _UNIT_TOLERANCE:
         raise InputError(

@@ -14,6 +14,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.files import require_readable
 
+# Largest length of a header.
 _HEADER_BYTES = 64
 
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 # A group has the name of its image with "\" for "/". If the image's name contains "\", the group is
 # numbered and this attribute holds the name.
 _NAME = "name"
-# Attribute with the digest of ``features_key``.
-_MADE_OF = "made_of"
+# Attribute of the file with the digest of ``features_key``.
+_INPUTS_DIGEST = "made_of"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Features:
         descriptors: (N, D), as the extractor returns them: vectors of float32 or uint8 (COLMAP's
             RootSIFT is 128 uint8 of length 512), or bits packed in uint8.
 
-    Example:
+    Examples:
         >>> features = Features(
         ...     xy=np.array([[10.5, 20.5]], np.float32),
         ...     scale=np.array([2.0], np.float32),
@@ -78,6 +78,7 @@ def features_key(photographs: Mapping[str, str], options: str) -> str:
         photographs: digest of each photograph's bytes by name.
         options: options of the extractor as text.
     """
+    # The text stays that of earlier versions, whose files remain valid.
     return sha256(f"{list(photographs.items())} {options} None ")
 
 
@@ -85,35 +86,35 @@ def _image_name(group_name: str, node: h5py.Group) -> str:
     return str(attribute(node, _NAME)) if _NAME in node.attrs else group_name.replace("\\", "/")
 
 
-def write_features(path: Path, features: Mapping[str, Features], made_of: str = "") -> None:
+def write_features(path: Path, features: Mapping[str, Features], inputs_digest: str = "") -> None:
     """Write the features of several images to an HDF5 file atomically.
 
     Args:
         path: file to write.
         features: features by image name.
-        made_of: digest of ``features_key``; empty if unknown.
+        inputs_digest: digest of ``features_key``; empty if unknown.
 
     Raises:
         InputError: the folder cannot be written.
     """
     with hdf5_file(path) as file:
-        if made_of:
-            set_text(file, _MADE_OF, made_of)
+        if inputs_digest:
+            set_text(file, _INPUTS_DIGEST, inputs_digest)
         for name, item in features.items():
             # HDF5 would make nested groups of a name with slashes.
             if "\\" in name:
-                group = file.create_group(f"\\{len(file)}")
-                set_text(group, _NAME, name)
+                node = file.create_group(f"\\{len(file)}")
+                set_text(node, _NAME, name)
             else:
-                group = file.create_group(name.replace("/", "\\"))
-            group["xy"], group["scale"] = item.xy, item.scale
-            group["descriptors"] = item.descriptors
+                node = file.create_group(name.replace("/", "\\"))
+            node["xy"], node["scale"] = item.xy, item.scale
+            node["descriptors"] = item.descriptors
 
 
 class FeatureFile(Mapping[str, Features]):
     """A mapping from image name to features that reads from the file on each access.
 
-    It caches nothing and keeps the file open, which may be removed meanwhile. Threads may share it.
+    It caches nothing. The file stays open and may be removed meanwhile. Threads may share it.
 
     Attributes:
         path: path of the file.
@@ -129,8 +130,8 @@ class FeatureFile(Mapping[str, Features]):
             require_readable(path, "feature file")
             self._file = h5py.File(path, "r")
             self._groups = {_image_name(key, node): key for key, node in groups(self._file)}
-            known = _MADE_OF in self._file.attrs
-            self.inputs_digest = str(attribute(self._file, _MADE_OF)) if known else ""
+            is_stated = _INPUTS_DIGEST in self._file.attrs
+            self.inputs_digest = str(attribute(self._file, _INPUTS_DIGEST)) if is_stated else ""
         except HDF5_DAMAGE as error:
             raise self._damage_error(error) from None
 

@@ -19,7 +19,7 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
     Returns:
         (K, 2) row in ``a`` and row in ``b`` of each match.
 
-    Example:
+    Examples:
         >>> a = torch.eye(3)
         >>> match(a, a[[2, 0, 1]], ratio=0.8).tolist()
         [[0, 1], [1, 2], [2, 0]]

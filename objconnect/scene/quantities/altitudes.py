@@ -18,9 +18,10 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 _HIGHEST_M: Final = 1e6
 # Largest difference (m) of altitudes above the ellipsoid and above the sea, with barometer drift.
 _LARGEST_DIFFERENCE_M: Final = 150.0
-OF_SEA_LEVEL: Final = "says sea level, which may be 100 m from the ellipsoid"
+SEA_LEVEL_DOUBT: Final = "says sea level, which may be 100 m from the ellipsoid"
 """End of the doubt about an altitude that refers to sea level."""
 
+# Values of GPSAltitudeRef: below its reference, above or below the sea, and all of them.
 _BELOW: Final = (1, 3)
 _OF_THE_SEA: Final = (2, 3)
 _REFERENCES: Final = (0, 1, 2, 3)
@@ -36,20 +37,23 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         gps: fields of EXIF's GPS directory by name.
         xmp: fields of XMP by name without prefix.
     """
-    exif, drone = _read_exif(gps, ""), _read_xmp(xmp)
-    if exif.value is not None and drone.value is not None:
-        if abs(exif.value - drone.value) > _LARGEST_DIFFERENCE_M:
-            why = f"{exif.source} {exif.value:.0f} m contradicts {drone.source} {drone.value:.0f} m"
-            return unknown(exif.source, why)
+    from_exif, from_xmp = _read_exif(gps, ""), _read_xmp(xmp)
+    if from_exif.value is not None and from_xmp.value is not None:
+        if abs(from_exif.value - from_xmp.value) > _LARGEST_DIFFERENCE_M:
+            why = (
+                f"{from_exif.source} {from_exif.value:.0f} m contradicts "
+                f"{from_xmp.source} {from_xmp.value:.0f} m"
+            )
+            return unknown(from_exif.source, why)
         # Without its reference, EXIF's altitude has no sign.
-        return exif if gps.get("GPSAltitudeRef") is not None else drone
-    if exif.value is not None:
-        return exif
-    if drone.value is not None:
-        stated = [doubt for doubt in exif.doubts if not doubt.endswith("is missing")]
-        return drone.with_doubts(*stated)
+        return from_exif if gps.get("GPSAltitudeRef") is not None else from_xmp
+    if from_exif.value is not None:
+        return from_exif
+    if from_xmp.value is not None:
+        stated = [doubt for doubt in from_exif.doubts if not doubt.endswith("is missing")]
+        return from_xmp.with_doubts(*stated)
     relative = ["RelativeAltitude is above the take-off"] if "RelativeAltitude" in xmp else ()
-    return exif.with_doubts(*drone.doubts, *relative)
+    return from_exif.with_doubts(*from_xmp.doubts, *relative)
 
 
 def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
@@ -71,7 +75,7 @@ def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
         return unknown(source, f"{source} is negative and {source}Ref says below as well")
     metres = -metres if number in _BELOW else metres
     if number in _OF_THE_SEA:
-        return known(metres, source, f"{source}Ref {number} {OF_SEA_LEVEL}")
+        return known(metres, source, f"{source}Ref {number} {SEA_LEVEL_DOUBT}")
     return known(metres, source)
 
 
@@ -80,8 +84,8 @@ def _quotient(value: object) -> object:
     if not isinstance(value, str) or "/" not in value:
         return value
     top, _, bottom = value.partition("/")
-    above, below = to_number(top), to_number(bottom)
-    return above / below if below else math.nan
+    numerator, denominator = to_number(top), to_number(bottom)
+    return numerator / denominator if denominator else math.nan
 
 
 def _reference(value: object) -> int | None:

@@ -1,4 +1,4 @@
-"""Latitudes and longitudes in the notations of photographs.
+"""Latitudes and longitudes in the notations of EXIF and XMP.
 
 EXIF has unsigned degrees, minutes and seconds, and the hemisphere in a separate tag. XMP has
 text: ``46,50.556N`` in the namespace ``exif``, signed decimal degrees in those of drones.
@@ -16,11 +16,11 @@ from objconnect.scene.quantities.numbers import parse_number, plain_text, to_num
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 # Tolerance of whole numbers.
-_WHOLE: Final = 1e-9
+_WHOLE_TOLERANCE: Final = 1e-9
 _PARTS: Final = ("degrees", "minutes", "seconds")
 # Separators of degrees, minutes and seconds.
-_DIVIDE = re.compile(r"[\s,;:°º'\"′″]+")
-_LETTER = re.compile(r"^(.*?)\s*([A-Za-z]+)\.?$", re.DOTALL)
+_SEPARATOR = re.compile(r"[\s,;:°º'\"′″]+")
+_TRAILING_LETTERS = re.compile(r"^(.*?)\s*([A-Za-z]+)\.?$", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -59,15 +59,16 @@ def read_hemisphere(value: object, axis: Axis) -> Reading[int]:
             return known(sign, axis.reference)
     if not text:
         return unknown(axis.reference, f"{axis.reference} is empty")
-    return unknown(axis.reference, f"{axis.reference} {text!r} is no hemisphere of it")
+    hemispheres = f"{axis.positive} nor {axis.negative}"
+    return unknown(axis.reference, f"{axis.reference} {text!r} is neither {hemispheres}")
 
 
 def read_degrees(value: object, axis: Axis) -> Reading[float]:
     """Return an angle without its hemisphere, degrees from 0 to the limit of the axis.
 
     Args:
-        value: one to three numbers, or a text of them. Only the last one may have a fraction; those
-            after it are missing, zero or 0/0.
+        value: one to three numbers, or a text of them. Only one may have a fraction; those after it
+            must be missing, zero or 0/0.
         axis: latitude or longitude.
     """
     if isinstance(value, str | bytes):
@@ -101,7 +102,7 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
         signed: whether the field holds signed degrees, where no sign means north or east.
     """
     text = plain_text(text)
-    lettered = _LETTER.match(text)
+    lettered = _TRAILING_LETTERS.match(text)
     if lettered is None:
         value = _parse_decimal(text)
         if value is None:
@@ -129,14 +130,14 @@ def _parse_decimal(text: str) -> float | None:
 
 def _split(text: str) -> list[float]:
     """Return the numbers of a text, which may be fractions; NaN for other words."""
-    words = [word for word in _DIVIDE.split(text) if word]
+    words = [word for word in _SEPARATOR.split(text) if word]
     return [_fraction(word) for word in words]
 
 
 def _fraction(word: str) -> float:
     top, divided, bottom = word.partition("/")
-    above, below = parse_number(top), parse_number(bottom) if divided else 1.0
-    return math.nan if above is None or not below else above / below
+    numerator, denominator = parse_number(top), parse_number(bottom) if divided else 1.0
+    return math.nan if numerator is None or not denominator else numerator / denominator
 
 
 def _degrees(parts: Sequence[float], axis: Axis, source: str) -> Reading[float]:
@@ -165,14 +166,14 @@ def _find_fault(parts: Sequence[float]) -> str:
         if not math.isfinite(value):
             return f"has {name} of 0/0"
     if min(values) < 0 or math.copysign(1, min(values)) < 0:
-        return "has a sign, which only its reference has in EXIF"
+        return "has a sign, which in EXIF is in the field of its hemisphere"
     for name, value in zip(_PARTS[1:], values[1:], strict=False):
         if value > 60:  # programs round 59.99999 to 60
             return f"has {value:g} {name}"
     for k, value in enumerate(values):
-        if abs(value - round(value)) > _WHOLE and any(values[k + 1 :]):
+        if abs(value - round(value)) > _WHOLE_TOLERANCE and any(values[k + 1 :]):
             return f"has a fraction of {_PARTS[k]} and {_PARTS[k + 1]} as well"
     last = values[-1]
-    if len(values) < len(_PARTS) and abs(last - round(last)) <= _WHOLE:
+    if len(values) < len(_PARTS) and abs(last - round(last)) <= _WHOLE_TOLERANCE:
         return f"ends with whole {_PARTS[len(values) - 1]}"
     return ""

@@ -12,7 +12,7 @@ _COLOURS = ("red", "green", "blue")
 _ALPHA, _PALETTE = "alpha", "palette"
 _GREY = ("gray", "pan", "undefined")
 # Colour interpretation of bands whose writer stated none.
-_SILENT = ("gray", "undefined")
+_UNSTATED = ("gray", "undefined")
 _INFRARED = re.compile(r"\bn?ir\b|\bpir\b|nir|infra")
 _WORDS = re.compile(r"[^\W\d_]+")
 # Colour words of other languages, and single letters.
@@ -51,17 +51,17 @@ def colour_bands(
     """
     source = "ColorInterp"
     names = []
-    described = [*descriptions, *[None] * len(interpretations)]
+    padded_descriptions = [*descriptions, *[None] * len(interpretations)]
     for number, interpretation in enumerate(interpretations, 1):
-        word = _parse_colour(described[number - 1])
-        silent = interpretation in _SILENT
-        if word and not silent and word != interpretation:
+        word = _parse_colour(padded_descriptions[number - 1])
+        unstated = interpretation in _UNSTATED
+        if word and not unstated and word != interpretation:
             return unknown(
                 source,
                 f"ColorInterp of band {number} is {interpretation}, its description "
-                f"{described[number - 1]!r}",
+                f"{padded_descriptions[number - 1]!r}",
             )
-        names.append(word if word and silent else interpretation)
+        names.append(word if word and unstated else interpretation)
     listing = f"it has {len(names)} bands: {', '.join(names)}"
     numbers = {colour: [n for n, name in enumerate(names, 1) if name == colour] for colour in names}
     alphas = numbers.get(_ALPHA, [])

@@ -20,26 +20,30 @@ def describe_collar(strips: Iterable[NDArray[np.float32]]) -> str | None:
         strips: pieces of the picture from top to bottom, (bands, H, W) in 0..255; NaN where the
             file declares no data.
     """
-    inside, edge = dict.fromkeys(_COLOURS, 0), dict.fromkeys(_COLOURS, 0)
-    known = around = 0
-    last: NDArray[np.float32] | None = None
+    count, edge_count = dict.fromkeys(_COLOURS, 0), dict.fromkeys(_COLOURS, 0)
+    total = edge_total = 0
+    last_row: NDArray[np.float32] | None = None
     for strip in strips:
-        sides = [strip[:, :, :1], strip[:, :, -1:], *([] if last is not None else [strip[:, :1]])]
-        rim = np.concatenate([side.reshape(len(strip), -1) for side in sides], 1)
-        known += int(np.isfinite(strip).all(0).sum())
-        around += int(np.isfinite(rim).all(0).sum())
+        sides = [
+            strip[:, :, :1],
+            strip[:, :, -1:],
+            *([] if last_row is not None else [strip[:, :1]]),
+        ]
+        edge_pixels = np.concatenate([side.reshape(len(strip), -1) for side in sides], 1)
+        total += int(np.isfinite(strip).all(0).sum())
+        edge_total += int(np.isfinite(edge_pixels).all(0).sum())
         for value in _COLOURS:
-            inside[value] += int((strip == value).all(0).sum())
-            edge[value] += int((rim == value).all(0).sum())
-        last = strip[:, -1]
-    if last is not None:
-        around += int(np.isfinite(last).all(0).sum())
+            count[value] += int((strip == value).all(0).sum())
+            edge_count[value] += int((edge_pixels == value).all(0).sum())
+        last_row = strip[:, -1]
+    if last_row is not None:
+        edge_total += int(np.isfinite(last_row).all(0).sum())
         for value in _COLOURS:
-            edge[value] += int((last == value).all(0).sum())
+            edge_count[value] += int((last_row == value).all(0).sum())
     for value, name in _COLOURS.items():
-        if inside[value] > _SHARE * known and edge[value] > _EDGE_SHARE * around:
+        if count[value] > _SHARE * total and edge_count[value] > _EDGE_SHARE * edge_total:
             return (
-                f"{100 * inside[value] / known:.0f} % of the pixels are {name}, also at the edge: "
+                f"{100 * count[value] / total:.0f} % of the pixels are {name}, also at the edge: "
                 f"if they are no data, gdal_edit -a_nodata {value} declares it"
             )
     return None

@@ -18,11 +18,16 @@ ORDERS: Final[tuple[Order, Order]] = ("latitude", "longitude")
 REACH_M: Final = 50_000.0
 """Largest distance of a drone from its map or its take-off."""
 # No drone is faster (m/s).
-_FASTEST: Final = 100.0
+_MAX_SPEED: Final = 100.0
 # Tolerance of a stated speed or distance: a share, and a length (m).
-_SHARE: Final = 0.1
-_SLACK_M: Final = 15.0
+_TOLERANCE_SHARE: Final = 0.1
+_TOLERANCE_M: Final = 15.0
+# Length of a degree along the equator.
 _DEGREE_M: Final = 111_320.0
+# Tolerance of a position against the median of its neighbours, in addition to the distance that a
+# drone can fly meanwhile (m), and the number of neighbours on each side.
+_JUMP_M: Final = 200.0
+_NEIGHBOURS: Final = 5
 # Length of the steps of a track whose speed is computed, s.
 _STEP_S: Final = 1.0
 
@@ -34,8 +39,8 @@ class PairedTrack:
     Attributes:
         seconds: time of each pair.
         pairs: degrees, in the order of times.
-        homes: take-off positions in the order of ``pairs``.
-        home_places: take-off positions as latitude and longitude, if letters mark them.
+        homes: take-off positions, in the same unknown order as each of ``pairs``.
+        home_places: take-off positions whose letters state the order; latitude and longitude.
         distances: index of a pair and its stated distance from take-off, metres.
         speeds: stated speeds over ground, m/s; empty unless every pair has one.
     """
@@ -48,7 +53,7 @@ class PairedTrack:
     speeds: Sequence[float] = field(default=())
 
 
-def infer_order(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
+def infer_order(track: PairedTrack, map_place: Pair | None = None) -> Reading[Order]:
     """Return the quantity of the first number of a track's pairs.
 
     Each check excludes orders: latitudes beyond 90 degrees, a map or a take-off out of reach, a
@@ -57,14 +62,16 @@ def infer_order(track: PairedTrack, near: Pair | None = None) -> Reading[Order]:
 
     Args:
         track: track of at least one pair.
-        near: latitude and longitude of the map, degrees; None if unknown.
+        map_place: latitude and longitude of the map, degrees; None if unknown.
     """
     source = "GPS"
     if all(first == second for first, second in track.pairs):
         return known("latitude", source)
     checks: dict[str, Callable[[Order], bool]] = {
         "is on earth": lambda order: _is_on_earth(track, order),
-        f"is within {REACH_M / 1000:.0f} km of the map": lambda order: _is_near(track, order, near),
+        f"is within {REACH_M / 1000:.0f} km of the map": lambda order: _is_near(
+            track, order, map_place
+        ),
         "agrees with HOME": lambda order: _agrees_with_home(track, order),
     }
     orders: list[Order] = list(ORDERS)
@@ -95,7 +102,7 @@ def ground_distance(first: Pair, second: Pair) -> float:
     return 2 * math.degrees(math.asin(min(1.0, math.sqrt(half)))) * _DEGREE_M
 
 
-def _middle(pairs: Collection[Pair]) -> Pair:
+def _median_pair(pairs: Collection[Pair]) -> Pair:
     return median(pair[0] for pair in pairs), median(pair[1] for pair in pairs)
 
 
@@ -104,14 +111,14 @@ def _is_on_earth(track: PairedTrack, order: Order) -> bool:
     return all(abs(latitude) <= 90 and abs(longitude) <= 180 for latitude, longitude in places)
 
 
-def _is_near(track: PairedTrack, order: Order, near: Pair | None) -> bool:
-    if near is None:
+def _is_near(track: PairedTrack, order: Order, map_place: Pair | None) -> bool:
+    if map_place is None:
         return True
-    return ground_distance(to_lat_lon(_middle(track.pairs), order), near) <= REACH_M
+    return ground_distance(to_lat_lon(_median_pair(track.pairs), order), map_place) <= REACH_M
 
 
 def _agrees_with_home(track: PairedTrack, order: Order) -> bool:
-    here = to_lat_lon(_middle(track.pairs), order)
+    here = to_lat_lon(_median_pair(track.pairs), order)
     homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
     return all(ground_distance(here, home) <= REACH_M for home in homes)
 
@@ -120,7 +127,9 @@ def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Ord
     """Return the orders whose distances from take-off match the stated ones."""
     if not track.distances or not (track.homes or track.home_places):
         return []
-    tolerance = max(_SLACK_M, _SHARE * median(stated for _, stated in track.distances))
+    tolerance = max(
+        _TOLERANCE_M, _TOLERANCE_SHARE * median(stated for _, stated in track.distances)
+    )
     misfits: dict[Order, float] = {}
     for order in orders:
         homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
@@ -138,7 +147,7 @@ def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Ord
 
 def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
     """Return the orders in which the track is not faster than stated, or than a drone can fly."""
-    most = (1 + 2 * _SHARE) * max(track.speeds) if track.speeds else _FASTEST
+    max_speed = (1 + 2 * _TOLERANCE_SHARE) * max(track.speeds) if track.speeds else _MAX_SPEED
     steps, last = [], 0
     for row, seconds in enumerate(track.seconds):
         if seconds - track.seconds[last] >= _STEP_S:
@@ -148,12 +157,12 @@ def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]
         return []
 
     def is_slow(order: Order) -> bool:
-        fast = 0
+        too_fast = 0
         for first, second in steps:
             ends = (to_lat_lon(track.pairs[row], order) for row in (first, second))
-            allowed = most * (track.seconds[second] - track.seconds[first]) + _SLACK_M
-            fast += ground_distance(*ends) > allowed
-        return 2 * fast < len(steps)
+            allowed = max_speed * (track.seconds[second] - track.seconds[first]) + _TOLERANCE_M
+            too_fast += ground_distance(*ends) > allowed
+        return 2 * too_fast < len(steps)
 
     return [order for order in orders if is_slow(order)]
 
@@ -168,20 +177,20 @@ def without_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> li
         seconds: times, ascending.
         places: latitude and longitude, degrees; None if unknown.
     """
-    fixed = [row for row, place in enumerate(places) if place is not None]
+    known_rows = [row for row, place in enumerate(places) if place is not None]
     known_places = [place for place in places if place is not None]
     plausible = list(places)
-    if len(fixed) < 3:
+    if len(known_rows) < 3:
         return plausible
-    whole = _middle(known_places)
-    for at, row in enumerate(fixed):
-        near = range(max(0, at - 5), min(len(fixed), at + 6))
-        span = seconds[fixed[near[-1]]] - seconds[fixed[near[0]]]
-        middle = _middle([known_places[other] for other in near])
-        here = known_places[at]
+    track_middle = _median_pair(known_places)
+    for k, row in enumerate(known_rows):
+        window = range(max(0, k - _NEIGHBOURS), min(len(known_rows), k + _NEIGHBOURS + 1))
+        span = seconds[known_rows[window[-1]]] - seconds[known_rows[window[0]]]
+        middle = _median_pair([known_places[other] for other in window])
+        here = known_places[k]
         if (
-            ground_distance(here, middle) > 200 + _FASTEST * span
-            or ground_distance(here, whole) > REACH_M
+            ground_distance(here, middle) > _JUMP_M + _MAX_SPEED * span
+            or ground_distance(here, track_middle) > REACH_M
         ):
             plausible[row] = None
     return plausible

@@ -37,7 +37,7 @@ class DecimalMarks:
         thousands. In a file with both marks, numbers with a comma are not understood, nor those
         with a point that may separate thousands.
 
-        Example:
+        Examples:
             >>> DecimalMarks.of(["47,0004", "60,000"]).parse("60,000")
             60.0
             >>> DecimalMarks.of(["47.0004", "1,234"]).parse("1,234") is None
@@ -48,13 +48,13 @@ class DecimalMarks:
         points = [text for text in written if _WITH_POINT.fullmatch(text)]
         if not commas:
             return DecimalMarks(comma=False, point=True)
-        sure = [text for text in commas if not _THOUSANDS.fullmatch(text)]
-        if sure and not points:
+        decimal_commas = [text for text in commas if not _THOUSANDS.fullmatch(text)]
+        if decimal_commas and not points:
             return DecimalMarks(comma=True, point=False)
-        example = min(sure or commas)
+        example = min(decimal_commas or commas)
         return DecimalMarks(
             comma=False,
-            point=not sure,
+            point=not decimal_commas,
             doubt=f"the comma of {example} may be a decimal mark or separate thousands",
         )
 

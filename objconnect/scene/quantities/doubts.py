@@ -9,7 +9,7 @@ from typing import Final
 from objconnect.scene.runtime.escaping import for_terminal
 
 # Largest number of kinds of doubts that are listed.
-_SHOWN: Final = 8
+_MAX_KINDS: Final = 8
 
 
 def summarize_doubts(doubts: Mapping[str, Sequence[str]]) -> list[str]:
@@ -17,7 +17,10 @@ def summarize_doubts(doubts: Mapping[str, Sequence[str]]) -> list[str]:
 
     Doubts that differ only in numbers are of one kind.
 
-    Example:
+    Args:
+        doubts: phrases of ``Reading.doubts`` by name of the file.
+
+    Examples:
         >>> doubt = "GPSAltitude is missing"
         >>> summarize_doubts({"a.jpg": [doubt], "b.jpg": [doubt]})
         ['a.jpg and 1 more: GPSAltitude is missing']
@@ -30,7 +33,7 @@ def summarize_doubts(doubts: Mapping[str, Sequence[str]]) -> list[str]:
             first.setdefault(kind, (name, phrase))
             count[kind] = count.get(kind, 0) + 1
     lines = []
-    for kind, (name, phrase) in list(first.items())[:_SHOWN]:
+    for kind, (name, phrase) in list(first.items())[:_MAX_KINDS]:
         more = f" and {count[kind] - 1} more" if count[kind] > 1 else ""
         lines.append(f"{for_terminal(name)}{more}: {for_terminal(phrase)}")
     left = len(first) - len(lines)

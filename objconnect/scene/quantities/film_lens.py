@@ -13,14 +13,14 @@ from typing import Final
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 SAME_LENS: Final = 0.15
-"""Largest relative difference of focal lengths of one lens: equivalents are whole millimetres, and
-some makers refer them to the width instead of the diagonal."""
+"""Largest relative difference of focal lengths of one lens, because equivalents are whole
+millimetres and some makers refer them to the width instead of the diagonal."""
 # Range of drones' equivalent focal lengths (mm), and the largest digital zoom.
 _SHORTEST_MM: Final = 8.0
 _LONGEST_MM: Final = 3000.0
-_MOST_ZOOM: Final = 100.0
+_MAX_ZOOM: Final = 100.0
 # Largest f-number of a lens.
-_MOST_F_NUMBER: Final = 64.0
+_MAX_F_NUMBER: Final = 64.0
 _TEN_THOUSANDTHS: Final = 1e4
 
 
@@ -37,12 +37,12 @@ def scales_whole_numbers(f_numbers: Collection[str], zooms_with_delta: bool) -> 
         zooms_with_delta: whether the file writes zooms in ten-thousandths, with a ``delta``.
 
     Returns:
-        True if a number must be scaled, False if a whole number cannot be; None if there is
-        evidence of neither or of both.
+        True if whole numbers must be scaled, False if they must not; None if there is evidence of
+        neither or of both.
     """
     whole = [float(text) for text in f_numbers if text.isdecimal() and float(text) > 0]
-    scaled = zooms_with_delta or any(number > _MOST_F_NUMBER for number in whole)
-    plain = any(number <= _MOST_F_NUMBER for number in whole)
+    scaled = zooms_with_delta or any(number > _MAX_F_NUMBER for number in whole)
+    plain = any(number <= _MAX_F_NUMBER for number in whole)
     return None if scaled == plain else scaled
 
 
@@ -94,7 +94,7 @@ def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) ->
         in_ten_thousandths: whether the file writes whole numbers with a ``delta``.
         name: name of the field.
 
-    Example:
+    Examples:
         >>> zoom_ratio("2.00", 2.0, False, "dzoom_ratio").value
         2.0
         >>> zoom_ratio("20000", 20000.0, True, "dzoom_ratio").value
@@ -107,6 +107,6 @@ def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) ->
             number /= _TEN_THOUSANDTHS
         elif number >= 10:
             return unknown(name, f"the scale of {name} {text} is unknown")
-    if 1 <= number <= _MOST_ZOOM:
+    if 1 <= number <= _MAX_ZOOM:
         return known(number, name)
     return unknown(name, f"{name} {text} is no digital zoom")

@@ -19,24 +19,25 @@ from objconnect.scene.quantities.numbers import to_number
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 SAME_ASPECT: Final = 0.01
-"""Largest relative difference of the aspect ratios of one picture in two sizes (whole pixels)."""
+"""Largest relative difference of the aspect ratios of one picture in two sizes, which are whole
+pixels."""
 
-# Largest relative difference of two agreeing sources: equivalents are whole millimetres.
-_AGREE: Final = 0.15
+# Largest relative difference of two agreeing sources. Equivalents are rounded to millimetres.
+_SOURCE_TOLERANCE: Final = 0.15
 # Largest relative difference of two equal values of one source.
-_SAME: Final = 0.02
-# Largest aspect ratio of a sensor: wider pictures are panoramas or crops.
-_WIDEST: Final = 2.4
-# Pixels of a sensor are square up to this share.
-_SQUARE: Final = 0.05
-# Focal ratios outside this range are damaged values.
-_RANGE: Final = (1 / 36, 10_000 / 36)
+_VALUE_TOLERANCE: Final = 0.02
+# Largest aspect ratio of a sensor. Wider pictures are panoramas or crops.
+_MAX_SENSOR_ASPECT: Final = 2.4
+# Largest relative difference of the sides of a sensor's pixels.
+_MAX_PIXEL_DIFFERENCE: Final = 0.05
+# Focal ratios outside this range are damaged values; it is 1 mm to 10 m for 35 mm film.
+_FOCAL_RANGE: Final = (1 / 36, 10_000 / 36)
 # The size of 35 mm film (mm).
 FILM_LENGTH: Final = 36.0
 _FILM_DIAGONAL: Final = math.hypot(36, 24)
-# Images with a larger aspect ratio are crops of 4:3 sensors.
-_WIDE: Final = 1.6
-# EXIF's units of resolution, millimetres; some programs write 4 and 5.
+# Images with a larger aspect ratio, such as 16:9, are taken as crops of 4:3 sensors.
+_MAX_FULL_ASPECT: Final = 1.6
+# Millimetres per unit of resolution, by EXIF's code; some programs write 4 and 5.
 _INCH, _CENTIMETRE = 25.4, 10.0
 _UNITS: Final = {2: _INCH, 3: _CENTIMETRE, 4: 1.0, 5: 1e-3}
 
@@ -54,12 +55,12 @@ class FocalLength:
     Attributes:
         reading: the focal ratio f / max(w, h), or unknown with the reason.
         candidates: stated values if the focal length is unknown, the likeliest first.
-        agrees: whether a calibration in pixels belongs to the picture.
+        calibration_applies: whether a calibration in pixels applies to the picture.
     """
 
     reading: Reading[float]
     candidates: tuple[float, ...] = ()
-    agrees: bool = True
+    calibration_applies: bool = True
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,11 @@ class Lens:
 
     Attributes:
         focal: focal ratio f / max(w, h) of the calibrated image.
-        sized: whether its optical centre confirms the size of that picture.
+        size_confirmed: whether its optical centre confirms that it applies to this image size.
     """
 
     focal: float
-    sized: bool
+    size_confirmed: bool
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,20 @@ class _Source:
         name: name of the field.
         values: possible focal lengths, one of which is right.
         alternatives: values of programs that violate the standard.
-        sized: whether the field refers to this size of the picture.
+        size_confirmed: whether the field certainly refers to this image size.
     """
 
     name: str
     values: tuple[float, ...]
     alternatives: tuple[float, ...] = ()
-    sized: bool = True
+    size_confirmed: bool = True
 
     def allows(self, focal: float) -> bool:
         """Return whether the field is compatible with a focal length."""
-        return any(_is_near(focal, value, _AGREE) for value in (*self.values, *self.alternatives))
+        return any(
+            _is_near(focal, value, _SOURCE_TOLERANCE)
+            for value in (*self.values, *self.alternatives)
+        )
 
 
 def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = None) -> FocalLength:
@@ -109,21 +113,29 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
         return FocalLength(unknown("FocalLength"))
     crop = _describe_crop(detail, size)
     if crop:
-        return FocalLength(unknown(sources[0].name, crop), agrees=False)
+        return FocalLength(unknown(sources[0].name, crop), calibration_applies=False)
     common, zoomed = _common_values(sources), to_number(detail.get("DigitalZoomRatio")) > 1
     # Fields in pixels depend on the size, which a program may have changed. A changed size
     # and a digital zoom have the same effect on them.
-    checked = all(one.sized for one in sources) if zoomed else any(one.sized for one in sources)
+    checked = (
+        all(one.size_confirmed for one in sources)
+        if zoomed
+        else any(one.size_confirmed for one in sources)
+    )
     if len(common) == 1 and checked:
-        agrees = lens is None or _is_near(lens.focal, common[0], _AGREE)
-        return FocalLength(known(common[0], sources[0].name), agrees=agrees)
-    # The 35 mm equivalent, which is the last source, survives most programs.
+        calibration_applies = lens is None or _is_near(lens.focal, common[0], _SOURCE_TOLERANCE)
+        return FocalLength(
+            known(common[0], sources[0].name), calibration_applies=calibration_applies
+        )
+    # Most programs keep the 35 mm equivalent, which is the last source.
     candidates = common or [value for source in sources[::-1] for value in source.values]
     why = _describe_doubt(sources, common, zoomed, detail)
-    return FocalLength(unknown(sources[0].name, why), _distinct(candidates), agrees=False)
+    return FocalLength(
+        unknown(sources[0].name, why), _distinct(candidates), calibration_applies=False
+    )
 
 
-def is_turned(detail: Mapping[str, object], size: Size, orientation: object) -> bool:
+def is_rotated(detail: Mapping[str, object], size: Size, orientation: object) -> bool:
     """Return whether the pixels of a picture were rotated by a right angle after it was taken.
 
     Args:
@@ -131,9 +143,13 @@ def is_turned(detail: Mapping[str, object], size: Size, orientation: object) -> 
         size: width and height of the picture now, pixels.
         orientation: the field ``Orientation``; programs that state the displayed size keep it.
     """
-    taken = read_exif_size(detail)
+    original_size = read_exif_size(detail)
     upright = to_number(orientation) not in _SIDEWAYS
-    return taken is not None and upright and (taken[0] < taken[1]) != (size[0] < size[1])
+    return (
+        original_size is not None
+        and upright
+        and (original_size[0] < original_size[1]) != (size[0] < size[1])
+    )
 
 
 def read_exif_size(detail: Mapping[str, object]) -> Size | None:
@@ -144,13 +160,13 @@ def read_exif_size(detail: Mapping[str, object]) -> Size | None:
     return int(sides[0]), int(sides[1])
 
 
-def equivalent(focal_35mm: float, size: Size) -> float:
+def ratio_of_equivalent(focal_35mm: float, size: Size) -> float:
     """Convert a 35 mm equivalent focal length (mm) to the focal ratio f / max(w, h).
 
     Equivalents refer to the diagonal (CIPA DCG-001).
     """
     aspect = max(size) / min(size)
-    diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
+    diagonal = math.hypot(1, 1 / aspect) if aspect < _MAX_FULL_ASPECT else math.hypot(1, 3 / 4)
     return focal_35mm / _FILM_DIAGONAL * diagonal
 
 
@@ -160,20 +176,20 @@ def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Ite
     factors = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
     # Programs that resize a picture may write the new size beside the old resolution.
     width = to_number(detail.get("ExifImageWidth"))
-    sized = width >= 1 and width not in size
-    sized |= lens is not None and lens.sized
+    size_confirmed = width >= 1 and width not in size
+    size_confirmed |= lens is not None and lens.size_confirmed
     planes = _focal_plane(detail, size)
     if planes:
         values = tuple(plane * each for plane in planes for each in factors)
-        yield _Source("FocalPlaneXResolution", values, sized=sized)
+        yield _Source("FocalPlaneXResolution", values, size_confirmed=size_confirmed)
     if lens is not None and _is_plausible(lens.focal):
         values = tuple(lens.focal * each for each in factors)
-        yield _Source("XMP's calibration", values, sized=sized)
-    film = to_number(detail.get("FocalLengthIn35mmFilm"))
-    if film > 0 and _is_plausible(focal := equivalent(film, size)):
+        yield _Source("XMP's calibration", values, size_confirmed=size_confirmed)
+    equivalent_mm = to_number(detail.get("FocalLengthIn35mmFilm"))
+    if equivalent_mm > 0 and _is_plausible(focal := ratio_of_equivalent(equivalent_mm, size)):
         values = tuple(focal * each for each in factors)
-        wide = tuple(film / FILM_LENGTH * each for each in factors)
-        yield _Source("FocalLengthIn35mmFilm", values, wide)
+        by_width = tuple(equivalent_mm / FILM_LENGTH * each for each in factors)
+        yield _Source("FocalLengthIn35mmFilm", values, by_width)
 
 
 def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
@@ -181,19 +197,19 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
 
     The sides of a picture that was rotated upright are exchanged.
     """
-    focal, per_unit, other = (
+    focal, x_resolution, y_resolution = (
         to_number(detail.get(name))
         for name in ("FocalLength", "FocalPlaneXResolution", "FocalPlaneYResolution")
     )
     width = to_number(detail.get("ExifImageWidth"))
-    if not (focal > 0 and per_unit > 0 and width >= 1):
+    if not (focal > 0 and x_resolution > 0 and width >= 1):
         return ()
     unit = detail.get("FocalPlaneResolutionUnit")
     # The standard's default is an inch, but programs also omit centimetres.
-    units = (_INCH, _CENTIMETRE) if unit is None else (_UNITS.get(_whole(unit), math.nan),)
-    taken = read_exif_size(detail)
-    if taken is not None:
-        sides: tuple[float, ...] = (float(max(taken)),)
+    units = (_INCH, _CENTIMETRE) if unit is None else (_UNITS.get(_to_integer(unit), math.nan),)
+    original_size = read_exif_size(detail)
+    if original_size is not None:
+        sides: tuple[float, ...] = (float(max(original_size)),)
     elif size[0] >= size[1] or width == size[0]:
         sides = (width * max(size) / size[0],)
     elif width == size[1]:
@@ -201,9 +217,11 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
     else:  # upright, and it is unknown whether it was rotated
         sides = (width, width * size[1] / size[0])
     # If the two resolutions differ, one of them has another size or unit.
-    differ = other > 0 and not _is_near(per_unit, other, _SQUARE)
-    pers = (per_unit, other) if differ else (per_unit,)
-    values = [focal * per / (each * side) for per in pers for each in units for side in sides]
+    differ = y_resolution > 0 and not _is_near(x_resolution, y_resolution, _MAX_PIXEL_DIFFERENCE)
+    resolutions = (x_resolution, y_resolution) if differ else (x_resolution,)
+    values = [
+        focal * per / (each * side) for per in resolutions for each in units for side in sides
+    ]
     return tuple(value for value in values if _is_plausible(value))
 
 
@@ -217,25 +235,25 @@ def _distinct(values: Sequence[float]) -> tuple[float, ...]:
     """Return values without repetitions."""
     distinct: list[float] = []
     for value in values:
-        if not any(_is_near(value, other, _SAME) for other in distinct):
+        if not any(_is_near(value, other, _VALUE_TOLERANCE) for other in distinct):
             distinct.append(value)
     return tuple(distinct)
 
 
 def _describe_crop(detail: Mapping[str, object], size: Size) -> str:
     """Return the evidence that the image was cropped; empty if there is none."""
-    if max(size) > _WIDEST * min(size):
+    if max(size) > _MAX_SENSOR_ASPECT * min(size):
         return f"it is {size[0]} x {size[1]} pixels: a panorama or a crop"
-    taken = read_exif_size(detail)
-    if taken is None:
+    original_size = read_exif_size(detail)
+    if original_size is None:
         return ""
-    for width, height in (taken, taken[::-1]):
-        off = abs(width * size[1] - height * size[0])
-        if off <= max(SAME_ASPECT * height * size[0], width, height):
+    for width, height in (original_size, original_size[::-1]):
+        difference = abs(width * size[1] - height * size[0])
+        if difference <= max(SAME_ASPECT * height * size[0], width, height):
             return ""
     return (
         f"it is {size[0]} x {size[1]} pixels and ExifImageWidth and ExifImageHeight say "
-        f"{taken[0]} x {taken[1]}: it was cropped"
+        f"{original_size[0]} x {original_size[1]}: it was cropped"
     )
 
 
@@ -270,9 +288,9 @@ def _is_near(first: float, second: float, share: float) -> bool:
 
 
 def _is_plausible(focal: float) -> bool:
-    return _RANGE[0] <= focal <= _RANGE[1]
+    return _FOCAL_RANGE[0] <= focal <= _FOCAL_RANGE[1]
 
 
-def _whole(value: object) -> int:
+def _to_integer(value: object) -> int:
     number = to_number(value)
     return int(number) if math.isfinite(number) else 0

@@ -14,7 +14,7 @@ NO_UNIT: Final = "no unit"
 
 # Units whose lengths differ relatively by less than this count as equal; international and US
 # survey feet (2e-6) do.
-_SAME = 1e-5
+_UNIT_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ def metres_of_band(
         return unknown("the band's unit", f"{named[:40]!r} is no unit of length that is known")
     others = {"the reference system": system_unit_m, "VerticalUnitsGeoKey": key}
     for other, other_m in others.items():
-        if length and other_m and abs(length / other_m - 1) > _SAME:
-            own = repr(named[:40]) if named else f"of {length:g} m"
-            return unknown("the band's unit", f"it is {own}, that of {other} {other_m:g} m")
+        if length and other_m and abs(length / other_m - 1) > _UNIT_TOLERANCE:
+            stated = repr(named[:40]) if named else f"of {length:g} m"
+            return unknown("the band's unit", f"it is {stated}, that of {other} {other_m:g} m")
     length = length or key
     if length is None:
         return known(BandToMetres(scale, offset), "the band", NO_UNIT)

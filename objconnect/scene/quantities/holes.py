@@ -23,22 +23,24 @@ _STEP_M = 10
 _CLIFF_M = 100
 # Smallest share of heights of 0, and their distance below all others (m), that is reported.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
-# Heights of 0 between others are reported unless more than this many times as many heights lie
-# within a metre, as in rasters with steps of a tenth of a metre.
-_CROWD = 4
-# Fewest pixels of a no-data constant, and their least share.
-_FEWEST, _LEAST_SHARE = 16, 1e-4
-# Most pixels in the step above the constant, as a share of the constant's: resampling leaves some.
-_BETWEEN = 0.1
+# Heights of 0 between others are reported if at most this many times as many pixels have a height
+# within a metre of 0. In rasters with steps of 0.1 m, heights of exactly 0 are common.
+_MAX_CROWD = 4
+# Smallest number of pixels of a no-data constant, and their smallest share.
+_MIN_PIXELS, _MIN_SHARE = 16, 1e-4
+# Largest number of pixels within ``_STEP_M`` above a low constant, or within ``_CLIFF_M`` below a
+# high one, as a share of the constant's pixels. Resampling leaves a few there.
+_MAX_BETWEEN_SHARE = 0.1
 _MOST_HOLES = 4
-# A raster of constants in fewer steps, or in a smaller share of the steps, is a synthetic surface.
-_FEW_STEPS, _CROWDED = 5, 0.5
+# A raster is a synthetic surface if its heights are constants in fewer steps of a metre than this,
+# or in a smaller share of the steps of their range.
+_MIN_STEPS, _MIN_STEP_SHARE = 5, 0.5
 # Heights beside no data that are this far outside all others (m) come from resampling.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
-# The lowest and highest ground is taken from pixels farther than this from no data.
-_BESIDE = 2
-# Fewest pixels that determine the lowest and the highest ground.
-_ENOUGH = 256
+# The lowest and highest ground is taken from pixels farther than this from no data (pixels).
+_MARGIN_PX = 2
+# Smallest number of pixels that determine the lowest and the highest ground.
+_MIN_GROUND_PIXELS = 256
 
 Heights = NDArray[np.float32]
 
@@ -82,14 +84,14 @@ class Hole:
         height: the height, metres.
         share: share of the pixels that have it.
         sure: whether it is no data; otherwise it may be a plain.
-        where: its relation to the other heights, a phrase for messages.
+        relation: its relation to the other heights, a phrase for messages.
         remark: whether it may be water; it is then only reported and not removed.
     """
 
     height: float
     share: float
     sure: bool
-    where: str = "far below all others"
+    relation: str = "far below all others"
     remark: bool = False
 
 
@@ -111,12 +113,14 @@ def find_holes(histogram: Histogram) -> list[Hole]:
         height, share = float(histogram.low[first]), counts[first] / total
         rest = int(counts.sum() - counts[first])
         constant = histogram.low[first] == histogram.high[first]
-        enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
+        enough = counts[first] >= _MIN_PIXELS and share >= _MIN_SHARE
         # Water and plains reach the edge too, but no cliff rises from them.
-        placed = height in histogram.edge or height == 0
-        if not (constant and enough and placed and rest) or _is_flat(histogram, steps[1:]):
+        may_be_hole = height in histogram.edge or height == 0
+        if not (constant and enough and may_be_hole and rest) or _is_synthetic(
+            histogram, steps[1:]
+        ):
             break
-        if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
+        if counts[first + 1 : first + 1 + _STEP_M].sum() > _MAX_BETWEEN_SHARE * counts[first]:
             near = counts[first + 1 : first + 1 + _REMARK_M].sum()
             if height == 0 and not near and share >= _REMARK_SHARE:
                 found.append(Hole(height, float(share), False, "below all others", remark=True))
@@ -137,9 +141,9 @@ def _find_above(histogram: Histogram, counts: NDArray[np.int64], total: int) -> 
     last = int(steps[-1])
     height, share = float(histogram.high[last]), counts[last] / total
     constant = histogram.low[last] == histogram.high[last] and height in histogram.edge
-    enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
-    near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
-    if not (constant and enough) or near or _is_flat(histogram, steps[:-1]):
+    enough = counts[last] >= _MIN_PIXELS and share >= _MIN_SHARE
+    near = counts[max(0, last - _CLIFF_M) : last].sum() > _MAX_BETWEEN_SHARE * counts[last]
+    if not (constant and enough) or near or _is_synthetic(histogram, steps[:-1]):
         return []
     sure = bool(2 * counts[last] <= counts.sum())
     counts[last] = 0
@@ -152,8 +156,8 @@ def _find_zeros(histogram: Histogram, counts: NDArray[np.int64], total: int) -> 
     below = np.flatnonzero(counts[:zero])
     share = histogram.zeros / total
     beside = int(counts[zero - 1 : zero + 1].sum())
-    whole = bool((histogram.low[below] == histogram.high[below]).all())
-    if whole or share < _REMARK_SHARE or _CROWD * histogram.zeros < beside:
+    only_constants = bool((histogram.low[below] == histogram.high[below]).all())
+    if only_constants or share < _REMARK_SHARE or _MAX_CROWD * histogram.zeros < beside:
         return []
     return [Hole(0.0, float(share), False, "between the others", remark=True)]
 
@@ -188,7 +192,7 @@ def find_ground(
         where: name of the raster in messages.
 
     Raises:
-        InputError: most pixels have one height far from all others: no data or a plain.
+        InputError: most pixels have one height far from all others, no data or a plain.
     """
     histogram, unknown, last = Histogram(), False, None
     for strip in strips():
@@ -205,21 +209,21 @@ def find_ground(
     doubts, values = [], []
     for hole in find_holes(histogram):
         share = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
-        fact = f"{share}, {hole.where}"
+        fact = f"{share}, {hole.relation}"
         if hole.remark:
             doubts.append(f"{fact}: if it is no data, gdal_edit -a_nodata declares it")
         elif not hole.sure and not declared:
             raise InputError(
-                f"{where}: {fact}: no data or a plain? gdal_edit -a_nodata {hole.height:g} "
-                "declares no data; declare another value if it is a plain"
+                f"{where}: {fact}: no data or a plain. If it is no data, run gdal_edit -a_nodata "
+                f"{hole.height:g}; if it is a plain, declare another value with gdal_edit -a_nodata"
             )
         elif hole.sure:
             doubts.append(f"{fact}: treated as no data, although the file does not declare it")
             values.append(hole.height)
     if not (unknown or values):
         return Ground(doubts=tuple(doubts))
-    lowest, highest = _ends(strips(), values)
-    slope = 2 * _BESIDE * pixel_m
+    lowest, highest = _ground_range(strips(), values)
+    slope = 2 * _MARGIN_PX * pixel_m
     return Ground(
         max(LOWEST_M, lowest - _BELOW_M - slope),
         min(HIGHEST_M, highest + _ABOVE_M + slope),
@@ -228,7 +232,7 @@ def find_ground(
     )
 
 
-def _ends(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]:
+def _ground_range(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]:
     """Return the lowest and the highest height that is not beside no data.
 
     With too few such pixels they are ``LOWEST_M`` and ``HIGHEST_M``.
@@ -240,7 +244,7 @@ def _ends(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]
         count += ground.size
         if ground.size:
             low, high = min(low, float(ground.min())), max(high, float(ground.max()))
-    return (low, high) if count >= _ENOUGH else (LOWEST_M, HIGHEST_M)
+    return (low, high) if count >= _MIN_GROUND_PIXELS else (LOWEST_M, HIGHEST_M)
 
 
 def _overlap_strips(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
@@ -248,22 +252,22 @@ def _overlap_strips(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]
     before: Heights | None = None
     for strip in strips:
         joined = strip if before is None else np.concatenate([before, strip])
-        yield joined, slice(0 if before is None else _BESIDE, -_BESIDE)
-        before = joined[-2 * _BESIDE :]
+        yield joined, slice(0 if before is None else _MARGIN_PX, -_MARGIN_PX)
+        before = joined[-2 * _MARGIN_PX :]
     if before is not None:
-        yield before, slice(-_BESIDE, None)
+        yield before, slice(-_MARGIN_PX, None)
 
 
 def _dilate(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels within ``_BESIDE`` pixels of an unknown one."""
-    near = np.pad(unknown, _BESIDE)
+    """Return the pixels within ``_MARGIN_PX`` pixels of an unknown one."""
+    near = np.pad(unknown, _MARGIN_PX)
     for axis, size in enumerate(unknown.shape):
-        parts = [np.take(near, range(k, k + size), axis) for k in range(2 * _BESIDE + 1)]
+        parts = [np.take(near, range(k, k + size), axis) for k in range(2 * _MARGIN_PX + 1)]
         near = np.logical_or.reduce(parts)
     return np.asarray(near)
 
 
-def _is_flat(histogram: Histogram, others: NDArray[np.intp]) -> bool:
+def _is_synthetic(histogram: Histogram, others: NDArray[np.intp]) -> bool:
     """Return whether the other heights are a few constants, as in synthetic surfaces.
 
     Ground in whole metres consists of constants too, but in most steps of its range.
@@ -271,4 +275,4 @@ def _is_flat(histogram: Histogram, others: NDArray[np.intp]) -> bool:
     if not (histogram.low[others] == histogram.high[others]).all():
         return False
     span = int(others[-1] - others[0]) + 1 if others.size else 0
-    return len(others) < _FEW_STEPS or len(others) < _CROWDED * span
+    return len(others) < _MIN_STEPS or len(others) < _MIN_STEP_SHARE * span

@@ -1,7 +1,7 @@
 """The horizontal axes of coordinates: east and north, or the grid of a projected system.
 
 Away from the central meridian of its zone, a grid is rotated against east and north by the
-meridian convergence. GPS positions, which are along east and north, show which of the two it is.
+meridian convergence. GPS positions, which are along east and north, show which axes are used.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 Axes = Literal["east and north", "grid"]
 
 _ZONE_DEG: Final = 6.0
-# One kind of axes is accepted if the other is at least this many times farther from the measured
-# rotation,
-_CLEARER: Final = 3.0
-# and if the convergence exceeds this many standard deviations of the rotation; with few positions
-# more are needed, as in Student's distribution.
-_SIGMAS, _FEW = 3.0, 5.0
+# One kind of axes is accepted if the other is more than this many times farther from the measured
+# rotation.
+_MIN_DISTANCE_RATIO: Final = 3.0
+# The convergence must also exceed ``_SIGMAS`` standard deviations of the rotation. With few
+# positions it must exceed more (``_FEW_POSITIONS``), as in Student's distribution.
+_SIGMAS, _FEW_POSITIONS = 3.0, 5.0
 
 
 def utm_zone(longitude: float) -> int:
@@ -36,9 +36,9 @@ def convergence(place: Geodetic, zone: int) -> float:
 
     If it is positive, true north points to the left of the grid's north.
     """
-    middle = zone * _ZONE_DEG - 180 - _ZONE_DEG / 2
-    beside = math.radians(longitude_difference(place.longitude, middle))
-    return math.atan(math.tan(beside) * math.sin(math.radians(place.latitude)))
+    meridian = zone * _ZONE_DEG - 180 - _ZONE_DEG / 2
+    from_meridian = math.radians(longitude_difference(place.longitude, meridian))
+    return math.atan(math.tan(from_meridian) * math.sin(math.radians(place.latitude)))
 
 
 def infer_axes(
@@ -55,26 +55,28 @@ def infer_axes(
         The axes; unknown if the positions fit both or neither.
     """
     source = "gps_position"
-    there = (np.abs(measured) <= FARTHEST_M).all(1)
-    if there.sum() < 3:
-        return unknown(source, f"{source} is known for {there.sum()} photographs")
-    own, gps = positions[there], measured[there]
-    own, gps = own - own.mean(0), gps - gps.mean(0)
+    is_measured = (np.abs(measured) <= FARTHEST_M).all(1)
+    if is_measured.sum() < 3:
+        return unknown(
+            source, f"{source} is known for {is_measured.sum()} photographs, and 3 are needed"
+        )
+    centred, gps = positions[is_measured], measured[is_measured]
+    centred, gps = centred - centred.mean(0), gps - gps.mean(0)
     spread = float(np.linalg.norm(gps))
     if not spread > 1e-6:
         return unknown(source, f"{source} is the same for all photographs")
-    across = float((gps[:, 0] * own[:, 1] - gps[:, 1] * own[:, 0]).sum())
-    turn = math.atan2(across, float((gps * own).sum()))
+    across = float((gps[:, 0] * centred[:, 1] - gps[:, 1] * centred[:, 0]).sum())
+    turn = math.atan2(across, float((gps * centred).sum()))
     cos, sin = math.cos(turn), math.sin(turn)
-    off = own - gps @ np.array([[cos, sin], [-sin, cos]])
-    free = 2 * len(own) - 4
-    sigma = float(np.sqrt((off**2).sum() / free)) / spread
+    residual = centred - gps @ np.array([[cos, sin], [-sin, cos]])
+    degrees_of_freedom = 2 * len(centred) - 4
+    sigma = float(np.sqrt((residual**2).sum() / degrees_of_freedom)) / spread
     from_east, from_grid = abs(turn), abs(turn - grid_turn)
     rotation = f"turned by {math.degrees(turn):.2f} degrees against {source}"
-    if _SIGMAS * (1 + _FEW / free) * sigma > abs(grid_turn):
+    if _SIGMAS * (1 + _FEW_POSITIONS / degrees_of_freedom) * sigma > abs(grid_turn):
         return unknown(source, f"{source} scatters too much to determine the axes")
-    if from_grid > _CLEARER * from_east:
+    if from_grid > _MIN_DISTANCE_RATIO * from_east:
         return known("east and north", source)
-    if from_east > _CLEARER * from_grid:
+    if from_east > _MIN_DISTANCE_RATIO * from_grid:
         return known("grid", source, rotation)
     return unknown(source, rotation)

@@ -51,7 +51,7 @@ _METRES: Final = {
 def metres_per(unit: str) -> float | None:
     """Return the length of a unit, metres; None if the name is unknown.
 
-    Example:
+    Examples:
         >>> metres_per("Metres"), metres_per("foot"), round(metres_per("US survey foot"), 9)
         (1.0, 0.3048, 0.30480061)
         >>> metres_per("fathom") is None

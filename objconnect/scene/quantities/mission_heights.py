@@ -27,6 +27,7 @@ _FRAMES: Final = {
 }
 # QGroundControl's AltitudeMode and DistanceMode. 0 means several modes and 5 none.
 _RELATIVE, _ABSOLUTE, _CALCULATED, _TERRAIN = 1, 2, 3, 4
+# The reference of the height that is sent to the aircraft, and of the one that the user chose.
 _SENT_AS: Final = {
     _RELATIVE: Above.HOME,
     _ABSOLUTE: Above.SEA,
@@ -40,23 +41,27 @@ def above_of_frame(frame: int | None) -> Reading[Above]:
     """Return the height reference of a MAV_FRAME; unknown for local and mission frames."""
     above = None if frame is None else _FRAMES.get(frame)
     if above is None:
-        why = "frame is missing" if frame is None else f"MAV_FRAME {frame} is not one of heights"
+        why = "frame is missing" if frame is None else f"MAV_FRAME {frame} states no height"
         return unknown("the reference of its height", why)
     return known(above, "MAV_FRAME")
 
 
-def check_mode(mode: float | None, frame: Above) -> str | None:
+def check_mode(mode: float | None, stated: Above) -> str | None:
     """Return how the AltitudeMode of an item contradicts its frame; None if it does not.
 
     The mode "calculated above terrain" is sent to the aircraft as a height above the sea.
+
+    Args:
+        mode: AltitudeMode of the item.
+        stated: height reference of the item's frame.
     """
     if mode is None:
         return None
     sent = _SENT_AS.get(int(mode)) if mode == int(mode) else None
     if sent is None:
         return f"AltitudeMode is {mode:g}, which is not known"
-    if sent is not frame:
-        return f"AltitudeMode is {mode:g} ({sent.value}), but frame states {frame.value}"
+    if sent is not stated:
+        return f"AltitudeMode is {mode:g} ({sent.value}), but frame states {stated.value}"
     return None
 
 

@@ -14,7 +14,7 @@ def parse_number(text: str) -> float | None:
     A single comma is a decimal mark. A text with several marks, such as ``1.234,5``, is no number:
     either mark may separate thousands.
 
-    Example:
+    Examples:
         >>> parse_number(" 47.5 "), parse_number("47,5"), parse_number("1.234,5")
         (47.5, 47.5, None)
     """

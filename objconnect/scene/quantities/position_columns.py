@@ -65,7 +65,7 @@ def position_columns(header: Sequence[str], others: Collection[str]) -> Reading[
         header: names of all columns.
         others: names of known columns that hold no position.
 
-    Example:
+    Examples:
         >>> position_columns(["name", "lat", "lon"], ["name"]).value
         PositionColumns(frame=<Frame.EARTH: 'the earth'>, horizontal=('lat', 'lon'), vertical=None)
         >>> position_columns(["name", "lat", "lon", "alt_ft"], ["name"]).why

@@ -49,31 +49,36 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         gps: fields of EXIF's GPS directory by name.
         xmp: fields of XMP by name without prefix.
     """
-    drone = _read_xmp(xmp)
+    from_xmp = _read_xmp(xmp)
     if not any(axis.tag in gps for axis in (LATITUDE, LONGITUDE)):
-        return drone
-    exif = _read_exif(gps)
-    if exif.value is not None and drone.value is not None:
-        distance = ground_distance(exif.value, drone.value)
+        return from_xmp
+    from_exif = _read_exif(gps)
+    if from_exif.value is not None and from_xmp.value is not None:
+        distance = ground_distance(from_exif.value, from_xmp.value)
         if distance > _LARGEST_DISTANCE_M:
-            return unknown(exif.source, _contradiction(drone.source, distance))
-        return exif
-    if exif.value is not None or drone.value is None:
-        return exif.with_doubts(*drone.doubts)
-    sizes = [
+            return unknown(from_exif.source, _contradiction(from_xmp.source, distance))
+        return from_exif
+    if from_exif.value is not None or from_xmp.value is None:
+        return from_exif.with_doubts(*from_xmp.doubts)
+    # EXIF lacks a hemisphere: compare XMP's position with EXIF's without signs.
+    unsigned_exif = [
         read_degrees(gps.get(axis.tag), axis).value if axis.tag in gps else None
         for axis in (LATITUDE, LONGITUDE)
     ]
     unsigned = [
-        abs(value) if size is None else size for value, size in zip(drone.value, sizes, strict=True)
+        abs(value) if exif_degrees is None else exif_degrees
+        for value, exif_degrees in zip(from_xmp.value, unsigned_exif, strict=True)
     ]
     distance = ground_distance(
-        (unsigned[0], unsigned[1]), (abs(drone.value[0]), abs(drone.value[1]))
+        (unsigned[0], unsigned[1]), (abs(from_xmp.value[0]), abs(from_xmp.value[1]))
     )
-    no_fix = sizes == [0, 0]
+    no_fix = unsigned_exif == [0, 0]
     if distance > _LARGEST_DISTANCE_M and not no_fix:
-        return unknown(exif.source, *exif.doubts, _contradiction(drone.source, distance))
-    return known(drone.value, drone.source, *exif.doubts, f"the position is that of {drone.source}")
+        return unknown(
+            from_exif.source, *from_exif.doubts, _contradiction(from_xmp.source, distance)
+        )
+    note = f"the position is that of {from_xmp.source}"
+    return known(from_xmp.value, from_xmp.source, *from_exif.doubts, note)
 
 
 def _contradiction(source: str, distance: float) -> str:
@@ -108,7 +113,7 @@ def _read_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
         longitude = next((name for name in longitudes if name in xmp), longitudes[0])
         if latitude not in xmp and longitude not in xmp:
             continue
-        one = _pair(xmp, latitude, longitude)
+        one = _read_pair(xmp, latitude, longitude)
         if one.value is not None and found.value is not None:
             if ground_distance(one.value, found.value) > _LARGEST_DISTANCE_M:
                 why = f"{found.source} and {one.source} contradict each other in XMP"
@@ -118,12 +123,12 @@ def _read_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:
     return found
 
 
-def _pair(xmp: Mapping[str, str], latitude: str, longitude: str) -> Reading[LatLon]:
+def _read_pair(xmp: Mapping[str, str], latitude: str, longitude: str) -> Reading[LatLon]:
     source = f"XMP's {latitude} and {longitude}"
     values: list[float] = []
     doubts: list[str] = []
     for name, axis in ((latitude, LATITUDE), (longitude, LONGITUDE)):
-        read = _one(xmp, name, axis, signed=latitude != _LETTERED)
+        read = _read_field(xmp, name, axis, signed=latitude != _LETTERED)
         doubts += read.doubts
         values += [] if read.value is None else [read.value]
     if len(values) < 2:
@@ -133,7 +138,7 @@ def _pair(xmp: Mapping[str, str], latitude: str, longitude: str) -> Reading[LatL
     return known((values[0], values[1]), source)
 
 
-def _one(xmp: Mapping[str, str], name: str, axis: Axis, *, signed: bool) -> Reading[float]:
+def _read_field(xmp: Mapping[str, str], name: str, axis: Axis, *, signed: bool) -> Reading[float]:
     if name not in xmp:
         return unknown(name, f"XMP's {name} is missing")
     return parse_coordinate(xmp[name], axis, f"XMP's {name}", signed=signed)

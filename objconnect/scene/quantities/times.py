@@ -54,12 +54,12 @@ def _clock_error(time: datetime, gps: Mapping[str, object]) -> float:
     if not isinstance(stamp, Sequence) or isinstance(stamp, str | bytes) or len(stamp) != 3:
         return 0.0
     hours, minutes, seconds = map(to_number, stamp)
-    of_day = 3600 * hours + 60 * minutes + seconds
-    if not 0 <= of_day <= _DAY_S:
+    gps_s = 3600 * hours + 60 * minutes + seconds
+    if not 0 <= gps_s <= _DAY_S:
         return 0.0
     try:
         day = datetime.strptime(plain_text(gps.get("GPSDateStamp")), "%Y:%m:%d").replace(tzinfo=UTC)
     except ValueError:
-        ours = 3600 * time.hour + 60 * time.minute + time.second
-        return math.remainder(ours - of_day, _DAY_S)
-    return (time - day).total_seconds() - of_day
+        camera_s = 3600 * time.hour + 60 * time.minute + time.second
+        return math.remainder(camera_s - gps_s, _DAY_S)
+    return (time - day).total_seconds() - gps_s

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-DIFFERENT: Final = 0.03
-"""Relative difference above which focal lengths contradict each other: programs round angles to two
-or three digits, and compute them with and without distortion."""
+MAX_DIFFERENCE: Final = 0.03
+"""Relative difference above which focal lengths contradict each other. It is this large because
+programs round angles to two or three digits, and compute them with and without distortion."""
 
 
 def focal_lengths(angle: float, side: float, fisheye: bool) -> tuple[float, ...]:
@@ -20,7 +20,7 @@ def focal_lengths(angle: float, side: float, fisheye: bool) -> tuple[float, ...]
         side: length of the picture along the angle, pixels.
         fisheye: whether the lens is a fisheye.
 
-    Example:
+    Examples:
         >>> [round(value) for value in focal_lengths(math.pi / 2, 1000.0, True)]
         [500, 637]
     """
@@ -34,4 +34,4 @@ def focal_lengths(angle: float, side: float, fisheye: bool) -> tuple[float, ...]
 
 def contradicts(focal: float, angle: float, side: float, fisheye: bool) -> bool:
     """Return whether a focal length (pixels) contradicts an angle of view."""
-    return all(abs(f / focal - 1) > DIFFERENT for f in focal_lengths(angle, side, fisheye))
+    return all(abs(f / focal - 1) > MAX_DIFFERENCE for f in focal_lengths(angle, side, fisheye))

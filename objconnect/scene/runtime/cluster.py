@@ -26,15 +26,15 @@ from objconnect.scene.runtime.tuning import ProcessTuning, is_tuned
 # Number of retries of a unit whose worker is lost or that fails other than by InputError.
 _RETRIES: Final = 5
 # Timeout of the connection to the head of a cluster (s).
-_PATIENCE_S: Final = 10
+_CONNECT_TIMEOUT_S: Final = 10
 # Units submitted per core; the others wait in this process, so that results do not fill Ray's
 # memory.
-_AHEAD: Final = 2
+_UNITS_PER_CORE: Final = 2
 # Size of the object store of a Ray that this process starts.
 _STORE_BYTES: Final = 200 << 20
 _ADDRESS: Final = re.compile(r"local|auto|[^/:\s]+:\d+")
 # Packages that need equal versions on all nodes for bit-equal results.
-_COMPUTING: Final = ("objconnect", "numpy", "torch", "pycolmap", "bpy")
+_NUMERIC_PACKAGES: Final = ("objconnect", "numpy", "torch", "pycolmap", "bpy")
 
 Item = TypeVar("Item")
 Unit = TypeVar("Unit")
@@ -55,7 +55,7 @@ class _Fault:
 class WorkerPool(Generic[Unit, Result]):
     """Workers that apply a function to many units; without a cluster, this process.
 
-    Example:
+    Examples:
         >>> with worker_pool(None, lambda unit: [unit * unit]) as workers:
         ...     list(workers.map([1, 2, 3]))
         [1, 4, 9]
@@ -88,10 +88,10 @@ class _RayPool(WorkerPool[Unit, Result]):
     def __init__(self, ray: Any, work: Work[Unit, Result]) -> None:
         super().__init__(work)
         self._ray = ray
-        self._put = ray.put(work)
-        self._do = ray.remote(
+        self._work_reference = ray.put(work)
+        self._run_unit = ray.remote(
             num_cpus=1, max_retries=_RETRIES, retry_exceptions=True, num_returns="streaming"
-        )(_do)
+        )(_run_unit)
 
     @property
     def cores(self) -> int:
@@ -99,14 +99,15 @@ class _RayPool(WorkerPool[Unit, Result]):
 
     def map(self, units: Iterable[Unit]) -> Generator[Result, None, None]:
         ray = self._ray
-        left, running = iter(units), set[Any]()
-        home, versions = str(Path.cwd()), _versions()
+        remaining, running = iter(units), set[Any]()
+        directory, versions = str(Path.cwd()), _versions()
         try:
             while True:
                 # The number of cores changes as nodes join and leave.
-                vacant = _AHEAD * max(1, self.cores) - len(running)
-                for unit in islice(left, max(0, vacant)):
-                    running.add(self._do.remote([self._put], unit, home, versions, is_tuned()))
+                vacant = _UNITS_PER_CORE * max(1, self.cores) - len(running)
+                for unit in islice(remaining, max(0, vacant)):
+                    arguments = ([self._work_reference], unit, directory, versions, is_tuned())
+                    running.add(self._run_unit.remote(*arguments))
                 if not running:
                     return
                 ready, _ = ray.wait(list(running), num_returns=1, fetch_local=False)
@@ -150,9 +151,9 @@ def worker_pool(
         address: "local" starts Ray on this machine and stops it afterwards; "auto" is the cluster
             of which this machine is a node; "host:port" is the head of a cluster. None uses this
             process alone.
-        work: picklable function. Every worker process keeps its own copy, which may cache state.
-            Relative paths refer to this process's working directory, if the worker's machine has
-            it.
+        work: picklable function. Every worker process keeps its own copy, which may cache
+            state. Relative paths refer to this process's working directory, if the worker's machine
+            has it.
 
     Raises:
         InputError: Ray is not installed, the cluster does not exist, or it has no core.
@@ -161,23 +162,23 @@ def worker_pool(
         yield WorkerPool(work)
         return
     require_address(address)
-    ray = _ray()
+    ray = _import_ray()
     if ":" in address:
         _require_answer(address)
-    own = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
+    local_options = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
     try:
         with _keep_handler():
             ray.init(
                 address=address,
                 logging_level=logging.ERROR,
                 log_to_driver=True,
-                **(own if address == "local" else {}),
+                **(local_options if address == "local" else {}),
             )
     except Exception as error:  # Ray raises many different exceptions here
         reason = " ".join(str(error).split("\n")[0].split())
         raise InputError(
             f"cannot work on the Ray cluster {address!r}: {reason or type(error).__name__}; run "
-            "this on a node of it, as docs/cluster.md says"
+            "this on one of its nodes, as docs/cluster.md says"
         ) from None
     try:
         workers = _RayPool(ray, work)
@@ -188,7 +189,7 @@ def worker_pool(
         ray.shutdown()
 
 
-def _ray() -> Any:
+def _import_ray() -> Any:
     """Import Ray without usage statistics and with a long timeout for busy machines."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_worker_register_timeout_seconds", "600")
@@ -217,7 +218,7 @@ def _require_answer(address: str) -> None:
     """Raise InputError if nothing listens at the address; Ray takes two minutes to notice."""
     host, _, port = address.rpartition(":")
     try:
-        socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
+        socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
         raise InputError(f"no Ray cluster answers at {address}: {error}") from None
 
@@ -234,7 +235,7 @@ def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list
         least: smallest number of items per unit, if there are enough for every core.
         most: largest number of items per unit.
 
-    Example:
+    Examples:
         >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
         [5, 5, 3, 3, 2, 2]
     """
@@ -255,20 +256,20 @@ _work_by_reference: dict[str, Work[Any, Any]] = {}
 _worker_contexts = ExitStack()
 
 
-def _do(
-    boxed: list[Any], unit: Any, home: str, versions: dict[str, str], tuned: bool
+def _run_unit(
+    reference: list[Any], unit: Any, directory: str, versions: dict[str, str], tuned: bool
 ) -> Generator[Any, None, None]:
     """Run one unit on a worker; the reference is in a list, because Ray unpacks a bare one."""
     try:
         if _versions() != versions:
             raise InputError(_describe_difference(versions))
-        name = boxed[0].hex()
+        name = reference[0].hex()
         if name not in _work_by_reference:
             with suppress(OSError):
-                os.chdir(home)
+                os.chdir(directory)
             if tuned and not is_tuned():
                 _worker_contexts.enter_context(ProcessTuning())
-            _work_by_reference[name] = _ray().get(boxed[0])
+            _work_by_reference[name] = _import_ray().get(reference[0])
         yield from _work_by_reference[name](unit)
     except InputError as error:
         yield _Fault(type(error), str(error))
@@ -276,7 +277,7 @@ def _do(
 
 def _versions() -> dict[str, str]:
     versions = {}
-    for package in _COMPUTING:
+    for package in _NUMERIC_PACKAGES:
         with suppress(PackageNotFoundError):
             versions[package] = version(package)
     return versions
@@ -284,7 +285,7 @@ def _versions() -> dict[str, str]:
 
 def _describe_difference(wanted: dict[str, str]) -> str:
     here = _versions()
-    package = next(p for p in _COMPUTING if here.get(p) != wanted.get(p))
+    package = next(p for p in _NUMERIC_PACKAGES if here.get(p) != wanted.get(p))
     return (
         f"node {os.uname().nodename} has {package} {here.get(package, 'not')} and this machine "
         f"{wanted.get(package, 'not')}: install the same on every node"

@@ -16,7 +16,7 @@ def require_packages(missing: Callable[[], Sequence[str]], what: str, install: b
 
     Args:
         missing: returns the missing packages; it is called again after installing.
-        what: beginning of the message: what needs them.
+        what: beginning of the message, such as "Blender needs system libraries that are".
         install: whether to install missing packages if this process is root and apt exists.
 
     Raises:

@@ -31,12 +31,12 @@ def resolve_device(asked: str) -> str:
         return "cuda" if count else "cpu"
     if asked == "cpu":
         return asked
-    named = re.fullmatch(r"cuda(?::(\d{1,3}))?", asked)
-    if named is None:
+    match = re.fullmatch(r"cuda(?::(\d{1,3}))?", asked)
+    if match is None:
         raise ValueError("a device is auto, cpu, cuda or cuda:NUMBER")
     if not count:
         raise ValueError("torch finds no CUDA device: choose cpu or auto")
-    if int(named[1] or 0) >= count:
+    if int(match[1] or 0) >= count:
         raise ValueError(f"torch finds cuda:0 to cuda:{count - 1}: choose one of them")
     return asked
 
@@ -73,6 +73,6 @@ def torch_device(asked: str = AUTO) -> torch.device:
     return device
 
 
-def loops_serve(device: torch.device) -> bool:
+def supports_loops(device: torch.device) -> bool:
     """Return whether compiled loops can be used: they run on the CPU only."""
     return device.type == "cpu" and has_compiler()

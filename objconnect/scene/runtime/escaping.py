@@ -14,7 +14,7 @@ def for_terminal(text: object) -> str:
 
     Bytes of a file name that are not UTF-8 are escaped too. A backslash is not changed.
 
-    Example:
+    Examples:
         >>> print(for_terminal("a" + chr(27) + "[31m.jpg"))
         a\x1b[31m.jpg
     """

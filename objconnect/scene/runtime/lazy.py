@@ -17,7 +17,7 @@ def lazy_attributes(
         package: name of the package.
         targets: module of each attribute; "module:name" where the name differs.
 
-    Example:
+    Examples:
         >>> get, names = lazy_attributes("geometry", {"root": "math:sqrt", "pi": "math"})
         >>> get("root")(9), names()
         (3.0, ['pi', 'root'])

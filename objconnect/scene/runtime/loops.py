@@ -7,18 +7,18 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any, Final
 
-from objconnect.scene.runtime.tuning import return_code
+from objconnect.scene.runtime.tuning import release_code
 
-# Numba's cache is keyed by the file of a function: after a change here, touch those files.
-OPTIONS: Final[dict[str, Any]] = {
+# Numba's cache does not depend on these options: after a change, touch the files of all loops.
+LOOP_OPTIONS: Final[dict[str, Any]] = {
     "nogil": True,
     "error_model": "numpy",
     # Flags that assume finite numbers are left out.
     "fastmath": {"contract", "reassoc", "arcp", "nsz"},
 }
-# Options of functions that a cached function calls. They are inlined, so that cached and fresh
-# kernels match bitwise.
-CALLED: Final[dict[str, Any]] = {**OPTIONS, "forceinline": True}
+# Options of functions that a cached loop calls. These functions are inlined, so that cached and
+# fresh kernels match bitwise.
+INLINED_OPTIONS: Final[dict[str, Any]] = {**LOOP_OPTIONS, "forceinline": True}
 
 
 @cache
@@ -37,11 +37,12 @@ def compile_loop(function: Callable[..., None], signature: Any) -> Callable[...,
     from numba import njit
 
     try:
-        compiled = njit(cache=True, **OPTIONS)(function)
+        compiled = njit(cache=True, **LOOP_OPTIONS)(function)
         compiled.compile(signature)
-    except (OSError, RuntimeError):  # the cache cannot be written
-        compiled = njit(**OPTIONS)(function)
+    # The cache cannot be written, or was written by a version with other names of records.
+    except (OSError, RuntimeError, AttributeError, ImportError):
+        compiled = njit(**LOOP_OPTIONS)(function)
         compiled.compile(signature)
-    return_code("llvmlite")  # frees 50 MB
+    release_code("llvmlite")  # frees 50 MB
     loop: Callable[..., None] = compiled
     return loop

@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-_HELD = Path("/proc/self/statm")
+_STATM = Path("/proc/self/statm")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
 
@@ -14,7 +14,7 @@ _CLEAR = Path("/proc/self/clear_refs")
 def resident_bytes() -> int:
     """Return the resident memory, bytes; its peak on systems that do not report it."""
     try:
-        pages = int(_HELD.read_text().split()[1])
+        pages = int(_STATM.read_text().split()[1])
     except OSError:
         return _lifetime_peak()
     return pages * os.sysconf("SC_PAGE_SIZE")
@@ -23,7 +23,7 @@ def resident_bytes() -> int:
 def reset_peak() -> None:
     """Reset the peak if the system allows it; else it counts from the start of the process."""
     try:
-        _CLEAR.write_text("5")
+        _CLEAR.write_text("5")  # resets VmHWM
     except OSError:
         return
 

@@ -40,7 +40,7 @@ class _Terminal:
 
 
 # Start time of this thread's step of a bar.
-_BEGAN: ContextVar[float | None] = ContextVar("began", default=None)
+_STEP_START: ContextVar[float | None] = ContextVar("began", default=None)
 
 
 @contextmanager
@@ -59,10 +59,10 @@ def progress_bar(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(for_terminal(what), total, clock)
+        yield _LogLines(for_terminal(what), total, clock)
         return
     if _Terminal.bars is not None:
-        with _line(_Terminal.bars, what, total) as advance:
+        with _bar_below(_Terminal.bars, what, total) as advance:
             yield advance
         return
     columns = (
@@ -83,11 +83,11 @@ def progress_bar(
 @contextmanager
 def one_step(clock: Callable[[], float] = monotonic) -> Iterator[None]:
     """Mark a block as one step of a bar, from whose start ``progress_within`` counts time."""
-    before = _BEGAN.set(clock())
+    before = _STEP_START.set(clock())
     try:
         yield
     finally:
-        _BEGAN.reset(before)
+        _STEP_START.reset(before)
 
 
 @contextmanager
@@ -103,7 +103,7 @@ def progress_within(
         total: number of its steps.
         clock: clock of ``one_step``.
     """
-    within = _Within(what, total, clock)
+    within = _DelayedBar(what, total, clock)
     try:
         within(0)
         yield within
@@ -111,32 +111,35 @@ def progress_within(
         within.end()
 
 
-class _Within:
-    """A line below a bar that appears after ``PATIENCE_S``; call it with the steps done."""
+class _DelayedBar:
+    """A bar below another one that appears after ``PATIENCE_S``; call it with the steps done."""
 
     def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
         self._what, self._total, self._clock = what, total, clock
-        self._line: tuple[Progress, TaskID] | None = None
+        self._bar: tuple[Progress, TaskID] | None = None
 
     def __call__(self, done: int) -> None:
-        if self._line is None:
-            bars, began = _Terminal.bars, _BEGAN.get()
+        if self._bar is None:
+            bars, began = _Terminal.bars, _STEP_START.get()
             if bars is None or began is None or self._clock() - began < PATIENCE_S:
                 return
-            self._line = bars, bars.add_task(f"  {for_terminal(self._what)}", total=self._total)
-        bars, task = self._line
+            self._bar = (
+                bars,
+                bars.add_task(f"  {for_terminal(self._what)}", total=self._total),
+            )
+        bars, task = self._bar
         bars.update(task, completed=done)
 
     def end(self) -> None:
-        """Remove the line."""
-        if self._line is not None:
-            bars, task = self._line
+        """Remove the bar."""
+        if self._bar is not None:
+            bars, task = self._bar
             bars.remove_task(task)
 
 
 @contextmanager
-def _line(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a line below a bar during the block."""
+def _bar_below(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar below another one during the block."""
     task = bars.add_task(f"  {what}", total=total)
     try:
         yield lambda done: bars.update(task, completed=done)
@@ -144,7 +147,7 @@ def _line(bars: Progress, what: str, total: int) -> Iterator[Callable[[int], Non
         bars.remove_task(task)
 
 
-class _Lines:
+class _LogLines:
     """A writer of progress lines; call it with the number of steps done."""
 
     def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:

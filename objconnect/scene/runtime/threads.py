@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from threading import Event
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -54,3 +55,40 @@ def map_in_threads(
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def map_unordered(
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int
+) -> Generator[Result, None, None]:
+    """Apply a function to items in threads; yield results as they are finished.
+
+    After an exception no further item begins. If several items raise at once, the exception of the
+    first item is raised.
+
+    Args:
+        work: thread-safe function.
+        items: items.
+        threads: number of items at a time.
+    """
+    failed = Event()
+
+    def attempt(item: Item) -> tuple[Result, ...]:
+        if failed.is_set():
+            return ()
+        try:
+            return (work(item),)
+        except BaseException:
+            failed.set()
+            raise
+
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            order = {pool.submit(attempt, item): k for k, item in enumerate(items)}
+            waiting = set(order)
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in sorted(done, key=order.__getitem__):
+                    yield from future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

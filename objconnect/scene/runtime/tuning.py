@@ -39,7 +39,7 @@ _DONTNEED: Final = 4
 # 1024: about 100 MB after fifty photographs rotated by different angles. A cache for one or two
 # sizes suffices: recompiling takes 2 to 5 % of a query. oneDNN reads the variable before the first
 # convolution of the process.
-_KERNELS: Final = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "32")
+_CONVOLUTION_CACHE: Final = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "32")
 
 
 class ProcessTuning:
@@ -47,8 +47,8 @@ class ProcessTuning:
 
     It caches few compiled convolutions and hides Pillow's warnings. Freed memory stays allocated
     for the next query up to a bound (``retain_heap``, ``return_freed_above``). The garbage
-    collector skips the objects of a prepared localizer (``spare_collector``). The code of a
-    finished compiler is released (``return_code``). Threads for compiled loops are kept
+    collector skips the objects of a prepared localizer (``freeze_objects``). The code of a
+    finished compiler is released (``release_code``). Threads for compiled loops are kept
     (``worker_threads``). Environment variables of the user take precedence.
 
     Leaving ends the threads, and restores the environment, the warnings and the collector. The
@@ -57,7 +57,7 @@ class ProcessTuning:
 
     def __enter__(self) -> ProcessTuning:
         """Tune the process."""
-        name, value = _KERNELS
+        name, value = _CONVOLUTION_CACHE
         with ExitStack() as restored:
             if name not in os.environ:
                 os.environ[name] = value
@@ -86,7 +86,7 @@ def is_tuned() -> bool:
     return bool(_entered)
 
 
-def _only_when_tuned(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
+def _skip_outside_tuning(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
     """Return a function that does nothing unless the process is tuned."""
 
     @wraps(function)
@@ -97,7 +97,7 @@ def _only_when_tuned(function: Callable[Arguments, None]) -> Callable[Arguments,
     return guard
 
 
-@_only_when_tuned
+@_skip_outside_tuning
 def trim_heap() -> None:
     """Return freed memory to the system, if the C library can.
 
@@ -111,7 +111,7 @@ def trim_heap() -> None:
         return
 
 
-@_only_when_tuned
+@_skip_outside_tuning
 def return_freed_above(bound: int) -> None:
     """Return freed memory to the system if the process holds more than ``bound`` bytes.
 
@@ -121,7 +121,7 @@ def return_freed_above(bound: int) -> None:
         trim_heap()
 
 
-@_only_when_tuned
+@_skip_outside_tuning
 def retain_heap() -> None:
     """Keep freed memory for the next pass of a network, if the C library can.
 
@@ -143,8 +143,8 @@ def retain_heap() -> None:
         return
 
 
-@_only_when_tuned
-def return_code(library: str) -> None:
+@_skip_outside_tuning
+def release_code(library: str) -> None:
     """Release the code pages of a loaded library; the system reloads them if it runs again.
 
     Otherwise a compiler stays resident after its work.
@@ -168,8 +168,8 @@ def return_code(library: str) -> None:
             madvise(begin, end - begin, _DONTNEED)
 
 
-@_only_when_tuned
-def spare_collector() -> None:
+@_skip_outside_tuning
+def freeze_objects() -> None:
     """Collect garbage once, then freeze all live objects so that later collections skip them.
 
     A full collection visits every object at an arbitrary time. With the modules that a localizer

@@ -8,6 +8,8 @@
 - ``files``: checked reads of text and JSON, safe paths, free disk space.
 - ``outputs``: checks of a run's outputs before it starts.
 - ``digests``: SHA-256 of values and of files, cached while a file does not change.
+- ``checksums``: the list of digests of a published folder.
+- ``hub``: downloads from the Hugging Face hub.
 - ``hdf5``, ``hdf5_writing``: safe reads of HDF5 files, and writes that survive a full disk.
 - ``packed``: texts compressed by xz.
 - ``images``, ``xmp``: photographs with EXIF and XMP.
@@ -18,4 +20,5 @@
 - ``provenance``: marks of pictures that this program drew.
 - ``records``, ``answers``: base classes of JSON records.
 - ``lru_cache``: a cache bounded in bytes.
+- ``user_cache``: the folder of the user's caches.
 """

@@ -57,18 +57,18 @@ def require_regular(path: Path) -> None:
 
 
 @contextmanager
-def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
+def atomic_write(path: Path, parent: Path | None = None) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path that becomes ``path`` if the block succeeds.
 
     Args:
         path: file to write.
-        beside: folder of the temporary path, on the same disk; None for the folder of the file.
+        parent: folder of the temporary path, on the same disk; None for the folder of the file.
 
     Raises:
         WriteError: the folder cannot be written, the disk is full, or ``path`` is not a regular
             file.
 
-    Example:
+    Examples:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "result.txt"
         ...     with atomic_write(path) as partial:
@@ -81,7 +81,7 @@ def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
         require_regular(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=beside or path.parent
+            prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=parent or path.parent
         )
         os.close(handle)
         partial = Path(name)
@@ -94,7 +94,7 @@ def atomic_write(path: Path, beside: Path | None = None) -> Iterator[Path]:
     except OSError as error:
         raise WriteError(f"cannot write {path}: {_reason(error, partial)}") from error
     except RuntimeError as error:
-        _require_room(path, path.parent, error)
+        _require_free_space(path, path.parent, error)
         raise
     finally:
         if partial is not None:
@@ -125,7 +125,7 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
         InputError: the parent folder cannot be written, or the disk is full.
     """
     partial: Path | None = None
-    named = path
+    given_path = path
     try:
         path = path.resolve()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -139,12 +139,12 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
         if partial is None or str(partial) not in str(error):
             raise
         # The message names the final path instead of the temporary one.
-        raise WriteError(str(error).replace(str(partial), str(named))) from error
+        raise WriteError(str(error).replace(str(partial), str(given_path))) from error
     except OSError as error:
-        raise WriteError(f"cannot write {named}: {_reason(error, partial)}") from error
+        raise WriteError(f"cannot write {given_path}: {_reason(error, partial)}") from error
     except RuntimeError as error:
         if partial is not None:
-            _require_room(named, path.parent, error)
+            _require_free_space(given_path, path.parent, error)
         raise
     finally:
         if partial is not None:
@@ -222,7 +222,7 @@ def remove_owned(folder: Path, owned: Collection[str]) -> None:
         folder.rmdir()
 
 
-def _require_room(path: Path, folder: Path, error: RuntimeError) -> None:
+def _require_free_space(path: Path, folder: Path, error: RuntimeError) -> None:
     """Raise WriteError if the disk of ``folder`` is full, whatever error a library reports.
 
     Raises:
@@ -236,10 +236,10 @@ def _reason(error: OSError, partial: Path | None) -> str:
     """Return the reason of an error, with the file name if another file is concerned."""
     reason = error.strerror or str(error)
     # On a full disk an error of copying names the file that was read.
-    named = None if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.filename
-    if partial is None or named is None or Path(str(named)).is_relative_to(partial):
+    named_file = None if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.filename
+    if partial is None or named_file is None or Path(str(named_file)).is_relative_to(partial):
         return reason
-    return f"{named}: {reason}"
+    return f"{named_file}: {reason}"
 
 
 def _umask() -> int:

@@ -30,6 +30,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.files import require_readable
+from objconnect.scene.storage.user_cache import user_cache
 
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 """The environment variable that names the folder of the cache."""
@@ -38,11 +39,11 @@ FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 _TICK_NS: Final = 3 * 10**9
 # A larger cache is emptied; this suffices for about 800,000 files.
 _MOST_BYTES: Final = 128 << 20
-_ENDING: Final = ".digests"
+_SUFFIX: Final = ".digests"
 _FORMAT: Final = "objconnect digests 1"
 _THREADS: Final = min(8, os.cpu_count() or 1)
 # Reading more bytes than this takes long enough to show progress.
-_LONG: Final = 10**9
+_PROGRESS_BYTES: Final = 10**9
 
 _State = list[int]
 """Device, inode, size, and the times of the last change of content and of status (ns)."""
@@ -55,14 +56,14 @@ def sha256(*pieces: str | bytes | NDArray[Any]) -> str:
 
     It is the digest of recorded data: maps, data sets, manifests and reports.
 
-    Example:
+    Examples:
         >>> sha256("ab", "c") == sha256(b"abc")
         True
     """
-    state = hashlib.sha256()
+    hasher = hashlib.sha256()
     for piece in pieces:
-        state.update(_bytes(piece))
-    return state.hexdigest()
+        hasher.update(_bytes(piece))
+    return hasher.hexdigest()
 
 
 def digest_of(*parts: object) -> str:
@@ -70,7 +71,7 @@ def digest_of(*parts: object) -> str:
 
     It is the key of caches and journals. Each part is preceded by its length.
 
-    Example:
+    Examples:
         >>> digest_of("ab", "c") == digest_of("a", "bc")
         False
     """
@@ -128,7 +129,9 @@ def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
             size += state[_SIZE]
     unread = [k for k, value in enumerate(known) if value is None]
     if unread:
-        bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_ignore)
+        bar = (
+            progress_bar("digests", len(unread)) if size > _PROGRESS_BYTES else nullcontext(_ignore)
+        )
         with bar as advance, ThreadPoolExecutor(_THREADS) as pool:
             read = pool.map(_read, [files[k] for k in unread])
             for done, (k, (state, value)) in enumerate(zip(unread, read, strict=True), 1):
@@ -137,8 +140,8 @@ def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
                     folder, name = parts[k]
                     entries[folder].put(name, state, value)
                 advance(done)
-        for entry in entries.values():
-            entry.write()
+        for folder_entries in entries.values():
+            folder_entries.write()
         if cache is not None:
             _limit_size(cache)
     return [value for value in known if value is not None]
@@ -170,7 +173,7 @@ class _Entries:
     def __init__(self, cache: Path | None, folder: Path) -> None:
         self._folder = folder
         name = sha256(os.fsencode(folder.absolute()))
-        self._path = None if cache is None else cache / (name + _ENDING)
+        self._path = None if cache is None else cache / (name + _SUFFIX)
         self._known = self._load()
         self._new = False
 
@@ -222,18 +225,14 @@ def _cache_folder() -> Path | None:
     chosen = os.environ.get(FOLDER_VARIABLE)
     if chosen is not None:
         return Path(chosen) if chosen else None
-    try:
-        base = Path(os.environ.get("XDG_CACHE_HOME", ""))
-        base = base if base.is_absolute() else Path.home() / ".cache"
-    except RuntimeError:  # the home folder is unknown
-        return None
-    return base / "objconnect" / "digests"
+    base = user_cache()
+    return None if base is None else base / "digests"
 
 
 def _limit_size(cache: Path) -> None:
     """Empty the cache when it is too large."""
     try:
-        files = [file for file in os.scandir(cache) if file.name.endswith(_ENDING)]
+        files = [file for file in os.scandir(cache) if file.name.endswith(_SUFFIX)]
         if sum(file.stat().st_size for file in files) > _MOST_BYTES:
             for file in files:
                 Path(file.path).unlink(missing_ok=True)
@@ -263,7 +262,7 @@ def _state_of(path: Path, optional: bool) -> _State | None:
     except OSError as error:
         if optional and isinstance(error, FileNotFoundError):
             return None
-        raise _unreadable(path, error) from None
+        raise _read_error(path, error) from None
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path} is not a regular file")
     return _state(status)
@@ -286,12 +285,12 @@ def _read(path: Path) -> tuple[_State | None, str]:
             value = hashlib.file_digest(stream, "sha256").hexdigest()
             after = os.fstat(stream.fileno())
     except OSError as error:
-        raise _unreadable(path, error) from None
+        raise _read_error(path, error) from None
     # On Windows st_ctime is the creation time.
     changed = before.st_mtime_ns if os.name == "nt" else before.st_ctime_ns
     reliable = _state(before) == _state(after) and changed + _TICK_NS < began
     return (_state(before) if reliable else None), value
 
 
-def _unreadable(path: Path, error: OSError) -> InputError:
+def _read_error(path: Path, error: OSError) -> InputError:
     return InputError(f"cannot read {path}: {error.strerror or error}")

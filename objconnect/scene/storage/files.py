@@ -7,11 +7,13 @@ import json
 import os
 import shutil
 import stat
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from objconnect.scene.errors import InputError, WriteError
-from objconnect.scene.storage.packed import SUFFIX, unpack
+from objconnect.scene.storage.packed import XZ_SUFFIX, unpack
 
 # Longest file name that every common file system allows (bytes).
 _MAX_NAME_BYTES = 255
@@ -42,6 +44,32 @@ def require_readable(path: Path, what: str) -> None:
         raise InputError(f"cannot read {what} {path}: it is a device or a pipe, not a file")
 
 
+def require_folder(path: Path, what: str) -> None:
+    """Refuse a path that is missing or is not a folder.
+
+    Args:
+        path: folder to read.
+        what: noun for the folder in the message.
+
+    Raises:
+        InputError: the path is missing, or a file lies there.
+    """
+    if not path.is_dir():
+        wrong = "is not a folder" if os.path.lexists(path) else "does not exist"
+        raise InputError(f"{what} {path} {wrong}: check the path")
+
+
+def require_distinct(paths: Iterable[Path]) -> None:
+    """Refuse files or folders of which one is given twice, also by a symbolic link.
+
+    Raises:
+        InputError: a path is given twice.
+    """
+    for path, count in Counter(path.resolve() for path in paths).items():
+        if count > 1:
+            raise InputError(f"{path} is given {count} times: give it once")
+
+
 def read_text(path: Path, what: str) -> str:
     """Read a UTF-8 text file of at most 1 GiB; ``NAME.xz`` is decompressed.
 
@@ -60,7 +88,7 @@ def read_text(path: Path, what: str) -> str:
                 f"cannot read {what} {path}: it is larger than {_LONGEST_TEXT >> 30} GiB"
             )
         # Programs on Windows begin a UTF-8 text with a byte order mark.
-        if path.suffix == SUFFIX:
+        if path.suffix == XZ_SUFFIX:
             return unpack(path.read_bytes()).decode("utf-8-sig")
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -76,7 +104,7 @@ def parse_json(text: str) -> Any:
     Raises:
         ValueError: the text is not JSON, or is nested thousands of levels deep.
 
-    Example:
+    Examples:
         >>> parse_json('{"seed": 3}')
         {'seed': 3}
     """
@@ -89,7 +117,7 @@ def parse_json(text: str) -> Any:
 def is_safe_path(name: str) -> bool:
     """Return whether a path is relative, stays inside its folder and is a valid file name.
 
-    Example:
+    Examples:
         >>> [is_safe_path(name) for name in ("grid/images/1.jpg", "../1.jpg", "/etc/passwd")]
         [True, False, False]
     """

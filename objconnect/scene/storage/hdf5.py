@@ -102,5 +102,5 @@ def _member(group: h5py.Group, name: str) -> Any:
     if link is None:
         raise KeyError(f"there is no {name}")
     if not isinstance(link, h5py.HardLink):
-        raise ValueError(f"{name} is a link to something else")
+        raise ValueError(f"{name} is a link to another file or member")
     return group[name]

@@ -22,56 +22,56 @@ from objconnect.scene.storage.atomic import atomic_write
 
 
 @contextmanager
-def hdf5_file(path: Path, beside: Path | None = None) -> Iterator[h5py.File]:
+def hdf5_file(path: Path, parent: Path | None = None) -> Iterator[h5py.File]:
     """Write an HDF5 file atomically; arguments and errors are those of ``atomic_write``."""
-    with atomic_write(path, beside) as partial, open_hdf5(partial, called=path) as file:
+    with atomic_write(path, parent) as partial, open_hdf5(partial, shown_path=path) as file:
         yield file
 
 
 @contextmanager
-def open_hdf5(path: Path, called: Path | None = None) -> Iterator[h5py.File]:
+def open_hdf5(path: Path, shown_path: Path | None = None) -> Iterator[h5py.File]:
     """Write an HDF5 file in place, not atomically.
 
     Args:
         path: file to write.
-        called: path in messages; None for ``path``.
+        shown_path: path in messages; None for ``path``.
 
     Raises:
         WriteError: the file cannot be written; it is then damaged.
     """
-    called = path if called is None else called
+    shown_path = path if shown_path is None else shown_path
     try:
-        disk = path.open("w+b", buffering=0)
+        raw = path.open("w+b", buffering=0)
     except OSError as error:
-        raise WriteError(f"cannot write {called}: {error.strerror or error}") from None
-    with disk:
-        safe_file = _Disk(disk, called)
+        raise WriteError(f"cannot write {shown_path}: {error.strerror or error}") from None
+    with raw:
+        safe_file = _SafeFile(raw, shown_path)
         try:
-            with _File(safe_file, "w") as file:
+            with _CheckedFile(safe_file, "w") as file:
                 yield file
         finally:
             # The error of the disk replaces errors that follow from it.
-            safe_file.require_room()
+            safe_file.require_no_failure()
 
 
-class _Disk(io.RawIOBase):
+class _SafeFile(io.RawIOBase):
     """A file object whose writes never fail: after an error it keeps data in memory."""
 
-    def __init__(self, disk: Any, called: Path) -> None:
+    def __init__(self, raw: Any, shown_path: Path) -> None:
         super().__init__()
-        self._disk = disk
-        self._called = called
-        self._at = 0
+        self._raw = raw
+        self._shown_path = shown_path
+        self._position = 0
         self._error: OSError | None = None
-        self._left: list[tuple[int, bytes]] = []
+        self._unwritten: list[tuple[int, bytes]] = []
 
-    def require_room(self) -> None:
+    def require_no_failure(self) -> None:
         """Raise WriteError if a write has failed."""
         if self._error is not None:
             reason = self._error.strerror or str(self._error)
             if self._error.errno == errno.ENOSPC:
                 reason = "the disk is full: free some and run again"
-            raise WriteError(f"cannot write {self._called}: {reason}") from None
+            raise WriteError(f"cannot write {self._shown_path}: {reason}") from None
 
     def readable(self) -> bool:
         return True
@@ -83,50 +83,55 @@ class _Disk(io.RawIOBase):
         return True
 
     def tell(self) -> int:
-        return self._at
+        return self._position
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        ends = [at + len(data) for at, data in self._left]
-        size = max([self._disk.seek(0, os.SEEK_END), *ends])
-        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
-        self._at = start + offset
-        return self._at
+        ends = [at + len(data) for at, data in self._unwritten]
+        size = max([self._raw.seek(0, os.SEEK_END), *ends])
+        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: size}[whence]
+        self._position = start + offset
+        return self._position
 
     def write(self, data: Any) -> int:
         view = memoryview(data).cast("B")
         done = 0
         if self._error is None:
             try:
-                self._disk.seek(self._at)
+                self._raw.seek(self._position)
                 while done < len(view):
-                    done += self._disk.write(view[done:])
+                    done += self._raw.write(view[done:])
             except OSError as error:
                 self._error = error
         if done < len(view):
-            self._left.append((self._at + done, bytes(view[done:])))
-        self._at += len(view)
+            self._unwritten.append((self._position + done, bytes(view[done:])))
+        self._position += len(view)
         return len(view)
 
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
         view[:] = bytes(len(view))
-        self._disk.seek(self._at)
+        self._raw.seek(self._position)
         done = 0
-        while done < len(view) and (count := self._disk.readinto(view[done:])):
+        while done < len(view) and (count := self._raw.readinto(view[done:])):
             done += count
-        for start, data in self._left:
-            first, last = max(start, self._at), min(start + len(data), self._at + len(view))
+        for start, data in self._unwritten:
+            first, last = (
+                max(start, self._position),
+                min(start + len(data), self._position + len(view)),
+            )
             if first < last:
-                view[first - self._at : last - self._at] = data[first - start : last - start]
-                done = max(done, last - self._at)
-        self._at += done
+                view[first - self._position : last - self._position] = data[
+                    first - start : last - start
+                ]
+                done = max(done, last - self._position)
+        self._position += done
         return done
 
     def truncate(self, size: int | None = None) -> int:
-        size = self._at if size is None else size
+        size = self._position if size is None else size
         if self._error is None:
             try:
-                self._disk.truncate(size)
+                self._raw.truncate(size)
             except OSError as error:
                 self._error = error
         return size
@@ -135,28 +140,28 @@ class _Disk(io.RawIOBase):
         """Do nothing: the file has no buffer."""
 
 
-class _File(h5py.File):  # type: ignore[misc]
+class _CheckedFile(h5py.File):  # type: ignore[misc]
     """An HDF5 file that raises the disk's error on each access."""
 
-    def __init__(self, disk: _Disk, mode: str) -> None:
-        self._disk = disk
-        super().__init__(disk, mode)
+    def __init__(self, safe_file: _SafeFile, mode: str) -> None:
+        self._safe_file = safe_file
+        super().__init__(safe_file, mode)
 
     def __getitem__(self, name: Any) -> Any:
-        self._disk.require_room()
+        self._safe_file.require_no_failure()
         return super().__getitem__(name)
 
     def __setitem__(self, name: str, value: Any) -> None:
-        self._disk.require_room()
+        self._safe_file.require_no_failure()
         super().__setitem__(name, value)
-        self._disk.require_room()
+        self._safe_file.require_no_failure()
 
     def create_group(self, *words: Any, **options: Any) -> Any:
-        self._disk.require_room()
+        self._safe_file.require_no_failure()
         return super().create_group(*words, **options)
 
     def create_dataset(self, *words: Any, **options: Any) -> Any:
-        self._disk.require_room()
-        made = super().create_dataset(*words, **options)
-        self._disk.require_room()
-        return made
+        self._safe_file.require_no_failure()
+        dataset = super().create_dataset(*words, **options)
+        self._safe_file.require_no_failure()
+        return dataset

@@ -21,12 +21,12 @@ from PIL.TiffImagePlugin import IFDRational
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.quantities.altitudes import OF_SEA_LEVEL, read_altitude
+from objconnect.scene.quantities.altitudes import SEA_LEVEL_DOUBT, read_altitude
 from objconnect.scene.quantities.focal import (
     FILM_LENGTH,
     FocalLength,
     Lens,
-    is_turned,
+    is_rotated,
     read_exif_size,
     read_focal,
 )
@@ -53,12 +53,12 @@ _DAMAGE: Final = (
 # A file of a few bytes may claim any size. Pillow refuses twice the number that it warns of.
 _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
 # Largest payload of a JPEG segment with its identifier (bytes).
-_SEGMENT: Final = 65_500
+_MAX_SEGMENT_BYTES: Final = 65_500
 _TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"
 # Denominator of the numbers that we write.
 _DENOMINATOR: Final = 10_000
 # Identifier of an XMP segment.
-_XMP: Final = b"http://ns.adobe.com/xap/1.0/\0"
+_XMP_IDENTIFIER: Final = b"http://ns.adobe.com/xap/1.0/\0"
 # EXIF's code of the unit of resolution.
 _CENTIMETRE = 3
 
@@ -103,7 +103,7 @@ def _open(path: Path) -> Iterator[Image.Image]:
     except InputError:
         raise
     except UnidentifiedImageError:
-        raise InputError(f"{path} is not an image this program can read") from None
+        raise InputError(f"{path} is not an image that can be read: convert it to JPEG") from None
     except Image.DecompressionBombError:
         raise InputError(
             f"image {path} has more than {_MOST_PIXELS / 1e6:.0f} million pixels: make it smaller"
@@ -116,7 +116,7 @@ def _stretch(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
     """Scale grey values (H, W) of any type from their range to 0..255, (H, W, 3) uint8."""
     values = grey.astype(np.float64)
     if not np.isfinite(values).all():
-        raise InputError(f"image {path} has values that are not finite")
+        raise InputError(f"image {path} has values that are not finite: replace them")
     low, high = values.min(), values.max()
     scaled = (values - low) * (255 / (high - low) if high > low else 0.0)
     return np.repeat(np.rint(scaled).astype(np.uint8)[..., None], 3, axis=-1)
@@ -145,13 +145,13 @@ class Exif:
     Attributes:
         position: measured position of the aircraft, or None; an unknown altitude is NaN.
         time: time of the photograph, or None.
-        make: maker of the camera.
-        model: model of the camera.
+        make: maker of the camera; empty if unknown.
+        model: model of the camera; empty if unknown.
         focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
         xmp: XMP of the drone; it is never written.
         place_doubts: phrases about an unknown or contradictory position, with names of fields.
         lens_doubts: phrases about the focal length.
-        other_doubts: phrases about time and attitude.
+        capture_doubts: phrases about time, attitude and contradictory blocks of EXIF.
         focals: candidate focal ratios (see ``focal_ratio``) if none of them is reliable.
     """
 
@@ -163,18 +163,18 @@ class Exif:
     xmp: DroneXmp = field(default_factory=DroneXmp)
     place_doubts: tuple[str, ...] = ()
     lens_doubts: tuple[str, ...] = ()
-    other_doubts: tuple[str, ...] = ()
+    capture_doubts: tuple[str, ...] = ()
     focals: tuple[float, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """Return all doubts."""
-        return (*self.place_doubts, *self.lens_doubts, *self.other_doubts)
+        return (*self.place_doubts, *self.lens_doubts, *self.capture_doubts)
 
     @property
-    def is_above_sea(self) -> bool:
-        """Return whether the altitude is above sea level instead of the ellipsoid."""
-        return any(doubt.endswith(OF_SEA_LEVEL) for doubt in self.place_doubts)
+    def refers_to_sea_level(self) -> bool:
+        """Return whether the altitude refers to sea level instead of the ellipsoid."""
+        return any(doubt.endswith(SEA_LEVEL_DOUBT) for doubt in self.place_doubts)
 
     def above_ellipsoid(self, undulation_m: float) -> Exif:
         """Return the metadata with an altitude above sea level converted to the ellipsoid.
@@ -182,10 +182,10 @@ class Exif:
         Args:
             undulation_m: height of the geoid above the ellipsoid at the position, metres.
         """
-        if self.position is None or not self.is_above_sea:
+        if self.position is None or not self.refers_to_sea_level:
             return self
         up = self.position.altitude + undulation_m
-        doubts = tuple(each for each in self.place_doubts if not each.endswith(OF_SEA_LEVEL))
+        doubts = tuple(each for each in self.place_doubts if not each.endswith(SEA_LEVEL_DOUBT))
         return replace(self, position=self.position._replace(altitude=up), place_doubts=doubts)
 
     @property
@@ -251,9 +251,9 @@ def resize_file(source: Path, out: Path, longest: int, *, rotate_180: bool = Fal
         size = (round(scale * width), round(scale * height))
         with _open(source) as original:
             kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
-        if len(kept.get("xmp", b"")) > _SEGMENT:
+        if len(kept.get("xmp", b"")) > _MAX_SEGMENT_BYTES:
             del kept["xmp"]
-        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails or maker notes
+        if len(kept.get("exif", b"")) > _MAX_SEGMENT_BYTES:  # thumbnails or maker notes
             kept["exif"] = _encode(read_exif(source), size).tobytes()
         picture = Image.fromarray(rgb[::-1, ::-1] if rotate_180 else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
@@ -291,7 +291,7 @@ def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read a photograph's metadata; missing and invalid fields are None.
+    """Read a photograph's metadata; fields that are missing or invalid are None or empty.
 
     Contradictory fields are reported in ``doubts``.
 
@@ -299,56 +299,58 @@ def read_exif(path: Path) -> Exif:
         InputError: the file is missing or not an image.
     """
     with _open(path) as image:
-        size, packets, blocks = image.size, _packets(image), _blocks(image)
+        size, packets, blocks = image.size, _xmp_packets(image), _count_exif_blocks(image)
         try:
             tags = image.getexif()
             detail = tags.get_ifd(ExifTags.IFD.Exif)
             gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
         except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
-    fields, places = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
-    drone = parse_xmp(packets, read_exif_size(fields) or size)
-    focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
-    if drone.panorama:
-        kind = drone.panorama[:40]
+    exif_fields, gps_fields = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
+    xmp = parse_xmp(packets, read_exif_size(exif_fields) or size)
+    focal = read_focal(exif_fields, size, _lens(xmp.camera, xmp.size_confirmed))
+    if xmp.panorama:
+        kind = xmp.panorama[:40]
         why = f"it is a stitched panorama (ProjectionType {kind}) and has no single focal length"
-        focal = FocalLength(unknown("ProjectionType", why), agrees=False)
-    if not focal.agrees:
-        drone = replace(drone, camera=None)
-    if drone.gimbal and is_turned(fields, size, tags.get(ExifTags.Base.Orientation)):
+        focal = FocalLength(unknown("ProjectionType", why), calibration_applies=False)
+    if not focal.calibration_applies:
+        xmp = replace(xmp, camera=None)
+    if xmp.gimbal and is_rotated(exif_fields, size, tags.get(ExifTags.Base.Orientation)):
         doubt = "the image was rotated after capture, so GimbalYawDegree no longer applies to it"
-        drone = replace(drone, gimbal=None, doubts=(*drone.doubts, doubt))
-    time = read_time(fields, places)
-    position = read_position(places, drone.places)
-    altitude = read_altitude(places, drone.places)
-    where = None
+        xmp = replace(xmp, gimbal=None, doubts=(*xmp.doubts, doubt))
+    time = read_time(exif_fields, gps_fields)
+    position = read_position(gps_fields, xmp.position_texts)
+    altitude = read_altitude(gps_fields, xmp.position_texts)
+    geodetic = None
     if position.value is not None:
         up = math.nan if altitude.value is None else altitude.value
-        where = Geodetic(*position.value, up)
-    exact = focal.reading.value
+        geodetic = Geodetic(*position.value, up)
+    focal_ratio = focal.reading.value
     return Exif(
-        position=where,
+        position=geodetic,
         time=time.value,
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
-        focal_35mm=None if exact is None else exact * FILM_LENGTH,
-        xmp=drone,
-        place_doubts=(*position.doubts, *(() if where is None else altitude.doubts)),
+        focal_35mm=None if focal_ratio is None else focal_ratio * FILM_LENGTH,
+        xmp=xmp,
+        place_doubts=(*position.doubts, *(() if geodetic is None else altitude.doubts)),
         lens_doubts=focal.reading.doubts,
-        other_doubts=(*drone.doubts, *time.doubts, *([_TWO_BLOCKS] if blocks > 1 else [])),
+        capture_doubts=(*xmp.doubts, *time.doubts, *([_TWO_BLOCKS] if blocks > 1 else [])),
         focals=focal.candidates,
     )
 
 
-def _packets(image: Image.Image) -> list[bytes]:
+def _xmp_packets(image: Image.Image) -> list[bytes]:
     """Return the XMP packets; some programs write several into a JPEG."""
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
-    packets = [data[len(_XMP) :] for data in segments if data.startswith(_XMP)]
+    packets = [
+        data[len(_XMP_IDENTIFIER) :] for data in segments if data.startswith(_XMP_IDENTIFIER)
+    ]
     whole = image.info.get("xmp", b"")
     return packets or [whole if isinstance(whole, bytes) else str(whole).encode()]
 
 
-def _blocks(image: Image.Image) -> int:
+def _count_exif_blocks(image: Image.Image) -> int:
     """Return the number of different EXIF blocks in a JPEG; only the first is read."""
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     begins = (b"Exif\0\0II*\0", b"Exif\0\0MM\0*")
@@ -365,10 +367,10 @@ def _names(tags: Mapping[int, object], known: Mapping[int, str]) -> dict[str, ob
     return {known[tag]: value for tag, value in tags.items() if tag in known}
 
 
-def _lens(camera: Camera | None, sized: bool) -> Lens | None:
+def _lens(camera: Camera | None, size_confirmed: bool) -> Lens | None:
     if camera is None:
         return None
-    return Lens(camera.focal[0] / max(camera.width, camera.height), sized)
+    return Lens(camera.focal[0] / max(camera.width, camera.height), size_confirmed)
 
 
 def _rational(value: float, denominator: int = _DENOMINATOR) -> IFDRational:

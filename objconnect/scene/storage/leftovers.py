@@ -22,7 +22,7 @@ _IN_USE: Final = f"{TEMPORARY_PREFIX}in-use"
 
 
 @contextmanager
-def in_use(folder: Path) -> Iterator[None]:
+def mark_in_use(folder: Path) -> Iterator[None]:
     """Mark a temporary folder as in use by a living process during the block."""
     with FileLock(folder / _IN_USE, thread_local=False):
         yield
@@ -31,7 +31,7 @@ def in_use(folder: Path) -> Iterator[None]:
 def remove_partial(folder: Path) -> None:
     """Remove temporary files and folders of killed processes below ``folder``.
 
-    A folder that was being replaced is restored. Folders ``in_use`` and their contents stay.
+    A folder that was being replaced is restored. Folders in use and their contents stay.
     """
     used: set[Path] = set()
     temporary = [item for item in folder.rglob(f"{TEMPORARY_PREFIX}*") if _is_temporary(item)]
@@ -52,7 +52,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove temporary folders in ``folder`` that killed processes had marked as ``in_use``."""
+    """Remove temporary folders in ``folder`` that killed processes had marked as in use."""
     for path in folder.glob(f"{TEMPORARY_PREFIX}*{PARTIAL_SUFFIX}"):
         if _is_temporary(path) and (path / _IN_USE).exists() and not _is_used(path):
             shutil.rmtree(path, ignore_errors=True)

@@ -24,21 +24,21 @@ def is_stray(name: str) -> bool:
     return name.startswith(".") or name.lower() in _LEFT_BEHIND
 
 
-def list_files(folder: Path, endings: Collection[str], depth: int | None = 1) -> list[Path]:
+def list_files(folder: Path, suffixes: Collection[str], depth: int | None = 1) -> list[Path]:
     """Return the files below a folder with one of the given suffixes, sorted, without stray files.
 
     Pipes and devices are included: the reader of a file reports them.
 
     Args:
         folder: folder to search.
-        endings: suffixes in lower case with the dot; files may have them in any case.
+        suffixes: suffixes in lower case with the dot; files may have them in any case.
         depth: number of folder levels, 1 for the folder itself; None for all, without following
             links to folders.
 
     Raises:
         InputError: the folder, or one in it, does not exist or cannot be listed.
     """
-    return sorted(_files(folder, frozenset(endings), depth))
+    return sorted(_files(folder, frozenset(suffixes), depth))
 
 
 def _is_folder(entry: os.DirEntry[str], follow_symlinks: bool) -> bool:
@@ -48,7 +48,7 @@ def _is_folder(entry: os.DirEntry[str], follow_symlinks: bool) -> bool:
         return False
 
 
-def _files(folder: Path, endings: frozenset[str], depth: int | None) -> Iterator[Path]:
+def _files(folder: Path, suffixes: frozenset[str], depth: int | None) -> Iterator[Path]:
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
@@ -57,8 +57,8 @@ def _files(folder: Path, endings: frozenset[str], depth: int | None) -> Iterator
                 path = folder / entry.name
                 if _is_folder(entry, follow_symlinks=depth is not None):
                     if depth is None or depth > 1:
-                        yield from _files(path, endings, depth and depth - 1)
-                elif path.suffix.lower() in endings:
+                        yield from _files(path, suffixes, depth and depth - 1)
+                elif path.suffix.lower() in suffixes:
                     yield path
     except OSError as error:
         raise InputError(f"cannot list the folder {folder}: {error.strerror}") from None

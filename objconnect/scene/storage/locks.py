@@ -25,7 +25,7 @@ def write_lock(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another process holds the lock, or the folder cannot be made or written.
     """
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -35,7 +35,7 @@ def write_lock(folder: Path) -> Iterator[None]:
             yield
     finally:
         with suppress(OSError):  # a folder that is not empty stays
-            for path in made:
+            for path in new_folders:
                 path.rmdir()
 
 

@@ -1,4 +1,4 @@
-"""A cache bounded in bytes that drops the least recently used."""
+"""A cache bounded in bytes that drops the least recently used values."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.tuning import trim_heap
 
 MEGABYTE: Final = 2**20
+"""Bytes of a megabyte in memory bounds."""
 
 
 class _Sized(Protocol):
@@ -22,7 +23,7 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V", bound=_Sized)
 
 
-def room(bound_mb: int) -> int:
+def free_cache_bytes(bound_mb: int) -> int:
     """Return the bytes that a cache may use so that the process stays below a memory bound.
 
     It is half of the memory that is left below the bound after trimming the heap. The other half is
@@ -36,7 +37,7 @@ def room(bound_mb: int) -> int:
 
 
 class LruCache(Generic[K, V]):
-    """A cache bounded in bytes that drops the least recently used; threads may share it.
+    """A cache bounded in bytes that drops the least recently used values; threads may share it.
 
     Args:
         read: returns the value of a key that is not in the cache.
@@ -45,7 +46,7 @@ class LruCache(Generic[K, V]):
     Attributes:
         nbytes: bytes that the values use.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> cache = LruCache(lambda size: np.zeros(size, np.uint8), memory=100)
         >>> cache(60).size, cache(50).size

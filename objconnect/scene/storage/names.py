@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from typing import Final
 
 _JSON: Final = json.JSONDecoder()
@@ -29,7 +30,7 @@ def is_utf8(name: str) -> bool:
 def quote_name(name: str) -> str:
     """Return a name as one word of a line, quoted if necessary.
 
-    Example:
+    Examples:
         >>> quote_name("a.jpg"), quote_name("my photo.jpg")
         ('a.jpg', '"my photo.jpg"')
     """
@@ -59,13 +60,24 @@ def unquote_cell(text: str) -> str:
     return text
 
 
+def name_some(names: Sequence[str], most: int = 3) -> str:
+    """Return the first names in one phrase, and the number of the others.
+
+    Examples:
+        >>> name_some(["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
+        'a.jpg, b.jpg, c.jpg and 1 more'
+    """
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def split_words(line: str) -> list[str]:
     """Split a line into words; words in quotes are names that ``quote_name`` wrote.
 
     Raises:
         ValueError: the quoting is not JSON's.
 
-    Example:
+    Examples:
         >>> split_words('"my photo.jpg" 1.5 2')
         ['my photo.jpg', '1.5', '2']
     """

@@ -13,6 +13,8 @@ from objconnect.scene.storage.atomic import TEMPORARY_PREFIX, require_regular
 
 # A mark lies within this many bytes from the beginning of a file.
 _HEAD_BYTES = 4096
+# Largest size of a name that becomes part of a file name; file systems allow 255 with the suffix.
+_NAME_BYTES = 200
 
 
 @dataclass(frozen=True)
@@ -48,19 +50,19 @@ def check_outputs(
     sources = list(inputs)
     claimed: set[Path] = set()
     for output in outputs:
-        made = output if isinstance(output, OutputFile) else OutputFile(output)
-        place = _place(made.path)
-        if within is not None and not place.is_relative_to(_place(within)):
-            raise InputError(f"{made.path} lies outside {within}: choose a plain file name")
-        if place in claimed:
-            raise InputError(f"{made.path} would be written twice: choose another name")
-        claimed.add(place)
+        file = output if isinstance(output, OutputFile) else OutputFile(output)
+        absolute = _absolute(file.path)
+        if within is not None and not absolute.is_relative_to(_absolute(within)):
+            raise InputError(f"{file.path} lies outside {within}: choose a plain file name")
+        if absolute in claimed:
+            raise InputError(f"{file.path} would be written twice: choose another name")
+        claimed.add(absolute)
         for path in sources:
-            if _same(place, path):
-                raise InputError(f"{made.path} is read by this command: choose another output")
-        require_regular(made.path)
-        _require_ours(made)
-        require_writable(place.parent)
+            if _is_same_file(absolute, path):
+                raise InputError(f"{file.path} is read by this command: choose another output")
+        require_regular(file.path)
+        _require_ours(file)
+        require_writable(absolute.parent)
 
 
 def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
@@ -71,7 +73,7 @@ def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
         WriteError: the path is not a folder, or it cannot be written or made.
     """
     for path in inputs:
-        if _same(_place(folder), path):
+        if _is_same_file(_absolute(folder), path):
             raise InputError(f"{folder} is read by this command: choose another output")
     require_writable(folder)
 
@@ -83,7 +85,7 @@ def check_outside(outputs: Iterable[OutputFile], folder: Path) -> None:
         InputError: an output lies there.
     """
     for output in outputs:
-        if _place(output.path).is_relative_to(folder.resolve()):
+        if _absolute(output.path).is_relative_to(folder.resolve()):
             raise InputError(
                 f"{output.path} lies in the folder of photographs: choose one outside it"
             )
@@ -137,14 +139,19 @@ def require_name(name: str, what: str) -> None:
         InputError: the name is empty, hidden, too long, not UTF-8, or holds a slash or a control
             character.
     """
-    plain = name.isprintable() and not name.startswith(".") and not set(name) & set('/\\:*?"<>|')
-    if not name or not plain or name != name.strip() or len(name.encode()) > 200:
+    if not name.isprintable() or set(name) & set('/\\:*?"<>|'):
         raise InputError(
             f"{what} {name!r} cannot name a file: use letters, digits, spaces, dots, - and _"
         )
+    if name.startswith(".") or name != name.strip():
+        raise InputError(
+            f"{what} {name!r} begins with a dot, or begins or ends with a space: leave that out"
+        )
+    if not 0 < len(name.encode()) <= _NAME_BYTES:
+        raise InputError(f"{what} {name!r} cannot name a file: use 1 to {_NAME_BYTES} bytes")
 
 
-def _place(path: Path) -> Path:
+def _absolute(path: Path) -> Path:
     """Return the absolute path of a file; its folder is resolved, the file itself is not."""
     try:
         return path.parent.resolve() / path.name if path.name else path.resolve()
@@ -152,9 +159,9 @@ def _place(path: Path) -> Path:
         raise WriteError(f"cannot write {path}: {error}") from None
 
 
-def _same(place: Path, path: Path) -> bool:
+def _is_same_file(absolute: Path, path: Path) -> bool:
     try:
-        return place == _place(path) or (place.exists() and place.samefile(path))
+        return absolute == _absolute(path) or (absolute.exists() and absolute.samefile(path))
     except (OSError, ValueError):
         return False
 

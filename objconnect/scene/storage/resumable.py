@@ -46,7 +46,7 @@ class ResumableFolder:
         """
         return self.is_begun() and self.difference(self.record) is None
 
-    def resume(self, refusal: Callable[[str], str]) -> bool:
+    def can_resume(self, refusal: Callable[[str], str]) -> bool:
         """Return whether there is work of the same request to resume.
 
         Args:

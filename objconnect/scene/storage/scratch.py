@@ -1,4 +1,4 @@
-"""Temporary folders beside the cache or the output of a run."""
+"""Temporary folders in the folder of the cache or of a run's output."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from pathlib import Path
 from objconnect.scene.errors import WriteError
 from objconnect.scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
 from objconnect.scene.storage.files import require_disk_space
-from objconnect.scene.storage.leftovers import in_use, remove_abandoned
+from objconnect.scene.storage.leftovers import mark_in_use, remove_abandoned
 
 
 @contextmanager
-def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
+def scratch(parent: Path | None = None, needed: int = 0) -> Iterator[Path]:
     """Make a temporary folder for the duration of the block.
 
-    It lies beside the results, because the system's temporary folder may be small. Temporary
-    folders of killed processes there are removed.
+    It lies on the disk of the results, because the system's temporary folder may be small.
+    Temporary folders of killed processes in ``parent`` are removed.
 
     Args:
-        beside: folder of the cache or output; it is created if necessary, and removed if it stays
-            empty. None uses the system's temporary folder.
+        parent: folder of the cache or output, in which the temporary folder lies; it is created if
+            necessary, and removed if it stays empty. None uses the system's temporary folder.
         needed: bytes that the block writes.
 
     Raises:
         WriteError: the disk has less space, or the folder cannot be written.
 
-    Example:
+    Examples:
         >>> with scratch() as folder:
         ...     _ = (folder / "part.txt").write_text("temporary")
         >>> folder.exists()
         False
     """
-    root = Path(tempfile.gettempdir()) if beside is None else beside
-    made = [path for path in (root, *root.parents) if not path.exists()]
+    root = Path(tempfile.gettempdir()) if parent is None else parent
+    new_folders = [path for path in (root, *root.parents) if not path.exists()]
     try:
         root.mkdir(parents=True, exist_ok=True)
         remove_abandoned(root)
@@ -45,11 +45,11 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
         raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
     try:
         require_disk_space(folder / "any", needed)
-        with in_use(folder):
+        with mark_in_use(folder):
             yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        for path in made:
+        for path in new_folders:
             try:
                 path.rmdir()
             except OSError:  # the folder is not empty
@@ -57,10 +57,10 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
 
 
 @contextmanager
-def cache_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
-    """Yield the folder of the cache, or a temporary one beside the output without a cache."""
+def cache_or_scratch(cache: Path | None, parent: Path | None) -> Iterator[Path]:
+    """Yield the folder of the cache, or without one a temporary folder in ``parent``."""
     if cache is not None:
         yield cache
         return
-    with scratch(beside) as folder:
+    with scratch(parent) as folder:
         yield folder

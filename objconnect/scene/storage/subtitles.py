@@ -1,4 +1,4 @@
-"""Subtitle files (SRT).
+"""Reading and writing of subtitle files (SRT).
 
 Only this module imports srt, which the extra ``[video]`` installs.
 """
@@ -20,8 +20,8 @@ from objconnect.scene.storage.files import require_readable
 
 # Largest file that is read (bytes); an hour of 60 subtitles a second takes 100 MB.
 _LARGEST = 1 << 29
-# The parser takes cubic time in the digits of a number. In longer ones, which no value has, a
-# replacement character stands for the rest, so that they are not read as a shorter number.
+# The parser takes cubic time in the digits of a number. After 100 digits, which no value has, a
+# replacement character stands for the rest, so that the number is invalid instead of shorter.
 _MOST_DIGITS: Final = re.compile(r"([0-9]{100})[0-9]+")
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
@@ -77,7 +77,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
             # Text between subtitles is skipped, as by players.
-            for item in srt.parse(_with_whole_times(_one_line_end(text)), ignore_errors=True)
+            for item in srt.parse(_normalize_times(_normalize_line_ends(text)), ignore_errors=True)
         ]
     except (ValueError, OverflowError):
         raise InputError(f"{path} holds an invalid time: it is damaged") from None
@@ -110,11 +110,11 @@ def _encoding(data: bytes) -> str:
     return _ZEROS.get(zeros, "utf-8")
 
 
-def _one_line_end(text: str) -> str:
+def _normalize_line_ends(text: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _with_whole_times(text: str) -> str:
+def _normalize_times(text: str) -> str:
     """Return a text whose times have hours and three digits of milliseconds.
 
     Fractions of equal length are decimal fractions of a second; fractions of different lengths are

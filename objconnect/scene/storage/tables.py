@@ -41,11 +41,11 @@ def read_table(
             raise InputError(f"{path}:1: {what} has the column {twice[0]!r} twice")
         line = rows.line_num + 1
         for values in rows:
-            where, several, line = f"{path}:{line}", rows.line_num > line, rows.line_num + 1
+            where, is_multiline, line = f"{path}:{line}", rows.line_num > line, rows.line_num + 1
             if not any(values):
                 continue
             if len(values) != len(header):
-                hint = ": a quote may be unclosed" if several else ""
+                hint = ": a quote may be unclosed" if is_multiline else ""
                 raise InputError(
                     f"{where}: expected {len(header)} columns, got {len(values)}{hint}"
                 )

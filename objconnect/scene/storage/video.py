@@ -32,9 +32,9 @@ _PURPOSE: Final = "a video"
 # A video that ends at least this many seconds before its stated end is truncated.
 _CUT_SHORT_S: Final = 1.0
 # Codecs of still pictures; such a stream is a video stream only if it has several frames.
-_OF_PICTURES: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
+_STILL_CODECS: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
 # The chosen video stream lasts at least this share of the longest one.
-_AS_LONG: Final = 0.9
+_MIN_DURATION_SHARE: Final = 0.9
 # Constant rate factor of H.264, smaller is better; at 17 losses are hardly visible.
 _QUALITY: Final = "17"
 
@@ -97,7 +97,7 @@ def read_video(path: Path) -> Video:
         ticks = stream.duration
         duration = float(ticks * stream.time_base) if ticks else None
         aspect = float(stream.sample_aspect_ratio or 0) or 1.0
-        created, unread = _creation_time(container), _unread(container)
+        created, unread = _creation_time(container), _unread_streams(container)
         return Video(width, height, _rate(stream), duration, created, aspect, unread)
 
 
@@ -115,17 +115,17 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
         InputError: as for ``read_video``.
     """
     with _open(path) as (container, stream):
-        start, due, seconds = None, 0.0, 0.0
+        start, next_s, seconds = None, 0.0, 0.0
         # A frame up to half an interval before a multiple is the nearest to it.
-        spare = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
+        half_interval = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
         for index, frame in enumerate(_decode(container, stream, path)):
-            at = index / _rate(stream) if frame.time is None else float(frame.time)
-            start = at if start is None else start
-            seconds = at - start
+            time_s = index / _rate(stream) if frame.time is None else float(frame.time)
+            start = time_s if start is None else start
+            seconds = time_s - start
             if rate_hz is not None:
-                if seconds < due - spare:
+                if seconds < next_s - half_interval:
                     continue
-                due = (math.floor((seconds + spare) * rate_hz) + 1) / rate_hz
+                next_s = (math.floor((seconds + half_interval) * rate_hz) + 1) / rate_hz
             yield VideoFrame(index, seconds, _rotate_for_display(frame, path))
         if start is None:
             raise InputError(f"{path} has no frame that can be read: it is empty or damaged")
@@ -164,12 +164,15 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float)
                     size = image.shape
                     if size[0] % 2 or size[1] % 2:
                         raise InputError(
-                            f"{path}: frames of {size[1]} x {size[0]} have an odd side"
+                            f"{path}: frames of {size[1]} x {size[0]} have an odd side: resize "
+                            "them to even sides"
                         )
                     stream.height, stream.width = size[:2]
                     stream.pix_fmt = "yuv420p"
                 if image.shape != size:
-                    raise InputError(f"{path}: the photographs of a video have several sizes")
+                    raise InputError(
+                        f"{path}: the frames have several sizes: resize them to one size"
+                    )
                 frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())
@@ -189,7 +192,10 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
     with container:
         stream = _choose_stream(container, path)
         if stream.width * stream.height > _MOST_PIXELS:
-            raise InputError(f"{path} cannot be decoded: its frames are too large")
+            raise InputError(
+                f"{path} cannot be decoded: its frames are too large: {stream.width} x "
+                f"{stream.height} pixels, at most {_MOST_PIXELS / 1e6:.0f} million"
+            )
         yield container, stream
 
 
@@ -217,7 +223,7 @@ def _choose_stream(container: Any, path: Path) -> Any:
     chosen = max(
         streams,
         key=lambda stream: (
-            _seconds(stream) >= _AS_LONG * longest,
+            _seconds(stream) >= _MIN_DURATION_SHARE * longest,
             stream.width * stream.height,
             # Writers mark the first stream by default, so this comes last.
             bool(stream.disposition & stream.disposition.default),
@@ -244,7 +250,7 @@ def _is_still(container: Any, stream: Any) -> bool:
     codec = "" if context is None else str(context.name)
     if str(container.format.name).endswith("_pipe") or container.format.name == "image2":
         return True
-    return codec in _OF_PICTURES and _count_frames(stream) == 1
+    return codec in _STILL_CODECS and _count_frames(stream) == 1
 
 
 def _count_frames(stream: Any) -> float:
@@ -291,7 +297,10 @@ def _decode(container: Any, stream: Any, path: Path) -> Iterator[Any]:
 def _rotate_for_display(frame: Any, path: Path) -> NDArray[np.uint8]:
     """Return the image of a frame, rotated for display."""
     if frame.width * frame.height > _MOST_PIXELS:
-        raise InputError(f"{path} has frames of {frame.width} x {frame.height} pixels: too large")
+        raise InputError(
+            f"{path} has frames of {frame.width} x {frame.height} pixels: too large, at most "
+            f"{_MOST_PIXELS / 1e6:.0f} million"
+        )
     turns, rest = divmod(round(frame.rotation or 0), 90)
     if rest:
         raise InputError(
@@ -309,7 +318,7 @@ def _rate(stream: Any) -> float:
     return float(rate) if rate else 30.0
 
 
-def _unread(container: Any) -> tuple[str, ...]:
+def _unread_streams(container: Any) -> tuple[str, ...]:
     """Return the kinds of the streams that may hold a drone's telemetry."""
     kinds: dict[str, None] = {}
     for stream in container.streams:

@@ -21,24 +21,27 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.quantities.numbers import parse_number
 
+# Value of RtkFlag for a fixed solution.
 _RTK_FIXED: Final = 50
 # Plausible range of standard deviations (m), and largest plausible number.
 _SIGMAS_M: Final = (1e-4, 1e3)
-_MOST: Final = 1e6
+_MAX_NUMBER: Final = 1e6
 # Longest text of a field (characters).
-_LONGEST: Final = 1000
-# Largest distance of a principal point from the middle, in sizes of the picture.
-_FARTHEST: Final = 0.1
+_MAX_TEXT: Final = 1000
+# Largest distance of a principal point from the middle, as a share of the picture's side.
+_MAX_OFFSET: Final = 0.1
 # Fields of attitudes, and the namespaces and prefixes in which they have DJI's meaning.
 _ATTITUDE: Final = re.compile(r"Gimbal(Yaw|Pitch|Roll)Degree")
-_DJIS: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
-TURNS: Final = (360.0, 180.0, 360.0)
+_DJI_NAMESPACE: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
+LARGEST_ANGLES: Final = (360.0, 180.0, 360.0)
 """Largest absolute angles (yaw, pitch, roll; degrees)."""
 
 # Elements with fields of other pictures, or of the places that a picture shows.
-_OTHERS: Final = re.compile(r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)")
+_OTHER_PICTURES: Final = re.compile(
+    r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)"
+)
 # Fields of position and altitude.
-_PLACES: Final = (
+_POSITION_FIELDS: Final = (
     *("GpsLatitude", "GpsLongitude", "GpsLongtitude", "Latitude", "Longitude"),
     *("GPSLatitude", "GPSLongitude", "GPSAltitude", "GPSAltitudeRef"),
     *("AbsoluteAltitude", "RelativeAltitude"),
@@ -51,11 +54,11 @@ class DroneXmp:
 
     Attributes:
         gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera, degrees.
-        places: texts of the fields of position and altitude by name.
+        position_texts: texts of the fields of position and altitude by name.
         rtk_sigma: standard deviations of the position to the east, north and up, metres, for a
             fixed RTK solution.
         camera: calibration by the maker, for the size in which the picture was taken.
-        sized: whether the optical centre confirms that size.
+        size_confirmed: whether a stated optical centre confirms that size.
         speed: horizontal speed of the aircraft, m/s.
         shutter: kind of the shutter, such as ``Mechanical``.
         panorama: projection of a panorama, such as ``equirectangular``.
@@ -63,10 +66,10 @@ class DroneXmp:
     """
 
     gimbal: tuple[float, float, float] | None = None
-    places: Mapping[str, str] = field(default_factory=dict)
+    position_texts: Mapping[str, str] = field(default_factory=dict)
     rtk_sigma: tuple[float, float, float] | None = None
     camera: Camera | None = None
-    sized: bool = False
+    size_confirmed: bool = False
     speed: float | None = None
     shutter: str | None = None
     panorama: str | None = None
@@ -89,7 +92,7 @@ def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneX
         _Fields(texts, foreign).read(packet)
     numbers = {name: value for name, text in texts.items() if (value := _number(text)) is not None}
     gimbal, doubts = _gimbal(numbers, texts, foreign)
-    sigma = _three(numbers, "RtkStd{}", "Lon", "Lat", "Hgt")
+    sigma = _read_three(numbers, "RtkStd{}", "Lon", "Lat", "Hgt")
     fixed = numbers.get("RtkFlag") == _RTK_FIXED
     if sigma is not None and not (
         fixed and _SIGMAS_M[0] <= min(sigma) <= max(sigma) <= _SIGMAS_M[1]
@@ -98,10 +101,10 @@ def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneX
     velocity = [numbers.get(f"Flight{axis}Speed", math.nan) for axis in "XY"]
     return DroneXmp(
         gimbal=gimbal,
-        places={name: texts[name] for name in _PLACES if name in texts},
+        position_texts={name: texts[name] for name in _POSITION_FIELDS if name in texts},
         rtk_sigma=sigma,
         camera=_camera(numbers, texts.get("DewarpData", ""), size),
-        sized=all(f"CalibratedOpticalCenter{axis}" in numbers for axis in "XY"),
+        size_confirmed=all(f"CalibratedOpticalCenter{axis}" in numbers for axis in "XY"),
         speed=math.hypot(*velocity) if np.isfinite(velocity).all() else None,
         shutter=texts.get("ShutterType"),
         panorama=texts.get("ProjectionType"),
@@ -120,8 +123,8 @@ class _Fields:
     def __init__(self, texts: dict[str, str], foreign: set[str]) -> None:
         self.texts, self.foreign = texts, foreign
         self._spaces: dict[str, str] = {}
-        self._inside: list[str] = []
-        self._others = 0
+        self._text: list[str] = []
+        self._other_depth = 0  # levels of nested elements inside one of ``_OTHER_PICTURES``
 
     def read(self, packet: bytes) -> None:
         """Add the fields of a packet, of a damaged one up to the damage."""
@@ -129,14 +132,14 @@ class _Fields:
         parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
-        parser.CharacterDataHandler = self._inside.append
+        parser.CharacterDataHandler = self._text.append
         parser.StartDoctypeDeclHandler = self._refuse
         with contextlib.suppress(expat.ExpatError, ValueError, LookupError):
             parser.Parse(packet.strip(b"\0\r\n\t "), True)
 
     def _start(self, element: str, attributes: dict[str, str]) -> None:
-        self._inside.clear()
-        self._others += self._others > 0 or _OTHERS.fullmatch(element) is not None
+        self._text.clear()
+        self._other_depth += self._other_depth > 0 or _OTHER_PICTURES.fullmatch(element) is not None
         for name, value in attributes.items():
             if name.startswith("xmlns:"):
                 self._spaces[name.partition(":")[2]] = value
@@ -144,17 +147,17 @@ class _Fields:
             self._add(name, value)
 
     def _end(self, element: str) -> None:
-        if text := "".join(self._inside).strip():
+        if text := "".join(self._text).strip():
             self._add(element, text)
-        self._inside.clear()
-        self._others -= self._others > 0
+        self._text.clear()
+        self._other_depth -= self._other_depth > 0
 
     def _add(self, name: str, value: str) -> None:
         prefix, _, local = name.rpartition(":")
-        value = value[:_LONGEST].strip()
-        if self._others:
+        value = value[:_MAX_TEXT].strip()
+        if self._other_depth:
             return
-        if _ATTITUDE.fullmatch(local) and not _DJIS.search(
+        if _ATTITUDE.fullmatch(local) and not _DJI_NAMESPACE.search(
             f"{prefix}:{self._spaces.get(prefix, '')}"
         ):
             self.foreign.add(f"{prefix}:{local}")
@@ -162,7 +165,7 @@ class _Fields:
         before = self.texts.get(local, value)
         number = parse_number(value)
         same = before == value or (number is not None and parse_number(before) == number)
-        self.texts[local] = before if same else f"{before} and {value}"[:_LONGEST]
+        self.texts[local] = before if same else f"{before} and {value}"[:_MAX_TEXT]
 
     def _refuse(self, *_: object) -> None:
         raise ValueError("XMP has no document type")
@@ -175,12 +178,12 @@ def _gimbal(
     names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
     bad = [
         f"{name} {texts[name][:40]!r} is no angle"
-        for name, most in zip(names, TURNS, strict=True)
+        for name, most in zip(names, LARGEST_ANGLES, strict=True)
         if name in texts and not abs(numbers.get(name, math.nan)) <= most
     ]
     if bad:
         return None, (bad[0],)
-    angles = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
+    angles = _read_three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
     if angles is None and foreign:
         return None, (f"{min(foreign)} is not DJI's, and its axes are not known",)
     return angles, ()
@@ -188,10 +191,10 @@ def _gimbal(
 
 def _number(text: str) -> float | None:
     value = parse_number(text)
-    return value if value is not None and abs(value) <= _MOST else None
+    return value if value is not None and abs(value) <= _MAX_NUMBER else None
 
 
-def _three(
+def _read_three(
     numbers: Mapping[str, float], name: str, *parts: str
 ) -> tuple[float, float, float] | None:
     try:
@@ -211,7 +214,7 @@ def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) ->
     x, y = (
         numbers.get(f"CalibratedOpticalCenter{a}", s / 2) for a, s in zip("XY", size, strict=True)
     )
-    if not _amid(x - width / 2, y - height / 2, size):
+    if not _is_near_middle(x - width / 2, y - height / 2, size):
         return None
     if numbers.get("DewarpFlag") != 1 and (measured := _parse_dewarp(dewarp, size)) is not None:
         return measured
@@ -222,7 +225,7 @@ def _parse_dewarp(dewarp: str, size: tuple[int, int]) -> Camera | None:
     """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, with (cx, cy) from the middle."""
     try:
         fx, fy, x, y, k1, k2, p1, p2, k3 = map(float, dewarp.rpartition(";")[2].split(","))
-        if not _amid(x, y, size):
+        if not _is_near_middle(x, y, size):
             return None
         params = (fx, fy, size[0] / 2 + x, size[1] / 2 + y, k1, k2, p1, p2)
         if k3 == 0:
@@ -232,6 +235,6 @@ def _parse_dewarp(dewarp: str, size: tuple[int, int]) -> Camera | None:
         return None
 
 
-def _amid(x: float, y: float, size: tuple[int, int]) -> bool:
+def _is_near_middle(x: float, y: float, size: tuple[int, int]) -> bool:
     """Return whether (x, y) from the middle of a picture is a plausible principal point."""
-    return abs(x) <= _FARTHEST * size[0] and abs(y) <= _FARTHEST * size[1]
+    return abs(x) <= _MAX_OFFSET * size[0] and abs(y) <= _MAX_OFFSET * size[1]

@@ -12,6 +12,7 @@ import pytest
 
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.methods import create
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.views import north_angle
@@ -21,7 +22,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.images import read_rgb
 from tests.baselines.d2net.untrained import create_untrained
 
-GATE = Path(__file__).parents[2] / "data" / "gate"
+GATE = GATE_SCENES["gate"]
 IMAGES = GATE / "images"
 
 

@@ -14,13 +14,13 @@ from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
 from objconnect.localization.coarse.finder import CoarseSearchOptions
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.options import SearchOptions
-from objconnect.localization.featuremetric.references import POINTS
+from objconnect.localization.featuremetric.references import MAX_POINTS
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.methods import create
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.geometry.views import roll_rotation, upright
+from objconnect.scene.geometry.views import roll_rotation, rotate_north_up
 from objconnect.scene.localizer import Estimate, Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
@@ -82,7 +82,7 @@ def test_finds_the_pose(localizer: PixlocLocalizer) -> None:
     metres, degrees = errors(estimate)
     assert metres < 0.1 and degrees < 0.25
     assert set(estimate.seconds) == STAGES
-    assert 100 < estimate.inliers <= POINTS
+    assert 100 < estimate.inliers <= MAX_POINTS
     assert estimate.iterations > 3
     sigma = estimate.sigma_position()
     assert sigma is not None and 0 < sigma < 1
@@ -211,7 +211,7 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     weights: Path, made: tuple[SparseMap, Path], cache: Path
 ) -> None:
     """By the place search: above ground that the map does not have, turned by a right angle."""
-    rotation = roll_rotation(-math.radians(100)) @ upright(TRUTH.rotation.numpy())
+    rotation = roll_rotation(-math.radians(100)) @ rotate_north_up(TRUTH.rotation.numpy())
     turned = Pose(torch.from_numpy(rotation), torch.from_numpy(-rotation @ TRUTH.centre().numpy()))
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)

@@ -118,8 +118,8 @@ def test_only_what_is_shown_is_decoded(turn: float) -> None:
     shown = (abs(along) < 150) & (abs(across) < 120)
     image = torch.rand(1, 3, *size)
     with torch.no_grad():
-        part, whole = network(image, shown=shown), network(image)
-        nothing = network(image, shown=np.zeros_like(shown))
+        part, whole = network(image, needed=shown), network(image)
+        nothing = network(image, needed=np.zeros_like(shown))
     wanted = torch.from_numpy(shown)
     for level, (a, b) in enumerate(zip(part, whole, strict=True)):
         here = wanted[:: (8, 2, 1)[level], :: (8, 2, 1)[level]]

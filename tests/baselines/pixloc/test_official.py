@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from objconnect.learning.pixloc_net import PixlocNet
-from objconnect.learning.training.pose_loss import Seen, pose_loss, reprojection_error
+from objconnect.learning.training.pose_loss import VisiblePoints, pose_loss, reprojection_error
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
@@ -81,7 +81,7 @@ def test_the_loss_equals_the_official_one() -> None:
     for pose in (start, truths):
         projected = official.CAMERA.project(pose.transform(points))
         seen.append(projected.valid & official.CAMERA.contains(projected.xy, 0.5))
-    place = Seen(points, official.CAMERA.intrinsics(), seen[0] & seen[1])
+    place = VisiblePoints(points, official.CAMERA.intrinsics(), seen[0] & seen[1])
     loss, errors = pose_loss(after, (16, 4, 1), truths, place)
     for ours, theirs in zip(errors, recorded["errors"], strict=True):
         np.testing.assert_allclose(ours.clamp(max=50)[:-1], theirs[:-1], rtol=1e-3, atol=1e-4)

@@ -16,7 +16,11 @@ from objconnect.learning.training.config import TrainConfig
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
-from objconnect.localization.featuremetric.training import contrast_of, levels_of, unroll
+from objconnect.localization.featuremetric.training import (
+    alignment_levels,
+    contrastive_and_confidence_loss,
+    unroll_alignment,
+)
 from tests.objconnect.learning.training.made_pairs import pairs
 from tests.objconnect.learning.training.slopes import watch_functions
 
@@ -68,7 +72,7 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float) -> None:
 
 
 def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
-    shares = {"contrast_of": 1, "pose_loss": 0.3}
+    shares = {"contrastive_and_confidence_loss": 1, "pose_loss": 0.3}
     parts = watch_functions(monkeypatch, baselines.pixloc.training, shares)
     loss, _ = PixlocTraining(TINY).loss(pairs(1), 1.0)
     loss.backward()
@@ -93,7 +97,9 @@ def test_confidence_learns_where_places_are_found_again() -> None:
     said = torch.zeros(2, 1, cells, cells, requires_grad=True)
     optimizer = torch.optim.Adam([said], 0.3)
     for _ in range(40):
-        loss, _ = contrast_of([(torch.cat([a, b]), said.sigmoid())], [stride], batch)
+        loss, _ = contrastive_and_confidence_loss(
+            [(torch.cat([a, b]), said.sigmoid())], [stride], batch
+        )
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -111,7 +117,7 @@ def test_confidence_does_not_bend_features() -> None:
     for said in (0.1, 0.9):
         found = [(features, torch.full_like(trust, said)) for features, trust in maps(grad=True)]
         torch.manual_seed(1)
-        loss, _ = contrast_of(found, STRIDES, batch)
+        loss, _ = contrastive_and_confidence_loss(found, STRIDES, batch)
         slopes.append(torch.autograd.grad(loss, [features for features, _ in found]))
     for low, high in zip(*slopes, strict=True):
         torch.testing.assert_close(low, high)
@@ -122,7 +128,9 @@ def test_alignment_sees_directions_of_features_alone() -> None:
     batch, plain = pairs(2), maps()
     longer = [(7 * features, trust) for features, trust in plain]
     for one, other in zip(
-        levels_of(plain, STRIDES, batch), levels_of(longer, STRIDES, batch), strict=True
+        alignment_levels(plain, STRIDES, batch),
+        alignment_levels(longer, STRIDES, batch),
+        strict=True,
     ):
         torch.testing.assert_close(one.features, other.features)
         torch.testing.assert_close(one.reference, other.reference)
@@ -135,7 +143,7 @@ def test_the_pose_teaches_features_confidence_and_damping() -> None:
     """Of both pictures, on every level."""
     batch, found = pairs(2), maps(grad=True)
     damping = PixlocTraining(TINY).network.damping[: len(STRIDES)]
-    poses = unroll(levels_of(found, STRIDES, batch), batch, damping)
+    poses = unroll_alignment(alignment_levels(found, STRIDES, batch), batch, damping)
     moved = sum((pose.translation.square().sum() for pose in poses), torch.zeros(()))
     thetas = list(damping.parameters())
     slopes = torch.autograd.grad(moved, [*(each for pair in found for each in pair), *thetas])
@@ -147,10 +155,10 @@ def test_the_pose_teaches_features_confidence_and_damping() -> None:
 
 def test_poses_are_those_of_eight_plain_steps_on_the_points_that_count() -> None:
     """All taken, good or not: a step that is tried and left teaches nothing."""
-    batch, levels = pairs(2), levels_of(maps(), STRIDES, pairs(2))
+    batch, levels = pairs(2), alignment_levels(maps(), STRIDES, pairs(2))
     damping = PixlocTraining(TINY).network.damping[: len(STRIDES)]
     some = torch.arange(64).expand(2, 64) < 40
-    found = unroll(levels, batch._replace(valid=some), damping)
+    found = unroll_alignment(levels, batch._replace(valid=some), damping)
     fewer = [
         replace(
             level,

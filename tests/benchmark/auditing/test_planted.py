@@ -6,16 +6,21 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from benchmark.auditing.command import audit
 from benchmark.auditing.findings import Audit
 from benchmark.auditing.matches import Pair, match_photographs
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.digests import sha256_of
 from tests.benchmark.auditing.foreign import colmap, halve, nerfstudio, odm, table, tum
+
+# Of projects that differ in one photograph, and of the two data sets of a real flight.
+pytestmark = pytest.mark.usefixtures("extracted_once")
 
 Plant = Callable[[Scene, Path], Path]
 
@@ -139,13 +144,32 @@ def test_clean_originals_have_no_fault(name: str, rendered: Scene, tmp_path: Pat
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["brighton_beach", "caliterra"])
-def test_real_flights_have_no_fault(name: str, flights: Path, tmp_path: Path) -> None:
+def test_real_flights_have_no_fault(
+    name: str, flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half the photographs are matched, two runs of neighbours."""
+    monkeypatch.setattr("benchmark.auditing.command._MATCHED", 16)
     for found in audit(flights / name, out=tmp_path / "page.html"):
         assert found.ok, found.text()
     assert "<title>ObjConnect audit</title>" in (tmp_path / "page.html").read_text()
 
 
+def test_pairs_on_which_opencv_fails_are_left_out(
+    rendered: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails an assertion where no geometry fits the matches."""
+    files = [rendered.images_root / name for name in rendered.frames("summer-noon-nadir-map").names]
+    assert len(match_photographs(files[:2], [None, None], [0, 1])) == 1
+
+    def fail(*_: object) -> None:
+        raise cv2.error("(-215:Assertion failed)")
+
+    monkeypatch.setattr("benchmark.auditing.matches.cv2.findFundamentalMat", fail)
+    assert match_photographs(files[:2], [None, None], [0, 1]) == []
+
+
+@pytest.mark.thorough
 def test_a_flight_with_pairs_that_share_nothing_has_no_fault() -> None:
     """OpenCV fails on some pairs of the flight of the gate, whose winter hides what they share."""
-    for found in audit(Path(__file__).parents[2] / "data" / "gate"):
+    for found in audit(GATE_SCENES["gate"]):
         assert found.ok, found.text()

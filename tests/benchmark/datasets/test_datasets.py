@@ -61,10 +61,17 @@ def test_a_flight_declares_its_conditions(made_flight: Path) -> None:
     assert dataset.sha256 != same
 
 
-@pytest.mark.parametrize("wrong", ["all", " ", "win\x07ter"])
-def test_bad_tables_of_conditions_are_refused(made_flight: Path, wrong: str) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ("all", "'all' stands for all conditions"),
+        (" ", "the condition is empty"),
+        ("win\x07ter", "has a control character"),
+    ],
+)
+def test_bad_tables_of_conditions_are_refused(made_flight: Path, wrong: str, why: str) -> None:
     table = _declare(made_flight, wrong)
-    with pytest.raises(InputError, match=rf"{table}:6: .* is no condition"):
+    with pytest.raises(InputError, match=rf"{table}:6: .*{why}"):
         only(made_flight)
 
 

@@ -8,9 +8,18 @@ import pytest
 import torch
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes
+from benchmark.evaluation.basin import (
+    DEFAULT_SIZES,
+    CourseCounts,
+    Level,
+    Size,
+    basin,
+    load_basin,
+    parse_sizes,
+)
 from benchmark.evaluation.evaluate import evaluate
 from benchmark.evaluation.starts import parse_start
+from benchmark.scoring.intervals import share
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Query, Status
@@ -67,11 +76,25 @@ def test_recall_falls_with_the_error(made_flight: Path, tmp_path: Path) -> None:
         [0, 0, 0],
     ]
     recall = made.levels[1].recall("5m_10deg")
-    assert (recall.value, round(recall.low, 1)) == (100, 43.9)
+    assert (recall.value, recall.low) == (100, None), "all queries are of one flight"
     assert load_basin(tmp_path / "meadow" / "fake.basin.json") == made
     # One photograph is read once for all sizes, and no prior of the data set is handed on.
     assert len(method.seen) == 9
     assert {id(query.image) for query in method.seen[:3]} == {id(method.seen[0].image)}
+
+
+def test_intervals_are_by_course(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    level = basin(dataset, Believer({}), tmp_path, [Size(1, 2)]).levels[0]
+    counts = dict.fromkeys(level.correct, 1)
+    halves = {name: CourseCounts(queries=2, correct=counts) for name in "ab"}
+    numbers = {"queries": 4, "correct": dict.fromkeys(counts, 2), "by_course": halves}
+    split = Level.model_validate(level.model_dump() | numbers)
+    found, expected = split.recall("5m_10deg"), share([True, False, True, False], list("aabb"))
+    assert (found.value, found.low, found.high) == expected
+    assert split.model_copy(update={"by_course": None}).recall("5m_10deg").text() == "50.0 [–]"
+    with pytest.raises(ValueError, match="do not add up"):
+        Level.model_validate(level.model_dump() | numbers | {"queries": 5})
 
 
 def test_failures_count_as_wrong(made_flight: Path, tmp_path: Path) -> None:

@@ -161,7 +161,7 @@ def test_results_of_another_start_are_not_replaced_in_silence(
     run(made_flight, FakeLocalizer({}))
     (said,) = (record.getMessage() for record in caplog.records)
     assert said.endswith(
-        "meadow/fake.json holds results of start none and will be replaced: "
+        "meadow/fake.json holds results with start none and will be replaced: "
         "choose another --out to keep both"
     )
 
@@ -244,6 +244,7 @@ def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
         assert journal.read_text() == before
 
 
+@pytest.mark.usefixtures("extracted_once")
 def test_jobs_change_nothing_but_seconds(rendered: Scene, tmp_path: Path) -> None:
     (dataset,) = open_datasets(rendered.path)
     answers = []

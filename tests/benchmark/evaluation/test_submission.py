@@ -83,11 +83,29 @@ def test_names_must_be_unique(cmu: Path, tmp_path: Path) -> None:  # noqa: F811
         submit(cmu, FakeLocalizer({}), tmp_path / "out")
 
 
-def test_another_data_set_is_refused(made_flight: Path, tmp_path: Path) -> None:
-    result = invoke("submit", made_flight, "--out", tmp_path / "out")
+def test_a_folder_of_other_files_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    result = invoke("submit", tmp_path / "mine", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "is not Extended CMU Seasons" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_it_has_no_starts(one: Path, tmp_path: Path) -> None:
+    result = invoke("submit", one, "--start", "prior", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert (
+        "is read as Extended CMU Seasons, which has no starts: leave out --start" in result.stderr
+    )
+
+
+def test_poses_of_another_data_set_are_those_of_a_submission(
+    made_flight: Path, tmp_path: Path
+) -> None:
+    result = invoke("submit", made_flight, "--start", "none", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.stderr
+    assert (tmp_path / "out" / "poses" / f"{made_flight.name}.txt").is_file()
+    assert not (tmp_path / "out" / "submission.txt").exists()
 
 
 def test_sift_writes_a_submission_end_to_end(one: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from benchmark.forecasting.calibration import (
     UNCALIBRATED,
     Calibration,
-    Seen,
+    ViewResult,
     calibration_of,
     false_risk,
     features,
@@ -20,9 +20,9 @@ from benchmark.forecasting.calibration import (
 NAN = float("nan")
 CENTRES = np.array([[0.0, 0.0, 60.0], [20.0, 0.0, 60.0], [500.0, 0.0, 60.0]])
 SEEN = [
-    Seen(0, True, False, 50, 100, 0.2, 0.1),
-    Seen(1, False, True, 6, 40, 3.0, 2.0),
-    Seen(2, False, False, 0, 10, NAN, NAN),
+    ViewResult(0, True, False, 50, 100, 0.2, 0.1),
+    ViewResult(1, False, True, 6, 40, 3.0, 2.0),
+    ViewResult(2, False, False, 0, 10, NAN, NAN),
 ]
 
 

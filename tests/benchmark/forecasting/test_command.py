@@ -20,12 +20,16 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from tests.benchmark.made_data import write_scene
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 QUICK = ForecastConfig(seasons=("summer-noon", "snow-dusk"), views=1, size=96, waypoints=3)
 FILES = ("forecast.geojson", "forecast.html", "forecast.json", "forecast.png", "views")
 
 
 @pytest.fixture(scope="module")
-def made(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Forecast]:
+def made(
+    rendered: Scene, extracted_once: None, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Forecast]:
     out = tmp_path_factory.mktemp("forecast") / "out"
     return out, forecast(rendered.path, "nadir", create("sift", {}), out, QUICK)
 

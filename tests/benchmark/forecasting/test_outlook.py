@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from benchmark.forecasting.config import ForecastConfig
-from benchmark.forecasting.observe import _count
+from benchmark.forecasting.observe import _count_visible
 from benchmark.forecasting.outlook import geojson
-from benchmark.forecasting.report import Forecast, runs, verdict_of
+from benchmark.forecasting.report import Forecast, find_runs, verdict_of
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Status
 from tests.benchmark.forecasting.made_forecast import CENTRES, ORIGIN, observation, report
 
 
 def test_runs_are_the_spans_of_true_values() -> None:
-    assert runs([True, True, False, True, False, False]) == [(0, 1), (3, 3)]
-    assert runs([False]) == []
-    assert runs([True]) == [(0, 0)]
+    assert find_runs([True, True, False, True, False, False]) == [(0, 1), (3, 3)]
+    assert find_runs([False]) == []
+    assert find_runs([True]) == [(0, 0)]
 
 
 def test_the_verdict_depends_on_share_and_gap() -> None:
@@ -106,7 +106,7 @@ def test_the_report_reads_itself() -> None:
 def test_sigmas_are_named_as_those_within_the_map() -> None:
     """``eph_m`` and ``epv_m`` are names of accuracies on earth, which a forecast does not know."""
     made = report()
-    assert "sigma across 0.20 m within the map" in made.text()
+    assert "horizontal sigma 0.20 m within the map" in made.text()
     words = made.model_dump_json() + json.dumps(geojson(made.waypoints, made.seasons))
     assert "eph" not in words
     assert "epv" not in words
@@ -116,6 +116,6 @@ def test_points_behind_the_surface_are_not_in_view() -> None:
     depth = np.full((10, 20), 50.0, np.float32)
     depth[:, 10:] = 0.0  # the sky hides nothing
     xy = np.array([[5.5, 5.5], [5.5, 5.5], [15.0, 5.0], [25.0, 5.0], [5.0, -1.0], [5.0, 5.0]])
-    local = np.array([[0, 0, z] for z in (50.0, 60.0, 60.0, 50.0, 50.0, 50.0)])
+    point_depth = np.array([50.0, 60.0, 60.0, 50.0, 50.0, 50.0])
     valid = np.array([True, True, True, True, True, False])
-    assert _count(xy, valid, local, depth) == 2
+    assert _count_visible(xy, valid, point_depth, depth) == 2

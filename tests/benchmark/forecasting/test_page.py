@@ -89,6 +89,7 @@ def test_names_are_text_and_nothing_is_loaded(shown: tuple[Browser, Path]) -> No
     browser.open(path)
     assert NAME in browser.texts("#about")[0]
     assert "Not calibrated" in browser.texts("#how")[0]
+    assert "within about 20 m count" in browser.texts("#how")[0]
     assert [address for address in browser.requests if not address.startswith("data:")] == [
         path.as_uri()
     ]

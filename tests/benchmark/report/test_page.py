@@ -20,6 +20,7 @@ from benchmark.report.page import PICTURE_BYTES
 from benchmark.report.self_contained import embed
 from benchmark.results.results import Results, rescore
 from benchmark.results.results_files import load
+from objconnect.scene.flights.reference_error import REFERENCE_ERROR
 from objconnect.scene.localizer import Status
 from tests.benchmark.made_data import FakeLocalizer, write_flight, write_scene
 from tests.benchmark.report.test_leaderboard import run
@@ -93,10 +94,31 @@ def test_it_opens_as_a_file_and_asks_for_nothing(page: Path, browser: Browser) -
     choose_board(browser, 2)
     assert browser.texts("h2") == ["uav-sim: hamlet"]
     assert browser.texts(".note")[0].startswith("Saturated: under summer-noon, the map")
-    assert browser.texts(".note code") == ["summer-noon"]
+    assert browser.texts(".note code") == ["summer-noon", "sift"]
     assert "(first digits of its SHA-256 digest)" in browser.texts(".card > .quiet")[0]
     for card in ("curves", "speed", "basin"):
         browser.wait(f"document.querySelectorAll('#{card} svg.chart path').length > 1")
+    assert is_clean(browser)
+
+
+def test_what_the_reference_poses_do_not_judge_is_a_dash(tmp_path: Path, browser: Browser) -> None:
+    """No threshold is judged: no card fails, and none has a figure."""
+    flight = write_flight(tmp_path / "meadow")
+    (flight / REFERENCE_ERROR).write_text('{"metres": null, "source": "unknown"}')
+    for method in ("sift", "zzz"):
+        run(flight, tmp_path / "out", method)
+    (dataset,) = open_datasets(flight)
+    localizer = FakeLocalizer({})
+    localizer.name = "sift"
+    basin(dataset, localizer, tmp_path / "out", [Size(0, 0), Size(3, 5)])
+    leaderboard([tmp_path / "out"], tmp_path / "board")
+    browser.open(tmp_path / "board" / "leaderboard.html")
+    browser.settle()
+    cells = browser.texts("#rows tr:nth-child(1) td")
+    assert cells[3:6] == cells[8:11] == ["–"] * 3
+    assert set(browser.texts(".heat tbody td")) == {"–"}
+    assert set(browser.texts("#pairs tbody td")) == {""}
+    assert browser.run("document.querySelectorAll('#surest svg.chart path').length") == 0
     assert is_clean(browser)
 
 
@@ -106,12 +128,12 @@ def test_figures_are_those_of_the_results(out: Path, page: Path, browser: Browse
     cells = browser.texts("#rows tr:nth-child(6) td")
     results = load(out / "hamlet" / "zzz.json")
     part = results.by_condition["winter-dusk"].recall["5m_10deg"]
-    assert cells[:2] == ["winter-dusk", "3"]
-    assert cells[4].split() == [f"{part.value:.1f}", f"[{part.low:.1f},", f"{part.high:.1f}]"]
+    assert cells[:3] == ["winter-dusk", "3", "1"]
+    assert cells[5].split() == [f"{part.value:.1f}", "[–]"], "one course"
     # Rows minus columns: zzz has lost one query of six, at every threshold.
     matrix = browser.texts("#pairs td")
     assert [cell.split("\n")[0] for cell in matrix] == ["", "+16.7", "−16.7", ""]
-    assert "p = 1.00" in matrix[1]
+    assert "[–]\np unknown" in matrix[1]
     assert browser.texts("#heat td") == ["100.0", "0.0", "66.7", "0.0"]
     browser.click("[data-of=threshold][data-value='2']")
     assert browser.texts("#heat td") == ["100.0", "33.3", "66.7", "33.3"]
@@ -139,7 +161,7 @@ def test_the_papers_table_is_labelled(page: Path, browser: Browser) -> None:
     rows = [text.split("\t") for text in browser.texts("#paper-table tbody tr")]
     assert rows[1] == ["PixLoc", "as reported by the paper", "90.4", "81.1", "62.5", "93.8"]
     assert [row[1] for row in rows[3:]] == ["measured here, start: each query's own prior"] * 2
-    assert rows[3][5] == "50.0 [18.8, 81.2] of 6"
+    assert rows[3][5] == "50.0 [–] of 6"
 
 
 def test_sorting_by_mouse_and_by_key(page: Path, browser: Browser) -> None:
@@ -152,14 +174,14 @@ def test_sorting_by_mouse_and_by_key(page: Path, browser: Browser) -> None:
     browser.click(f"{heading} button")
     assert browser.run(f"document.querySelector('{heading}').ariaSort") == "descending"
     assert [row[0] for row in methods(browser)] == ["zzz"] * 3 + ["sift"] * 3
-    loose = "#results thead th:nth-child(6)"
+    loose = "#results thead th:nth-child(7)"
     browser.run(f"document.querySelector('{loose} button').focus()")
     browser.press("Enter")
-    recalls = [float(text.split()[0]) for text in browser.texts("#rows td:nth-child(6)")]
+    recalls = [float(text.split()[0]) for text in browser.texts("#rows td:nth-child(7)")]
     assert recalls == sorted(recalls, reverse=True)
     assert recalls[0] > recalls[-1]
     browser.press("Enter")
-    assert [float(text.split()[0]) for text in browser.texts("#rows td:nth-child(6)")] == recalls[
+    assert [float(text.split()[0]) for text in browser.texts("#rows td:nth-child(7)")] == recalls[
         ::-1
     ]
     assert is_clean(browser)
@@ -405,6 +427,6 @@ def test_a_large_page_stays_small_and_quick(out: Path, tmp_path: Path, browser: 
     assert browser.texts("#query .facts dd")[0] == worst.name
     assert browser.run("document.querySelectorAll('#query image').length") == 2
     assert browser.texts("#query .place") == ["500 of 500, best first"]
-    assert "over whole flights (9 here)" in browser.texts("#pairs .quiet")[0]
+    assert "All queries are of one course" in browser.texts("#pairs .quiet")[0]
     assert browser.run("document.documentElement.scrollWidth") == PHONE
     assert is_clean(browser)

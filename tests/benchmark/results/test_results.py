@@ -17,9 +17,9 @@ from tests.benchmark.made_data import make_scored_query
 @pytest.fixture
 def results() -> Results:
     queries = (
-        make_scored_query("a", 0.1),
-        make_scored_query("b", 0.7),
-        make_scored_query("c", None, "winter"),
+        make_scored_query("a", 0.1, course="one"),
+        make_scored_query("b", 0.7, course="two"),
+        make_scored_query("c", None, "winter", course="one"),
     )
     return Results.of(
         Method(name="fake", config={"strength": 1.0}, weights_sha256=None),
@@ -49,6 +49,30 @@ def test_the_file_has_its_documented_layout(results: Results, tmp_path: Path) ->
     assert set(stored["by_condition"]) == {"summer", "winter"}
     assert stored["queries"][2]["t_err_m"] is None
     assert stored["queries"][0]["cam_from_world"] == [1, 0, 0, 0, 0, 0, 0]
+
+
+def test_intervals_of_earlier_files_are_replaced(results: Results, tmp_path: Path) -> None:
+    """Files without courses have intervals of independent queries."""
+    path = tmp_path / "fake.json"
+    results.write(path)
+    stored = json.loads(path.read_text())
+    for query in stored["queries"]:
+        del query["course"]
+    parts = (stored[f"by_{by}"].values() for by in ("condition", "group", "altitude"))
+    for figures in (stored["summary"], *(figures for part in parts for figures in part)):
+        del figures["courses"]
+    stored["summary"]["recall"]["5m_10deg"] |= {"low": 20.8, "high": 93.9}
+    path.write_text(json.dumps(stored))
+    found = load(path)
+    # All queries are of one group, which counts as one course.
+    assert found.summary.courses == 1
+    assert found.summary.recall["5m_10deg"].text() == "66.7 [–]"
+    assert results.summary.courses == 2
+    assert results.summary.recall["5m_10deg"].low is not None
+    stored["summary"]["recall"]["5m_10deg"]["value"] += 1
+    path.write_text(json.dumps(stored))
+    with pytest.raises(InputError, match="summary.recall.5m_10deg.value does not follow"):
+        load(path)
 
 
 def test_a_condition_without_poses_has_no_median(results: Results) -> None:

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from benchmark.scoring.score import THRESHOLDS, Threshold, is_correct, median_errors, recall, wilson
+from benchmark.scoring.intervals import wilson
+from benchmark.scoring.score import THRESHOLDS, Threshold, is_correct, median_errors, recall
 from objconnect.scene.localizer import Status
 
 
@@ -16,6 +17,7 @@ class Scored:
     status: Status
     t_err_m: float | None
     r_err_deg: float | None
+    cluster: str = "a"
 
 
 def ok(metres: float, degrees: float) -> Scored:

@@ -58,13 +58,34 @@ def right(results: Results) -> list[bool]:
     return [is_correct(query, TIGHT) for query in results.queries]
 
 
+def interval_by_flight(counted: list[bool], flights: list[str]) -> list[float]:
+    """Wilson's interval in percent as the roots of his equation, by the mean of each flight.
+
+    The effective number of queries is that whose binomial variance is the one of the mean of the
+    flights, here of one size, for Student's t instead of the normal quantile.
+    """
+    of = np.array(
+        [
+            np.mean([c for c, f in zip(counted, flights, strict=True) if f == flight])
+            for flight in dict.fromkeys(flights)
+        ]
+    )
+    p, n, k = np.mean(counted), len(counted), len(of)
+    variance = max(of.var(ddof=1) / k, p * (1 - p) / n)
+    n *= p * (1 - p) / n / variance * (stats.norm.ppf(0.975) / stats.t.ppf(0.975, k - 1)) ** 2
+    z = stats.norm.ppf(0.975) ** 2 / n
+    return sorted(100 * np.roots([1 + z, -2 * p - z, p * p]))
+
+
 @pytest.mark.parametrize(("results", "correct"), [(FIRST, (56, 58, 58)), (SECOND, (51, 51, 51))])
 def test_recall_and_its_interval_are_right(results: Results, correct: tuple[int, int, int]) -> None:
     for threshold, count in zip(THRESHOLDS, correct, strict=True):
         found = results.summary.recall[threshold.key]
-        expected = stats.binomtest(count, 60).proportion_ci(0.95, method="wilson")
+        counted = [is_correct(query, threshold) for query in results.queries]
+        expected = interval_by_flight(counted, [query.group for query in results.queries])
         assert found.value == pytest.approx(100 * count / 60)
-        assert (found.low, found.high) == pytest.approx((100 * expected.low, 100 * expected.high))
+        assert [found.low, found.high] == pytest.approx(expected)
+    assert results.summary.courses == 6
 
 
 def test_medians_failures_and_seconds_are_right() -> None:
@@ -100,8 +121,16 @@ def test_covariance_figures_are_right() -> None:
     assert found.nees_median == pytest.approx(np.median(values))
     inside = int((values <= stats.chi2.ppf(0.95, 6)).sum())
     assert inside == 26
-    expected = stats.binomtest(inside, 58).proportion_ci(0.95, method="wilson")
-    assert found.within_95.low == pytest.approx(100 * expected.low)
+    # The first 26 of the flights' 10, 10, 10, 10, 10 and 8 queries.
+    right, size = np.array([10, 10, 6, 0, 0, 0]), np.array([10, 10, 10, 10, 10, 8])
+    p, t = inside / 58, stats.t.ppf(0.975, 5)
+    variance = 6 / 5 * np.square(right - p * size).sum() / 58**2
+    assert variance > p * (1 - p) / 58
+    # Wilson (1927): his equation holds at both ends, at t standard errors.
+    for end in (found.within_95.low, found.within_95.high):
+        assert end is not None
+        scale = end / 100 * (1 - end / 100) / (p * (1 - p))
+        assert (p - end / 100) ** 2 == pytest.approx(t**2 * variance * scale)
     assert found.within_95.value == pytest.approx(100 * inside / 58)
 
 
@@ -129,13 +158,11 @@ def test_the_paired_comparison_is_right() -> None:
     assert (change.low, change.high) == pytest.approx((100 * (q - p - half), 100 * (q - p + half)))
 
 
-def test_the_bootstrap_resamples_flights() -> None:
+def test_the_interval_of_the_change_is_that_of_the_flights() -> None:
     before, after = right(FIRST), right(SECOND)
     flights = [query.group for query in FIRST.queries]
     found = difference_interval(before, after, flights)
     # Flights are of one size: the change of recall is the mean of theirs.
     changes = np.subtract(after, before, dtype=float).reshape(6, 10).mean(1) * 100
-    expected = stats.bootstrap(
-        (changes,), np.mean, method="percentile", n_resamples=20_000, rng=np.random.default_rng(0)
-    ).confidence_interval
-    assert found == pytest.approx((expected.low, expected.high), abs=1.0)
+    expected = stats.ttest_1samp(changes, 0).confidence_interval(0.95)
+    assert found == pytest.approx((expected.low, expected.high))

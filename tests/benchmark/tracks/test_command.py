@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 import yaml
+from typer.testing import CliRunner
 
+from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
 from benchmark.datasets.simulated import open_scene
 from benchmark.results.results import DatasetId, Results
@@ -20,7 +22,7 @@ from objconnect.localization.provenance import Method
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
-from tests.benchmark.made_data import make_scored_query, write_scene
+from tests.benchmark.made_data import make_scored_query, write_flight, write_scene
 from tests.conftest import RENDERED
 from tests.objconnect.scene.exports.test_cmu import street as street  # a fixture
 
@@ -57,7 +59,7 @@ def write(folder: Path) -> Snapshot:
 
 def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> None:
     before = write(out) | write(board)
-    report = track("tiny", out, board=board)
+    report = track("tiny", out, tracks_folder=board)
     assert write(out) | write(board) == before
     (place,) = report.places
     assert place.sha256 == open_scene(out / "town-11").sha256
@@ -66,7 +68,7 @@ def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> 
 
 
 def test_update_records_renders_and_queries(out: Path, board: Path) -> None:
-    report = track("tiny", out, board=board, update=True)
+    report = track("tiny", out, tracks_folder=board, update=True)
     table = board / "tiny" / "queries" / "town-11.csv"
     render = board / "tiny" / "renders" / "town-11.json.xz"
     assert report.written == (table, render, board / "tiny" / "track.yaml")
@@ -82,7 +84,7 @@ def test_update_records_renders_and_queries(out: Path, board: Path) -> None:
         assert 0 < float(row["overlap"]) <= 1
         assert 0.3 < float(row["scale"]) < 3
         assert int(row["days"]) == 0 if row["condition"] == "summer-noon" else int(row["days"]) > 90
-    again = track("tiny", out, board=board)
+    again = track("tiny", out, tracks_folder=board)
     assert again.places[0].same is True
     assert again.text().endswith(", as recorded")
     assert again.as_dict()["differing"] == []
@@ -90,39 +92,39 @@ def test_update_records_renders_and_queries(out: Path, board: Path) -> None:
 
 def test_a_render_of_another_machine_is_the_same_data_set(out: Path, board: Path) -> None:
     """Its bytes differ and its pictures do not: results on both can be compared."""
-    first = track("tiny", out, board=board, update=True).places[0].sha256
+    first = track("tiny", out, tracks_folder=board, update=True).places[0].sha256
     photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
     photograph.write_bytes(photograph.read_bytes() + b"\0")
-    report = track("tiny", out, board=board)
+    report = track("tiny", out, tracks_folder=board)
     assert report.differing == ()
     assert report.text().endswith(f", like the recorded {first[:12]} but for rounding")
     before = write(board / "tiny" / "renders") | write(board / "tiny" / "queries")
-    track("tiny", out, board=board, update=True)
+    track("tiny", out, tracks_folder=board, update=True)
     assert write(board / "tiny" / "renders") | write(board / "tiny" / "queries") == before
     second = report.places[0].sha256
     assert load_track("tiny", board).places[0].renders == (first, second)
-    assert track("tiny", out, board=board).text().endswith(", as recorded")
+    assert track("tiny", out, tracks_folder=board).text().endswith(", as recorded")
 
 
 def test_a_record_that_is_missing_is_named(out: Path, board: Path) -> None:
     """A board of before has digests alone; a digest that is another one tells nothing more."""
-    track("tiny", out, board=board, update=True)
+    track("tiny", out, tracks_folder=board, update=True)
     (board / "tiny" / "renders" / "town-11.json.xz").unlink()
-    assert track("tiny", out, board=board).differing == ()
+    assert track("tiny", out, tracks_folder=board).differing == ()
     photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
     photograph.write_bytes(photograph.read_bytes() + b"\0")
-    report = track("tiny", out, board=board)
+    report = track("tiny", out, tracks_folder=board)
     assert "there is no town-11.json.xz to compare with" in report.text()
     assert report.differing == ("town-11",)
 
 
 def test_another_render_is_named(out: Path, board: Path) -> None:
     """A photograph shows something else; the results of that place can not be compared."""
-    track("tiny", out, board=board, update=True)
+    track("tiny", out, tracks_folder=board, update=True)
     (recorded,) = load_track("tiny", board).places[0].renders
     one, other, *_ = sorted((out / "town-11" / "sessions").rglob("*.jpg"))
     one.write_bytes(other.read_bytes())
-    report = track("tiny", out, board=board)
+    report = track("tiny", out, tracks_folder=board)
     assert report.differing == ("town-11",)
     first, note = report.text().splitlines()
     name = one.relative_to(out / "town-11" / "sessions")
@@ -130,18 +132,66 @@ def test_another_render_is_named(out: Path, board: Path) -> None:
     assert note.startswith(f"Note: the results of town-11 in {board / 'tiny'} cannot be compared")
     assert report.as_dict()["places"][0]["same"] is False
     assert load_track("tiny", board).places[0].renders == (recorded,), "nothing is recorded unasked"
-    renewed = track("tiny", out, board=board, update=True)
+    renewed = track("tiny", out, tracks_folder=board, update=True)
     assert "earlier data sets" in renewed.text().splitlines()[-1]
-    assert track("tiny", out, board=board).differing == ()
+    assert track("tiny", out, tracks_folder=board).differing == ()
+
+
+def write_flights(tmp_path: Path) -> Path:
+    """A track of one flight, beside the flight."""
+    board = tmp_path / "board"
+    (board / "flown").mkdir(parents=True)
+    lists = {"places": [{"dataset": "meadow"}], "starts": ["none"], "methods": ["sift"]}
+    text = yaml.safe_dump({"name": "flown", "title": "Flown", **lists})
+    (board / "flown" / "track.yaml").write_text(text)
+    write_flight(tmp_path / "flights" / "meadow")
+    return board
+
+
+def test_flights_are_read_and_recorded(tmp_path: Path) -> None:
+    board, flights = write_flights(tmp_path), tmp_path / "flights"
+    before = write(flights)
+    first = track("flown", tracks_folder=board, flights=flights)
+    assert first.text().endswith(", not recorded yet")
+    recorded = track("flown", tracks_folder=board, flights=flights, update=True)
+    table = board / "flown" / "queries" / "meadow.csv"
+    assert recorded.written == (table, board / "flown" / "track.yaml")
+    assert track("flown", tracks_folder=board, flights=flights).text().endswith(", as recorded")
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    (dataset,) = open_datasets(flights / "meadow")
+    assert [row["name"] for row in rows] == [query.name for query in dataset.queries]
+    assert {row["part"] for row in rows} == {"meadow"}
+    assert {float(row["scale"]) for row in rows} == {1.0}, "from the same height"
+    assert all(0.5 < float(row["overlap"]) < 1 for row in rows)
+    assert write(flights) == before
+    (flights / "meadow" / "gps.csv").unlink()
+    assert track("flown", tracks_folder=board, flights=flights).differing == ("meadow",)
+
+
+def test_flights_that_are_absent_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    board = write_flights(tmp_path)
+    with pytest.raises(InputError, match="--flights or the variable OBJCONNECT_REAL"):
+        track("flown", tracks_folder=board)
+    with pytest.raises(InputError, match="does not hold the flight meadow of flown"):
+        track("flown", tracks_folder=board, flights=tmp_path)
+    monkeypatch.setenv("OBJCONNECT_REAL", str(tmp_path / "flights"))
+    result = CliRunner().invoke(app, ["track", "flown", "--board", str(board)])
+    assert result.exit_code == 0 and "meadow: 3 queries" in result.output
+
+
+def test_the_flights_of_real_seasons_are_those_of_its_results(real_seasons: Path) -> None:
+    report = track("real-seasons", flights=real_seasons)
+    assert [place.text().rpartition(", ")[2] for place in report.places] == ["as recorded"] * 2
 
 
 def test_a_map_that_was_not_finished_is_built(out: Path, board: Path) -> None:
     """Killed after the map and before the manifest, or before the map: both give the same data."""
     place = out / "town-11"
-    before = track("tiny", out, board=board).places[0].sha256
+    before = track("tiny", out, tracks_folder=board).places[0].sha256
     shutil.rmtree(place / "map")
     finish_scene(place, Scene.open(place).manifest)
-    assert track("tiny", out, board=board).places[0].sha256 == before
+    assert track("tiny", out, tracks_folder=board).places[0].sha256 == before
     assert Scene.open(place).find_changed_files() == []
 
 
@@ -172,7 +222,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
 def test_every_place_is_rendered_and_mapped(tmp_path: Path, asked: list[tuple[Any, ...]]) -> None:
     board = write_board(tmp_path, seeds=(1, 2))
-    report = track("tiny", tmp_path / "out", jobs=3, cluster="local", board=board)
+    report = track("tiny", tmp_path / "out", jobs=3, cluster="local", tracks_folder=board)
     assert asked == [
         ("town-1", "town", 1, 3, "local"),
         ("map", "town-1", "local"),
@@ -183,7 +233,7 @@ def test_every_place_is_rendered_and_mapped(tmp_path: Path, asked: list[tuple[An
         tmp_path / "out" / name for name in ("town-1", "town-2")
     ]
     asked.clear()
-    (one,) = track("tiny", tmp_path / "elsewhere", ["town-2"], board=board).places
+    (one,) = track("tiny", tmp_path / "elsewhere", ["town-2"], tracks_folder=board).places
     assert [call[0] for call in asked] == ["town-2", "map"]
     assert one.dataset == "town-2"
 
@@ -195,7 +245,7 @@ def test_a_wrong_folder_is_refused_before_rendering(
     (tmp_path / "out" / "town-2").mkdir(parents=True)
     (tmp_path / "out" / "town-2" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="town-2 is not empty and not a scene"):
-        track("tiny", tmp_path / "out", board=board)
+        track("tiny", tmp_path / "out", tracks_folder=board)
     assert asked == []
 
 
@@ -209,13 +259,13 @@ def test_streets_are_exported(
     monkeypatch.setattr(
         command, "simulate", lambda *_: Scene.open(Path(street.rename(tmp_path / "out/street-7")))
     )
-    (place,) = track("tiny", tmp_path / "out", board=board).places
+    (place,) = track("tiny", tmp_path / "out", tracks_folder=board).places
     assert place.export == tmp_path / "out" / "street-7-cmu"
     assert place.sha256 == open_scene(tmp_path / "out" / "street-7").sha256
     assert {d.name for d in open_datasets(place.export)} >= {"cmu-urban-slice2", "cmu-park-slice18"}
     before = write(place.export)
     monkeypatch.setattr(command, "simulate", lambda *_: Scene.open(place.scene))
-    track("tiny", tmp_path / "out", board=board)
+    track("tiny", tmp_path / "out", tracks_folder=board)
     assert write(place.export) == before
 
 
@@ -230,7 +280,7 @@ def test_results_do_not_hinder(out: Path, board: Path) -> None:
     path = board / "tiny" / "results" / "none" / "town-11" / "sift.json.xz"
     write_compact(path, results)
     before = path.read_bytes()
-    track("tiny", out, board=board, update=True)
+    track("tiny", out, tracks_folder=board, update=True)
     assert path.read_bytes() == before
 
 
@@ -244,7 +294,7 @@ def test_a_track_is_rendered_and_rendered_again_alike(tmp_path: Path) -> None:
     board = write_board(tmp_path, "park")
     config = {"area": 120, "size": 160, "spp": 1, "frames": 2, "sessions": sessions}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
-    first = track("tiny", tmp_path / "first", board=board, update=True)
-    second = track("tiny", tmp_path / "second", board=board)
+    first = track("tiny", tmp_path / "first", tracks_folder=board, update=True)
+    second = track("tiny", tmp_path / "second", tracks_folder=board)
     assert first.places[0].sha256 == second.places[0].sha256
     assert second.places[0].same is True

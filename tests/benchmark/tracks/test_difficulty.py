@@ -17,10 +17,11 @@ from benchmark.tracks.difficulty import (
     View,
     compare,
     days_between,
+    level_depth,
     measure,
     write_queries,
 )
-from objconnect.scene.bundle.covisibility import write_covisibility
+from objconnect.scene.bundle.covisibility import surface_points, write_covisibility
 from objconnect.scene.bundle.frames import Frames, write_frames
 from objconnect.scene.bundle.manifest import (
     Manifest,
@@ -81,6 +82,15 @@ def test_two_views_of_one_point_have_a_known_scale_and_angle(
     assert pair is not None
     assert pair[0] == pytest.approx(scale, rel=2e-3)
     assert pair[1] == pytest.approx(angle, abs=0.15)
+
+
+def test_level_ground_lies_at_its_height() -> None:
+    view = narrow((3, -30, 40), 35.0)
+    depth = level_depth(view, 5.0)
+    points = surface_points(view.camera, view.cam_from_world, depth)
+    assert np.allclose(points[:, 2], 5.0, atol=1e-4)
+    up = narrow((0, 0, 40), 180.0)
+    assert not level_depth(up, 5.0).any(), "the sky"
 
 
 def test_the_scale_depends_on_the_focal_length() -> None:

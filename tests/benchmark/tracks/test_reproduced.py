@@ -13,7 +13,7 @@ from benchmark.report.board.runs import read_board
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.command import track
-from benchmark.tracks.description import BOARD
+from benchmark.tracks.description import TRACKS_FOLDER
 from objconnect.methods import create
 
 NAME = "uav-small"
@@ -35,7 +35,7 @@ def test_a_fresh_render_gives_the_recorded_results(tmp_path: Path) -> None:
     report = track(NAME, tmp_path / "scenes")
     assert report.differing == (), report.text()
     (dataset,) = open_datasets(report.places[0].scene)
-    board = read_board(NAME, BOARD)
+    board = read_board(NAME, TRACKS_FOLDER)
     assert {(run.start, run.method) for run in board.runs} == {
         (start, method) for start in board.track.starts for method in board.track.methods
     }

@@ -15,6 +15,13 @@ from tests.shared import make_once
 SIDE = 500
 
 
+@pytest.fixture(autouse=True)
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw flights in fixtures of a wider scope alone: a picture takes a fifth of a small run."""
+    for module in ("command", "addition"):
+        monkeypatch.setattr(f"objconnect.ingestion.{module}.draw", lambda *_: None)
+
+
 @pytest.fixture(scope="session")
 def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All photographs of a real flight as its pilot would hand them over, but small."""

@@ -22,7 +22,7 @@ from objconnect.ingestion.report import IngestReport
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.sift import Sift
-from objconnect.scene.bundle.georeference import EXACT
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.checks.validate import validate
 from objconnect.scene.colmap.options import SiftOptions
@@ -142,7 +142,7 @@ def tracks(sparse_map: SparseMap) -> dict[tuple[tuple[str, int], ...], np.ndarra
     return {tuple(track): sparse_map.xyz[row] for row, track in found.items()}
 
 
-@pytest.mark.parametrize("exif", [True, False])
+@pytest.mark.parametrize("exif", [pytest.param(True, marks=pytest.mark.thorough), False])
 def test_new_photographs_stand_where_they_were_taken(
     rendered: Scene, old: Path, tmp_path: Path, exif: bool
 ) -> None:
@@ -340,7 +340,7 @@ def test_scenes_that_cannot_be_added_to(rendered: Scene, old: Path, tmp_path: Pa
     copy = Path(shutil.copytree(old, tmp_path / "copy"))
     picture = copy / "sessions" / "flight" / "images" / "000001.jpg"
     picture.write_bytes(picture.read_bytes() + b"0")
-    with pytest.raises(InputError, match="000001.jpg was changed since the scene was finished"):
+    with pytest.raises(InputError, match="000001.jpg was changed or removed since"):
         ingest(photos, tmp_path / "both", add=copy)
     shutil.rmtree(copy / "map")
     with pytest.raises(InputError, match="has no map yet"):

@@ -245,7 +245,11 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
         ("1 2 3 4 5 DJI_1.JPG a\n", "gcp.txt:1: .*is no coordinate reference system"),
         ("EPSG:32632\n", "names none of the photographs: its first name is ''"),
         ("EPSG:32632\n1 2 3 4 DJI_1.JPG\n", "gcp.txt:2: expected x y z px py photograph"),
-        ("EPSG:32632\n5e5 52e5 nan 4 5 DJI_1.JPG\n", "gcp.txt:2: expected x y z px py photograph"),
+        (
+            "EPSG:32632\n5e5 52e5 nan 4 5 DJI_1.JPG\n",
+            "gcp.txt:2: x y z px py must be finite numbers",
+        ),
+        ("EPSG:32632\n5e5 52e5 0 4 5 D\x07.JPG\n", "gcp.txt:2: .* has a control character"),
         (
             "EPSG:32632\n5e5 52e5 3 4 5 DJI_9.JPG a\n",
             "its first name is 'DJI_9.JPG', the first of the folder",
@@ -275,7 +279,7 @@ def write_list(scene: Scene, path: Path, moved: Mapping[int, Array]) -> None:
     A mark stands in every photograph whose depth at the pixel is that of the point.
     """
     frames = scene.frames(MAP_SESSION)
-    with scene.dense(MAP_SESSION) as dense:
+    with scene.layers(MAP_SESSION) as dense:
         depths = [dense.read("depth", k) for k in range(len(frames))]
     to_utm = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:32632", always_xy=True)
     lines, point = ["EPSG:32632"], 0

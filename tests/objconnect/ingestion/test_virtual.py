@@ -163,7 +163,7 @@ def test_heights_above_sea_level(files: dict[str, tuple[Path, Path]], tmp_path: 
         out = tmp_path / f"{undulation:g}"
         photograph_orthophoto(*files[SYSTEMS[0]], out, undulation=undulation, options=few)
         origins.append(Scene.open(out).manifest.origin)
-        with Scene.open(out).dense("virtual") as layers:
+        with Scene.open(out).layers("virtual") as layers:
             depth = layers.read("depth", 0)
         assert np.median(depth[depth > 0]) == pytest.approx(30, abs=2)
     assert origins[1].altitude - origins[0].altitude == pytest.approx(48, abs=1e-3)
@@ -172,7 +172,7 @@ def test_heights_above_sea_level(files: dict[str, tuple[Path, Path]], tmp_path: 
 def test_oblique_views_look_to_four_sides(
     files: dict[str, tuple[Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("objconnect.ingestion.virtual.command._LEAST_SEEN", 0.8)
+    monkeypatch.setattr("objconnect.ingestion.virtual.command._MIN_COVERAGE", 0.8)
     options = ViewOptions(altitude=12, overlap=0.0, tilt=30, size=64)
     report = photograph_orthophoto(*files[SYSTEMS[0]], tmp_path / "out", options=options)
     axes = Scene.open(tmp_path / "out").frames("virtual").cam_from_world[:, 2, :3]
@@ -256,8 +256,8 @@ def test_the_command_maps_an_orthophoto(
         ([], "give the SCENE to map, or --ortho, --dsm and --out"),
         (["SCENE", "--dsm", "d.tif"], "--dsm describes the map of an orthophoto: give --ortho"),
         (["SCENE", "--tilt", "0"], "--tilt describes the map of an orthophoto"),
-        (["--ortho", "o.tif", "--out", "x"], "--ortho needs --dsm and --out, and no SCENE"),
-        (["SCENE", "--ortho", "o.tif", "--dsm", "d.tif", "--out", "x"], "and no SCENE"),
+        (["--ortho", "o.tif", "--out", "x"], "--ortho needs --dsm and --out"),
+        (["SCENE", "--ortho", "o.tif", "--dsm", "d.tif", "--out", "x"], "leave SCENE out"),
         (["SCENE", "--georeference", "0"], "--georeference describes the map of an orthophoto"),
         (
             ["--ortho", "o", "--dsm", "d", "--out", "x", "--georeference-height", "1"],

@@ -57,7 +57,7 @@ def test_the_type_of_a_number_is_damaged(tmp_path: Path) -> None:
 def test_code_is_refused(tmp_path: Path) -> None:
     path, made = tmp_path / "checkpoint_best.tar", tmp_path / "made"
     torch.save({"model": {"a": torch.zeros(2)}, "eval": _Runs(made)}, path)
-    with pytest.raises(InputError, match="cannot be read as tensors .*: it asks for getattr"):
+    with pytest.raises(InputError, match="cannot be read as tensors .*: it would execute getattr"):
         read_weights(path)
     assert not made.exists()
     torch.load(path, weights_only=False)

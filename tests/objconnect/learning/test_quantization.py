@@ -79,7 +79,7 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
             network(seen)
         steps = channel_scales(largest)
         made = quantize(network, steps, network.config.strides)
-        whole, part = (made(seen, shown=each)[-1][0] for each in (None, shown))
+        whole, part = (made(seen, needed=each)[-1][0] for each in (None, shown))
     torch.testing.assert_close(whole[..., 8:30, 20:50], part[..., 8:30, 20:50])
 
 
@@ -88,7 +88,7 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
 def test_doubling_rounds_bilinear_values(
     size: tuple[int, int], compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(quantization, "loops_serve", lambda device: compiled)
+    monkeypatch.setattr(quantization, "supports_loops", lambda device: compiled)
     torch.manual_seed(2)
     maps = torch.randint(0, 256, (2, 6, *size), dtype=torch.uint8)
     maps = maps.contiguous(memory_format=torch.channels_last)

@@ -58,7 +58,7 @@ def test_parts_are_copied(
         patched.setattr(
             objconnect.localization.featuremetric.corners.CornerFinder, "__call__", refuse
         )
-        patched.setattr(ObjectFinder, "of", refuse)
+        patched.setattr(ObjectFinder, "find_in_view", refuse)
         create(method, {}).prepare(*made, cache)
     written = [path for path in cache.iterdir() if path.is_file()]
     assert {path.name for path in written} == {path.name for path in alone.iterdir()}

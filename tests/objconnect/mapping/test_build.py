@@ -40,7 +40,7 @@ def test_points_lie_on_the_surface(rendered: Scene) -> None:
     sparse_map = rendered.sparse_map()
     frames = rendered.frames("summer-noon-nadir-map")
     off = []
-    with rendered.dense("summer-noon-nadir-map") as dense:
+    with rendered.layers("summer-noon-nadir-map") as dense:
         for k, name in enumerate(frames.names):
             image = sparse_map.images[name]
             seen = image.point_rows >= 0
@@ -247,7 +247,7 @@ def test_shares_are_of_what_the_pixels_show(rendered: Scene) -> None:
     built = [o.id for o in rendered.objects.objects if o.class_name == "building"]
     pixels, keypoints = [], []
     session = "summer-noon-nadir-map"
-    with rendered.dense(session) as dense:
+    with rendered.layers(session) as dense:
         for k, name in enumerate(rendered.frames(session).names):
             instance = dense.read("instance", k)
             pixels.append(np.isin(instance, built).mean())

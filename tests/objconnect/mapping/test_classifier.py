@@ -12,7 +12,7 @@ import torch
 
 from objconnect.learning.checkpoint import read_weights, write_weights
 from objconnect.mapping.supplement.classifier import (
-    FIGURES,
+    NUM_FIGURES,
     SHIPPED,
     PointClassifier,
     read_classifier,
@@ -30,7 +30,7 @@ from objconnect.scene.errors import InputError
 def make(seed: int, count: int = 3000) -> TrainingData:
     """Return places that are on objects where two figures together say so."""
     rng = np.random.default_rng(seed)
-    figures = rng.normal(3, 5, (count, FIGURES)).astype(np.float32)
+    figures = rng.normal(3, 5, (count, NUM_FIGURES)).astype(np.float32)
     on_object = (figures[:, 0] - 3) * (figures[:, 4] - 3) > 0
     small = np.where(on_object, rng.integers(1, 9, count), 0)
     return TrainingData(figures, on_object, small, frozenset(range(1, 9)))
@@ -53,7 +53,7 @@ def test_the_same_seed_learns_the_same() -> None:
 
 def test_a_rendered_town_teaches(rendered: Scene) -> None:
     found = read_training_data(rendered.path)
-    assert found.figures.shape == (len(found.on_object), FIGURES)
+    assert found.figures.shape == (len(found.on_object), NUM_FIGURES)
     assert np.isfinite(found.figures).all()
     assert found.on_object.any() and not found.on_object.all()
     assert found.on_object[found.small > 0].all()
@@ -69,7 +69,7 @@ def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
         read_classifier(path)
     with pytest.raises(InputError, match="no points to train on"):
         train_classifier([make(0, 0)])
-    assert read_weights(SHIPPED).config == {"figures": FIGURES}
+    assert read_weights(SHIPPED).config == {"figures": NUM_FIGURES}
 
 
 def test_scenes_that_are_none_are_one_line(tmp_path: Path) -> None:

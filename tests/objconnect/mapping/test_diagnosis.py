@@ -37,7 +37,7 @@ def test_objects_have_the_points_that_photographs_show_on_them(
     sparse_map = rendered.sparse_map()
     seen: set[int] = set()
     votes: list[list[int]] = [[] for _ in sparse_map.xyz]
-    with rendered.dense(SESSION) as dense:
+    with rendered.layers(SESSION) as dense:
         for k, name in enumerate(rendered.frames(SESSION).names):
             instance = dense.read("instance", k)
             seen |= set(np.unique(instance).tolist())

@@ -55,7 +55,7 @@ def test_rays_meet_the_ground_at_a_height(rendered: Scene) -> None:
     ground = Ground.of(cloud)
     image = rendered.sparse_map().images[rendered.splits.map[0]]
     xy = rng.uniform(20, 100, (50, 2))
-    places = ground.under(image, xy, 1.5)
+    places = ground.intersect_rays(image, xy, 1.5)
     expected = 0.1 * places[:, 0] - 0.05 * places[:, 1] + 1.5
     np.testing.assert_allclose(places[:, 2], expected, atol=0.02)
     seen = image.camera.project(image.pose.transform(torch.from_numpy(places)))
@@ -72,7 +72,7 @@ def test_spots_are_where_they_are_and_differ_from_what_is_around() -> None:
         nearest_spot = off.argmin()
         assert off[nearest_spot] < 0.3
         assert found.strength[nearest_spot] > 10
-        assert (found.look[nearest_spot, 0] > 20) == lighter
+        assert (found.appearance[nearest_spot, 0] > 20) == lighter
     # Nothing else stands out.
     off = np.linalg.norm(found.xy[:, None] - [[51.5, 31.5], [101.0, 61.0]], axis=2).min(1)
     assert (off < 8).all()
@@ -83,13 +83,13 @@ def test_costs_are_held_against_those_of_the_ground() -> None:
     on_it = 1.0 + np.abs(HEIGHTS)
     costs = np.stack([above, on_it, np.full(len(above), np.nan)])
     found = compare_with_ground(costs, np.full(3, 1.0))
-    assert found.share[0] < 0.65
-    assert found.off[0] < 0.15
-    assert found.share[1] == 1
-    assert found.off[1] > 0.9
-    assert np.isinf(found.share[2])
-    np.testing.assert_allclose(found.curve[0], above / found.on_ground[0])
-    assert np.isfinite(found.curve).all()
+    assert found.least[0] < 0.65
+    assert found.distance_m[0] < 0.15
+    assert found.least[1] == 1
+    assert found.distance_m[1] > 0.9
+    assert np.isinf(found.least[2])
+    np.testing.assert_allclose(found.ratios[0], above / found.on_ground[0])
+    assert np.isfinite(found.ratios).all()
 
 
 def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Scene) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor
 
+from objconnect.learning.training.command import train
 from objconnect.learning.training.config import TrainConfig
 from objconnect.learning.training.objects import GROUND, UNKNOWN, ImageObjects
 from objconnect.learning.training.options import PairOptions
@@ -16,7 +20,7 @@ from objconnect.network.config import DetectorConfig, ObjConnectNetConfig
 from objconnect.network.detector import DetectorMaps, ObjectDetector, extract_detections, label_map
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
-from objconnect.network.object_loss import cell_labels, identity_loss, place_loss
+from objconnect.network.object_loss import cell_labels, geometry_loss, identity_loss
 from objconnect.network.object_training import ObjectTraining
 from objconnect.network.segmentation import NOTHING
 from objconnect.scene.bundle.scene import Scene
@@ -80,13 +84,13 @@ def test_cells_show_the_object_of_a_quarter_of_their_pixels() -> None:
 def test_right_maps_lose_nothing_and_others_do() -> None:
     objects = three_objects()
     right = right_maps(objects)
-    loss, figures = place_loss(right, [objects], STRIDE)
+    loss, figures = geometry_loss(right, [objects], STRIDE)
     assert float(loss) < 0.01
     assert set(figures) == {"centres", "inside", "offsets", "sides", "rises"}
     for position in range(5):
         worse = list(right)
         worse[position] = worse[position] + 2.0 if position > 1 else -worse[position]
-        assert float(place_loss(DetectorMaps(worse), [objects], STRIDE)[0]) > 0.1
+        assert float(geometry_loss(DetectorMaps(worse), [objects], STRIDE)[0]) > 0.1
 
 
 def test_right_maps_are_read_as_the_objects() -> None:
@@ -197,30 +201,51 @@ def test_levels_of_any_size_are_joined() -> None:
     assert torch.allclose(maps.vector.norm(dim=1), torch.ones(2, 16, 24), atol=1e-5)
 
 
-def test_training_changes_the_detector_alone(rendered: Scene) -> None:
+def train_detector(rendered: Scene, steps: int) -> tuple[set[str], set[str], list[float]]:
+    """Names of the tensors that some steps changed, names of the figures, and the losses."""
     options = PairOptions(objects=True, heading_deg=180, max_turn_deg=180)
     source = RenderedPairs([rendered], 96, 64, 0.0, options)
     batch = collate([source.draw(np.random.default_rng(seed)) for seed in range(2)])
     network = {"detector": {"size": 16, "vector": 8}}
-    training = ObjectTraining(TrainConfig(network=network))
+    training = ObjectTraining(TrainConfig(network=network, pairs=options))
     before = {k: v.clone() for k, v in training.network.state_dict().items()}
     # At 1e-2 all cells of so small a detector may die in the first steps, by rounding.
     optimizer = torch.optim.Adam(training.groups(2e-3)[0]["params"], 2e-3)
-    losses = []
-    for step in range(20):
-        loss, figures = training.loss(batch, step / 20)
+    losses, named = [], set()
+    for step in range(steps):
+        loss, figures = training.loss(batch, step / steps)
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         optimizer.zero_grad()
         losses.append(float(loss.detach()))
-    assert {"centres", "identity", "found first"} <= set(figures)
-    assert losses[-1] < 0.75 * losses[0]
-    changed = {k for k, v in training.network.state_dict().items() if not torch.equal(v, before[k])}
+        named |= set(figures)
+    after = training.network.state_dict()
+    return {k for k in after if not torch.equal(after[k], before[k])}, named, losses
+
+
+def test_training_changes_the_detector_alone(rendered: Scene) -> None:
+    changed, figures, _ = train_detector(rendered, 2)
+    assert {"centres", "identity", "found first"} <= figures
     assert changed and all(name.startswith("detector.") for name in changed)
 
 
-def test_pairs_without_objects_are_refused(rendered: Scene) -> None:
-    source = RenderedPairs([rendered], 128, 64, 0.0)
-    batch = collate([source.draw(np.random.default_rng(0))])
-    with pytest.raises(InputError, match="pairs.objects"):
-        ObjectTraining(TrainConfig()).loss(batch, 0.0)
+@pytest.mark.thorough
+def test_training_lowers_the_loss_of_the_detector(rendered: Scene) -> None:
+    changed, _, losses = train_detector(rendered, 20)
+    assert losses[-1] < 0.75 * losses[0]
+    assert changed and all(name.startswith("detector.") for name in changed)
+
+
+@pytest.mark.parametrize(
+    ("objects", "says"),
+    [(False, "--set pairs.objects=true"), (True, "--set photograph_share=0")],
+)
+def test_pairs_without_objects_are_refused_before_a_run_begins(
+    rendered: Scene, tmp_path: Path, objects: bool, says: str
+) -> None:
+    Image.new("RGB", (256, 256)).save(tmp_path / "photograph.png")
+    pairs = PairOptions(objects=objects)
+    config = TrainConfig(pairs=pairs, photographs=(tmp_path,), workers=0)
+    with pytest.raises(InputError, match=says):
+        train("objects", ObjectTraining, [rendered.path], tmp_path / "run", config)
+    assert not (tmp_path / "run").exists()

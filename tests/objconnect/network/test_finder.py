@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,18 @@ from numpy.typing import NDArray
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.cache.store import Store
-from objconnect.localization.coarse.headings import ALTITUDES
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import ReferenceSource, load_references
-from objconnect.network.finder import ObjectSearch, ObjectSearchOptions, headings_around
+from objconnect.network.finder import ObjectSearch, ObjectSearchOptions, allowed_poses
 from objconnect.network.landmarks import Landmarks
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network.network import read_network
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import so3_exp
+from objconnect.scene.geometry.views import tilt
 from objconnect.scene.localizer import Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 
@@ -34,10 +36,13 @@ ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
 
 
 def test_nothing_known_is_searched_all_around() -> None:
-    base, headings, heights = headings_around(None, [70.0, 80.0, 90.0], 8)
-    assert torch.equal(base, DOWN)
-    assert headings == pytest.approx([k * math.tau / 8 for k in range(8)])
-    assert heights == [80.0 * part for part in ALTITUDES]
+    attitudes, bounds = allowed_poses(None, [70.0, 80.0, 90.0], 8)
+    assert torch.equal(attitudes[0], DOWN)
+    tilts = [math.degrees(tilt(each.numpy())) for each in attitudes]
+    assert tilts == pytest.approx([0, 15, 30, 45, 60], abs=1e-4)
+    assert bounds.headings == pytest.approx([k * math.tau / 8 for k in range(8)])
+    assert bounds.heights == [80.0 * part for part in ALTITUDE_RATIOS]
+    assert bounds.region is None
 
 
 @pytest.mark.parametrize(
@@ -50,7 +55,8 @@ def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
         cam_from_world_rotation=ROTATION,
         heading_sigma_deg=sigma,
     )
-    base, headings, _ = headings_around(prior, [80.0])
+    (base,), bounds = allowed_poses(prior, [80.0])
+    headings = bounds.headings
     np.testing.assert_array_equal(base.numpy(), ROTATION)
     assert len(headings) == count
     assert 0 in headings
@@ -77,7 +83,7 @@ def landmarks_in(path: Path) -> Landmarks:
 
 @pytest.fixture(scope="module")
 def seen(finder: ObjectSearch, rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cache of a finder that has looked at the rendered scene."""
+    """The cache of a finder that has looked at the rendered scene; no test changes it."""
     cache = tmp_path_factory.mktemp("seen")
     finder.prepare(source_of(finder, rendered.sparse_map(), rendered, cache))
     return cache
@@ -90,18 +96,20 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_objects_are_found_in_the_feature_maps_of_references(
-    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch,
+    rendered: Scene,
+    seen: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The network sees every photograph once, and finds the objects that it would find alone."""
-    alone, beside = tmp_path / "alone", tmp_path / "beside"
-    finder.prepare(source_of(finder, rendered.sparse_map(), rendered, alone))
-    source = source_of(finder, rendered.sparse_map(), rendered, beside)
+    source = source_of(finder, rendered.sparse_map(), rendered, tmp_path)
     load_references(source, 64, finder.observer(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
         finder.prepare(source)
     assert finder.observer(source) is None
-    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
+    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (seen, tmp_path))
     assert one.name == other.name
     found, again = landmarks_in(one), landmarks_in(other)
     np.testing.assert_array_equal(found.xyz, again.xyz)
@@ -109,30 +117,36 @@ def test_objects_are_found_in_the_feature_maps_of_references(
 
 
 def test_the_map_is_looked_at_once(
-    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch,
+    rendered: Scene,
+    seen: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sparse_map = rendered.sparse_map()
-    finder.prepare(source_of(finder, sparse_map, rendered, tmp_path))
-    (kept,) = tmp_path.glob("objects-*.h5")
+    cache = shutil.copytree(seen, tmp_path / "cache")
+    (kept,) = cache.glob("objects-*.h5")
     assert len(landmarks_in(kept)) >= 10
 
     def again(*_: object) -> None:
         raise AssertionError("looked at twice")
 
     monkeypatch.setattr(MapExtractor, "__call__", again)
-    finder.prepare(source_of(finder, sparse_map, rendered, tmp_path))
+    finder.prepare(source_of(finder, sparse_map, rendered, cache))
     with pytest.raises(AssertionError, match="twice"):
-        finder.prepare(source_of(finder, sparse_map, rendered, tmp_path, "another network"))
+        finder.prepare(source_of(finder, sparse_map, rendered, cache, "another network"))
 
 
 def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
-    finder: ObjectSearch, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finder: ObjectSearch,
+    rendered: Scene,
+    seen: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = rendered.sparse_map()
     fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
-    grown, alone = tmp_path / "grown", tmp_path / "alone"
-    finder.prepare(source_of(finder, fewer, rendered, grown))
-    finder.prepare(source_of(finder, whole, rendered, alone))
+    finder.prepare(source_of(finder, fewer, rendered, tmp_path))
     asked: list[int] = []
     found = MapExtractor.__call__
 
@@ -141,13 +155,13 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
         return found(of, *args)
 
     monkeypatch.setattr(MapExtractor, "__call__", count_calls)
-    source = source_of(finder, whole, rendered, grown)
+    source = source_of(finder, whole, rendered, tmp_path)
     load_references(source, 64, finder.observer(source))
     assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
     finder.prepare(source)
     assert len(asked) == len(whole.names)
-    (one,) = alone.glob("objects-*.h5")
-    kept, fresh = landmarks_in(grown / one.name), landmarks_in(one)
+    (one,) = seen.glob("objects-*.h5")
+    kept, fresh = landmarks_in(tmp_path / one.name), landmarks_in(one)
     np.testing.assert_array_equal(kept.xyz, fresh.xyz)
     np.testing.assert_array_equal(kept.vectors, fresh.vectors)
 
@@ -204,8 +218,8 @@ def test_the_place_of_a_query_is_among_those_found(
 def test_objects_are_switched_off_by_name() -> None:
     with_objects = ObjConnectLocalizer(ObjConnectConfig())
     without = ObjConnectLocalizer(ObjConnectConfig(objects=None))
-    assert with_objects._other is not None
-    assert without._other is None
+    assert with_objects._extra_finder is not None
+    assert without._extra_finder is None
 
 
 @pytest.mark.parametrize(
@@ -219,7 +233,7 @@ def test_in_large_maps_the_search_is_asked_first(
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
     localizer.prepare(dataset.load_map(), dataset.images, cache)
-    other = localizer._other
+    other = localizer._extra_finder
     assert isinstance(other, ObjectSearch)
     assert other.is_first is asked
     calls: list[str] = []
@@ -231,7 +245,12 @@ def test_in_large_maps_the_search_is_asked_first(
 
 
 @pytest.mark.parametrize(
-    ("away", "sigma", "allowed"), [(None, 0.0, True), (50.0, 29.0, True), (50.0, 5.0, False)]
+    ("away", "sigma", "allowed"),
+    [
+        pytest.param(None, 0.0, True, marks=pytest.mark.thorough),
+        (50.0, 29.0, True),
+        (50.0, 5.0, False),
+    ],
 )
 def test_objects_are_asked_where_the_search_fails(
     rendered: Scene,
@@ -249,7 +268,7 @@ def test_objects_are_asked_where_the_search_fails(
     monkeypatch.setattr(GlobalSearch, "_find_candidates", lambda *_: [])
     query = next(query for query in dataset.queries if "summer" in query.name)
     calls: list[str] = []
-    other = localizer._other
+    other = localizer._extra_finder
     assert isinstance(other, ObjectSearch)
     there = Candidate(query.reference, 1.0)
     monkeypatch.setattr(other, "find", lambda query: calls.append(query.name) or [there])

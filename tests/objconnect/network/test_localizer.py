@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,10 @@ import torch
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.localization.featuremetric.refiner import Refiner
+from objconnect.localization.provenance import Method
 from objconnect.methods import create
+from objconnect.network.localizer import SHIPPED
+from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
@@ -120,3 +124,31 @@ def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
     code = "from objconnect.methods import create; import sys; create('objconnect', {})\n"
     code += "print('pycolmap' in sys.modules)"
     assert run_and_print(code).strip() == "False"
+
+
+def test_options_without_effect_are_refused_or_recorded_as_off(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Weights without learned objects, and a search without many starts."""
+    shipped = create("objconnect", {})
+    assert Method.of(shipped).objects == f"learned, objconnect.safetensors {shipped.weights_sha256}"
+    weights = str(SHIPPED.with_name("objconnect-objects.safetensors"))
+    message = f"option objects needs learned objects, which the weights {weights} do not have"
+    for explicit in ({"objects": {}}, {"objects.candidates": 4}):
+        with pytest.raises(InputError, match=re.escape(message)):
+            create("objconnect", {"weights": weights, **explicit})
+    assert not caplog.records
+    method = Method.of(create("objconnect", {"weights": weights}))
+    assert (method.config["objects"], method.objects) == (None, "none")
+    assert [weights in record.getMessage() for record in caplog.records] == [True]
+    # A worker of a cluster gets all recorded options.
+    assert Method.of(create("objconnect", method.config)) == method
+    alone = Method.of(create("objconnect", {"multistart": False}))
+    config = alone.config
+    assert (config["objects"], config["matches"], config["place"]["candidates"]) == (None, None, 0)
+    assert alone.objects == "none"
+    for name in ("objects", "matches", "place"):
+        with pytest.raises(InputError, match=f"option {name} has no effect without multistart"):
+            create("objconnect", {"multistart": False, name: {}})
+    with pytest.raises(InputError, match="option max_magnification has no effect"):
+        create("pixloc", {"max_magnification": 1.5})

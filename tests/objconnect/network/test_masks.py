@@ -69,7 +69,7 @@ def test_coco_masks_with_the_smaller_on_top(tmp_path: Path, compressed: bool) ->
     [
         ([[1, 2, 3, 4]], "polygon"),
         ({"size": [2, 2], "counts": [1, 2]}, "has 3 pixels, its size is 2 x 2"),
-        ({"size": [2, 2], "counts": [5, -1]}, "its size is 2 x 2"),
+        ({"size": [2, 2], "counts": [5, -1]}, "has a negative side or run length"),
         ({"size": [2, 2], "counts": "\n"}, "cannot be read"),
         ({"size": [2, 2], "counts": "P"}, "cannot be read"),
         ({"size": [2], "counts": [4]}, "cannot be read"),
@@ -117,12 +117,25 @@ def test_coco_nested_thousands_deep(tmp_path: Path) -> None:
         list(read_masks(path, ["a.jpg"]))
 
 
+def test_images_without_annotations_are_passed_over(tmp_path: Path) -> None:
+    path = write(tmp_path / "masks.json", [{"size": [1, 2], "counts": [1, 1]}])
+    ((name, labels),) = read_masks(path, ["b.jpg", "summer/a.jpg"])
+    assert name == "summer/a.jpg" and labels.tolist() == [[-1, 0]]
+    with pytest.raises(InputError, match="has masks of none"):
+        list(read_masks(path, ["b.jpg"]))
+
+
+def test_masks_that_do_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"cannot read masks .*nowhere: No such file"):
+        list(read_masks(tmp_path / "nowhere", ["a.jpg"]))
+
+
 def test_label_pictures_of_absurd_size(tmp_path: Path) -> None:
     """Sixty million pixels in a few kilobytes are refused before they are decoded."""
     path = tmp_path / "labels.png"
     Image.new("1", (10_000, 6_000)).save(path)
     assert path.stat().st_size < 20_000
-    with pytest.raises(InputError, match="10000 x 6000 pixels.*make it smaller"):
+    with pytest.raises(InputError, match="10000 x 6000 pixels.*smaller"):
         read_label_png(path, 8)
 
 

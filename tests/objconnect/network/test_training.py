@@ -13,14 +13,18 @@ from torch import Tensor
 
 import objconnect.network.training
 from objconnect.learning.training.config import TrainConfig
-from objconnect.localization.featuremetric.training import contrast_of, levels_of, stack_images
+from objconnect.localization.featuremetric.training import (
+    alignment_levels,
+    contrastive_and_confidence_loss,
+    stack_images,
+)
 from objconnect.methods import TRAINABLE, trainable
 from objconnect.network.loss import (
     feature_distance,
     measure_correspondence,
+    object_confidence_loss,
     pose_distance,
     total,
-    trust_loss,
 )
 from objconnect.network.segmentation import segment
 from objconnect.network.training import ObjConnectTraining
@@ -42,7 +46,7 @@ def test_feature_distance_is_equation_6() -> None:
     training = make()
     strides = training.network_config.strides
     with torch.no_grad():
-        levels = levels_of(training.network.eval()(stack_images(batch)), strides, batch)
+        levels = alignment_levels(training.network.eval()(stack_images(batch)), strides, batch)
     by_hand = []
     for level, stride in zip(levels, strides, strict=True):
         for b in range(2):
@@ -101,7 +105,12 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) ->
 
 def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
     """By its share: nothing is only logged."""
-    shares = {"contrast_of": 1, "feature_distance": 0.1, "pose_distance": 0.3, "trust_loss": 1}
+    shares = {
+        "contrastive_and_confidence_loss": 1,
+        "feature_distance": 0.1,
+        "pose_distance": 0.3,
+        "object_confidence_loss": 1,
+    }
     parts = watch_functions(monkeypatch, objconnect.network.training, shares)
     loss, _ = make().loss(pairs(1), 1.0)
     loss.backward()  # type: ignore[no-untyped-call]
@@ -116,7 +125,7 @@ def test_equation_6_teaches_the_features_of_both_pictures_on_every_level() -> No
         features = torch.randn(4, 8, 96 // stride, 96 // stride, requires_grad=True)
         levels.append((features, torch.ones(4, 1, 96 // stride, 96 // stride)))
         leaves.append(features)
-    loss = feature_distance(levels_of(levels, (16, 4), batch), batch)
+    loss = feature_distance(alignment_levels(levels, (16, 4), batch), batch)
     for slope in torch.autograd.grad(loss, leaves):
         assert all(half.any() for half in slope.chunk(2))
 
@@ -124,7 +133,7 @@ def test_equation_6_teaches_the_features_of_both_pictures_on_every_level() -> No
 def test_points_that_are_not_valid_do_not_count_in_equation_6() -> None:
     batch = pairs()
     torch.manual_seed(0)
-    levels = levels_of([(torch.randn(4, 8, 24, 24), torch.ones(4, 1, 24, 24))], [4], batch)
+    levels = alignment_levels([(torch.randn(4, 8, 24, 24), torch.ones(4, 1, 24, 24))], [4], batch)
     some = batch._replace(valid=torch.arange(64).expand(2, 64) < 40)
     fewer = batch._replace(xy_b=batch.xy_b[:, :40], valid=some.valid[:, :40])
     cut = [replace(level, reference=level.reference[:, :40]) for level in levels]
@@ -172,8 +181,8 @@ def test_each_picture_is_cut_into_its_own_segments(monkeypatch: pytest.MonkeyPat
 def test_equal_features_satisfy_equation_6_but_not_the_contrast() -> None:
     batch = pairs()
     maps = [(torch.ones(4, 8, 24, 24), torch.ones(4, 1, 24, 24))]
-    assert float(feature_distance(levels_of(maps, [4], batch), batch)) < 1e-3
-    assert float(contrast_of(maps, [4], batch)[0]) > 5
+    assert float(feature_distance(alignment_levels(maps, [4], batch), batch)) < 1e-3
+    assert float(contrastive_and_confidence_loss(maps, [4], batch)[0]) > 5
 
 
 def test_objects_that_are_kept_together() -> None:
@@ -184,33 +193,35 @@ def test_objects_that_are_kept_together() -> None:
     assert counts[0].tolist() == [True, True, False, False, False, False]
     # Of object 1, two points lie in 3 alone, and two in 4 with another.
     assert kept[0, :2].tolist() == [1.0, 0.5]
-    sure = trust_loss(torch.tensor([[0.999, 0.5, 0.1, 0, 0, 0]]), kept, counts)
-    unsure = trust_loss(torch.tensor([[0.5, 0.5, 0.9, 0, 0, 0]]), kept, counts)
+    sure = object_confidence_loss(torch.tensor([[0.999, 0.5, 0.1, 0, 0, 0]]), kept, counts)
+    unsure = object_confidence_loss(torch.tensor([[0.5, 0.5, 0.9, 0, 0, 0]]), kept, counts)
     assert sure < unsure
 
 
 @pytest.mark.parametrize(
-    "segmentation",
+    ("segmentation", "steps", "share"),
     [
-        "slic",
-        pytest.param("grid", marks=pytest.mark.thorough),
-        pytest.param("none", marks=pytest.mark.thorough),
+        ("slic", 4, 1.0),
+        *(
+            pytest.param(segmentation, 12, 0.8, marks=pytest.mark.thorough)
+            for segmentation in ("slic", "grid", "none")
+        ),
     ],
 )
-def test_some_steps_lower_the_loss(segmentation: str) -> None:
+def test_some_steps_lower_the_loss(segmentation: str, steps: int, share: float) -> None:
     off = dict.fromkeys(("attention", "object_graph", "scene_graph"), segmentation != "none")
     training = make(segmentation=segmentation, **off)
     batch = pairs()
     optimizer = torch.optim.AdamW(training.groups(3e-3))
     losses = []
-    for _ in range(12):
+    for _ in range(steps):
         torch.manual_seed(0)
         loss, figures = training.loss(batch, 0.0)
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         optimizer.zero_grad()
         losses.append(float(loss.detach()))
-    assert losses[-1] < 0.8 * losses[0]
+    assert losses[-1] < share * losses[0]
     assert ("trust" in figures) == (segmentation != "none")
     added = {name: share for name, share in figures.items() if name.startswith("residual ")}
     assert len(added) == (0 if segmentation == "none" else 6)
@@ -232,5 +243,5 @@ def test_registry_and_settings(tmp_path: Path) -> None:
     for method in TRAINABLE:
         with pytest.raises(InputError, match="unknown key 'depth'"):
             trainable(method)(TINY.model_copy(update={"network": {"depth": 3}}))
-    with pytest.raises(InputError, match="without masks"):
+    with pytest.raises(InputError, match="have no label maps"):
         make(segmentation="given")

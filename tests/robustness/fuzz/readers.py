@@ -19,6 +19,10 @@ from benchmark.datasets.cmu import open_cmu, open_slices
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.basin import load_basin
 from benchmark.evaluation.starts import parse_start
+from benchmark.publishing.command import publish
+from benchmark.publishing.index import read_index
+from benchmark.publishing.reader import QUERY_COLUMNS, frames_of
+from benchmark.publishing.shards import read_shards
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results import Results
@@ -75,7 +79,7 @@ from tests.objconnect.scene.imports.test_imports import opensfm as write_opensfm
 from tests.simulate.test_qgroundcontrol import PLAN, item, plan_of, survey, waypoint
 
 ROOT = Path(__file__).parents[3]
-SEED_PHOTOGRAPH = ROOT / "tests/data/gate/images/map/images/000000.jpg"
+SEED_PHOTOGRAPH = ROOT / "benchmark/gate/gate/images/map/images/000000.jpg"
 
 
 Read = Callable[[Path], object]
@@ -121,6 +125,19 @@ def _read_scene(folder: Path) -> None:
         dataset.load_map()
         for query in dataset.queries:
             query.load(query.prior)
+
+
+def _published(folder: Path) -> None:
+    """A published scene, and its queries, which no digest protects."""
+    scene = write_scene(folder / "scene")
+    publish([scene], folder / "published")
+    shutil.move(folder / "published/data/scene/query-00000.parquet", folder / "rows-00000.parquet")
+    shutil.rmtree(scene)
+
+
+def _read_rows(folder: Path) -> None:
+    rows = list(read_shards([folder / "rows-00000.parquet"], (*QUERY_COLUMNS, "image")))
+    frames_of(folder, rows)
 
 
 def _flight(folder: Path) -> None:
@@ -213,7 +230,7 @@ def _tables(folder: Path) -> None:
     for name in ("queries.txt", "reference_poses.txt", "gps.csv"):
         shutil.move(folder / "flight" / name, folder / name)
     shutil.rmtree(folder / "flight")
-    shutil.copyfile(ROOT / "tests/data/gate/priors.csv", folder / "priors.csv")
+    shutil.copyfile(ROOT / "benchmark/gate/gate/priors.csv", folder / "priors.csv")
     (folder / "positions.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
     (folder / "conditions.csv").write_text("name,condition\na.jpg,summer-noon\nb.jpg,winter\n")
     (folder / "pairs.txt").write_text("# pairs\nb.jpg a.jpg\nb.jpg c.jpg\n")
@@ -318,6 +335,7 @@ def _little(config: type[PixlocNetConfig]) -> dict[str, Any]:
 
 
 def _weights(folder: Path) -> None:
+    _claim(folder, {"config": CONFIG}, 0)
     for name, (network, config) in _networks().items():
         write_weights(folder / f"{name}.safetensors", network, config.model_dump(mode="json"))
     tensors = {"a.weight": torch.ones(3, 2), "b": torch.arange(4)}
@@ -328,7 +346,6 @@ def _weights(folder: Path) -> None:
         "optimizer": optimizer.state_dict(),
         "done": 3,
     }
-    _claim(folder, {"config": CONFIG}, 0)
     torch.save(state, folder / "checkpoint.pt")
     (folder / "log.jsonl").write_text('{"step": 0, "loss": 1.5}\n{"step": 1, "loss": 1.25}\n')
 
@@ -498,6 +515,14 @@ READERS: dict[str, Reader] = {
             "flight/gps.csv": ("text", _read_flight),
             "flight/origin.json": ("json", lambda f: read_origin(f / "flight")),
             "flight/images/b.jpg": ("jpeg", _read_flight),
+        },
+        0.5,
+    ),
+    "published": Reader(
+        _published,
+        {
+            "published/published.json": ("json", lambda f: read_index(f / "published")),
+            "rows-00000.parquet": ("bytes", _read_rows),
         },
         0.5,
     ),

@@ -238,7 +238,7 @@ SETTINGS = values(
     None,
     *("ratio", "=1", "", "colour=red", "ratio=[", "ratio=high", "ratio=.nan", "ratio=-1"),
     *("ratio=2001-99-99", "ratio=!!python/object/apply:os.getcwd []", "max_features=99999999999"),
-    *("max_error_px=.inf", "max_features=1.5", f"ratio={'[' * 3000}", f"ratio={BOMB}"),
+    *("max_error_px=.inf", "max_features=1.5", f"ratio={'[' * 1000}", f"ratio={BOMB}"),
 )
 
 

@@ -73,6 +73,15 @@ def build_wheel(folder: Path) -> Path:
 
 def install(folder: Path, *what: str) -> Environment:
     """Make an environment and install into it: a wheel, or ``-e`` and a source tree."""
+    packages = create_environment(folder)
+    python = str(folder / "bin" / "python")
+    # Who runs the tests has the project installed already: that is neither enough nor touched.
+    _pip("--python", python, "install", "--no-build-isolation", "--ignore-installed", *what)
+    return Environment(folder, Path(what[-1]) if "-e" in what else packages)
+
+
+def create_environment(folder: Path) -> Path:
+    """Make an environment without the project, and return the folder of its packages."""
     venv.create(folder, symlinks=True)
     packages = Path(
         sysconfig.get_path("purelib", "venv", {"base": str(folder), "platbase": str(folder)})
@@ -80,10 +89,7 @@ def install(folder: Path, *what: str) -> Environment:
     # A list of folders. Such files that lie in them, as of an editable install, have no effect.
     seen = dict.fromkeys(sysconfig.get_path(kind) for kind in ("purelib", "platlib"))
     (packages / "tests.pth").write_text("\n".join(seen) + "\n")
-    python = str(folder / "bin" / "python")
-    # Who runs the tests has the project installed already: that is neither enough nor touched.
-    _pip("--python", python, "install", "--no-build-isolation", "--ignore-installed", *what)
-    return Environment(folder, Path(what[-1]) if "-e" in what else packages)
+    return packages
 
 
 def _pip(*words: str) -> None:

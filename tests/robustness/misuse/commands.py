@@ -14,11 +14,14 @@ from tests.robustness.misuse.arguments import (
     HUGE,
     METHOD,
     NO_FILES,
+    NUMBERS,
     OPTION,
     SEED,
     SETTINGS,
+    UNDECODED,
     Argument,
     Fault,
+    add_to_name,
     cache,
     choice,
     file,
@@ -77,6 +80,8 @@ CMU_TASK = (
     part(f"cmu/slice2/query/{CMU_QUERY}", "photograph"),
     part("cmu/slice2/sparse/images.bin", "bytes"),
 )
+# Names are no numbers, and a pair may be listed twice.
+SLICE_PAIRS = file("tables/slice-pairs.txt", "words").but(*NUMBERS, "twice")
 CMU = (
     *CMU_TASK,
     part("cmu/slice2/camera-poses/slice-2-gt-query-images-20101019.txt", "words"),
@@ -95,6 +100,12 @@ ORTHOPHOTO: dict[str, Argument] = {
     "georeference": real("0.5", "0"),
     "georeference_height": real("1", "0"),
 }
+
+OF_PAIRS = ("pair", "homography", "dsm", "undulation", "residual", "overrides")
+OF_PHOTOGRAPHS = (
+    *("gps", "poses", "poses_frame", "add", "gcp", "gcp_check", "gcp_sigma", "camera", "size"),
+    *("mapper", "split", "every"),
+)
 
 SIMULATED = (
     *("out", "preset", "seed", "config", "area", "session", "frames", "size", "spp", "jobs"),
@@ -148,6 +159,7 @@ EVALUATE = Row(
         "cache": cache(),
         "jobs": integer("1", HUGE),
         "cluster": CLUSTER,
+        "container": values(None, "", "--privileged", "a b", "a\nb", LONG),
         "as_json": FLAG,
     },
     keeps=("out", "out/*/.objconnect-*.journal", "out/hamlet", "out/meadow"),
@@ -271,6 +283,7 @@ INGEST = Row(
         "mapper": choice("incremental"),
         "split": choice("photo"),
         "every": integer("2", HUGE),
+        **dict.fromkeys(OF_PAIRS, FLAG),
         "as_json": FLAG,
     },
     work=(
@@ -279,8 +292,38 @@ INGEST = Row(
     ),
 )
 
+PUBLISH = Row(
+    {
+        # The folder of all scenes is a folder of scenes.
+        "scenes": folder("hamlet", *QUERIED, part("hamlet/objects.json", "our json", True)).but(
+            "empty_word"
+        ),
+        # The name of the folder is the name of the data set.
+        "out": out_folder("out", "*").also(
+            not_utf8_name=Fault((add_to_name("out", UNDECODED),), says=("out",))
+        ),
+        "layer": values(None, "", "magic", "depth", LONG),
+        "license_id": values(None, "", "my own", "a\nb", LONG),
+        "creator": values("A. Author", "", " ", "two\nlines"),
+        "url": values("https://example.org/fields", "", "example.org", "https://a b"),
+        "date": values("2026-05-17", "", "yesterday", "17.5.2026", "2026-02-30", LONG),
+        "release": values("1.0.0", "", "1", "v1.0.0", "1.0.x", LONG),
+        "dry_run": FLAG,
+        "sealed": FLAG,
+        "as_json": FLAG,
+    }
+)
+
 COMMANDS: dict[str, Row] = {
     "evaluate": EVALUATE,
+    "evaluate:published": EVALUATE.instead(
+        datasets=folder(
+            "published",
+            part("published/published.json", "our json"),
+            part("published/data/hamlet/query-00000.parquet", "bytes"),
+            part("published/scenes/hamlet/map/images.bin", "bytes"),
+        )
+    ),
     "evaluate:flight": EVALUATE.instead(datasets=folder("meadow", *FLIGHT)),
     "evaluate:cmu": EVALUATE.instead(datasets=folder("cmu", *CMU)),
     "submit": Row(
@@ -289,9 +332,26 @@ COMMANDS: dict[str, Row] = {
             "out": out_folder("out", "*"),
             "method": METHOD,
             "overrides": SETTINGS,
+            "start": FLAG,
+            "pairs": SLICE_PAIRS.left_out(),
+            "jobs": integer("1", HUGE),
             "cache": cache(),
+            "dry_run": FLAG,
             "as_json": FLAG,
         }
+    ),
+    "submit:scene": Row(
+        {
+            "path": folder("hamlet", *QUERIED),
+            "out": out_folder("out", "*"),
+            "method": METHOD,
+            "overrides": SETTINGS,
+            "start": start("prior", "tables/pairs.txt"),
+            **dict.fromkeys(("pairs", "jobs", "dry_run"), FLAG),
+            "cache": cache(),
+            "as_json": FLAG,
+        },
+        keeps=("out", "out/poses", "out/poses/.objconnect-*.journal"),
     ),
     "score": Row(
         {
@@ -487,9 +547,21 @@ COMMANDS: dict[str, Row] = {
                 part("board/tiny/place.yaml", "yaml"),
             ),
             "update": FLAG,
+            "flights": FLAG,
+            "sealed": values(None, "", "mine/notes.txt", "mine", "nowhere", "/dev/zero", LONG),
             "as_json": FLAG,
         },
         work=("simulate.command.render",),
+    ),
+    "track:flights": Row(
+        {
+            "name": values("flown"),
+            "board": folder("board", part("board/flown/track.yaml", "yaml")),
+            "flights": folder("flown", part("flown/meadow/queries.txt", "words")),
+            **dict.fromkeys(
+                ("out", "place", "jobs", "cluster", "update", "sealed", "as_json"), FLAG
+            ),
+        },
     ),
     "calibrate": Row(
         {
@@ -508,6 +580,24 @@ COMMANDS: dict[str, Row] = {
         poses_frame=FLAG,
         gcp=FLAG,
         gcp_check=FLAG,
+    ),
+    "ingest:pair": replace(
+        INGEST.instead(
+            **dict.fromkeys(OF_PHOTOGRAPHS, FLAG),
+            photographs=file("pair/ortho.tif", "bytes"),
+            out=out_folder("out", "*"),
+            pair=file("pair/ortho.tif", "bytes"),
+            homography=file("tables/homography.txt", "words"),
+            dsm=file("pair/dsm.tif", "bytes"),
+            undulation=real("48", "0", "-1"),
+            residual=real("0.2", "0"),
+            overrides=values(
+                "queries=2",
+                *("queries", "=1", "", "colour=red", "queries=[", "queries=many", "queries=-1"),
+                *("noise=.nan", "height_m=[30, 20]", "tilt_deg=90", "seed=99999999999"),
+            ),
+        ),
+        work=("objconnect.mapping.pairs.command._align",),
     ),
     "map": Row(
         {
@@ -588,6 +678,28 @@ COMMANDS: dict[str, Row] = {
             "as_json": FLAG,
         }
     ),
+    "publish": PUBLISH,
+    "publish:flight": PUBLISH.instead(
+        scenes=folder("meadow", *FLIGHT).but("empty_word"),
+        license_id=values("CC-BY-4.0"),
+    ),
+    "publish-weights": Row(
+        {
+            "weights": file("weights/net.safetensors", "bytes"),
+            "out": out_folder("out", "*").also(
+                not_utf8_name=Fault((add_to_name("out", UNDECODED),), says=("out",))
+            ),
+            # It is the only file, and a folder without results is named itself.
+            "results": folder("weighed", part("weighed/meadow/net.json", "results"))
+            .but("net.json:missing", "net.json:folder")
+            .fine("net.json:no_schema"),
+            "benchmark": values(None, "", "magic", "hf://owner/fields", "hf://a/b@main", LONG),
+            "license_id": values("MIT", "", "my own", "a\nb", LONG),
+            "creator": values("A. Author", "", " ", "two\nlines"),
+            "dry_run": FLAG,
+            "as_json": FLAG,
+        }
+    ),
     "forecast": FORECAST,
     "forecast:plan": FORECAST.instead(
         plan=file("configs/survey.plan", "json"),
@@ -599,6 +711,24 @@ COMMANDS: dict[str, Row] = {
     "audit:flight": AUDIT.instead(data=folder("meadow", *FLIGHT), images=FLAG),
     "audit:scene": AUDIT.instead(
         data=folder("hamlet", MANIFEST, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH), images=FLAG
+    ),
+    "submission": Row(
+        {
+            "folder": folder(
+                "submission",
+                part("submission/card.yaml", "yaml"),
+                part("submission/poses/small-1.txt", "words"),
+            ),
+            "board": folder(
+                "small",
+                part("small/uav-small/track.yaml", "yaml"),
+                part("small/uav-small/renders/small-1.json.xz", "bytes"),
+            ),
+            "as_json": FLAG,
+        }
+    ),
+    "gate-scene": Row(
+        {"out": out_folder("out", "*"), "name": choice("gate-snow"), "as_json": FLAG}
     ),
     "doctor": Row({"as_json": FLAG}, work=("benchmark.doctor.doctor",)),
     "view": Row(
@@ -633,6 +763,7 @@ READ: dict[str, str] = {
     "networks": "weights/net.safetensors",
     "photographs": "photos/p1.jpg",
     "plans": "configs/survey.plan",
+    "published": "published/data/hamlet/query-00000.parquet",
     "rasters": "rasters/dsm.tif",
     "results": "results/meadow/sift.json",
     "scene": "hamlet/splits.json",

@@ -30,5 +30,6 @@ def tree(whole: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         for variable in ("TMPDIR", "TEMP", "TMP"):
             monkeypatch.setenv(variable, str(temporary))
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+        monkeypatch.setenv("XDG_CACHE_HOME", str(whole.parent / "cache"))
         monkeypatch.chdir(root)
         yield root

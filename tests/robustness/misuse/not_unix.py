@@ -92,7 +92,7 @@ def main(gate: str, out: str) -> None:
     from benchmark.doctor import _machine
     from objconnect.scene.runtime import memory
 
-    memory._HELD = memory._STATUS = memory._CLEAR = ROOT / "no" / "proc"
+    memory._STATM = memory._STATUS = memory._CLEAR = ROOT / "no" / "proc"
     assert {"memory", "cores"} <= {check.name for check in _machine()}
     for words in (["--help"], ["evaluate", gate, "--method", "sift", "--out", out]):
         try:

@@ -398,7 +398,10 @@ def test_a_pose_from_nowhere_is_a_failure(
     answer = invoke("evaluate", flight, "--method", "fake", "--out", tmp_path / "out")
     assert answer.exit_code == 0, answer.stderr
     (query,) = [q for q in load(tmp_path / "out/meadow/fake.json").queries if q.name == "b.jpg"]
-    assert (query.status, query.reason) == (Status.FAILED, "the pose is more than 1e+08 m away")
+    assert (query.status, query.reason) == (
+        Status.FAILED,
+        "the pose is more than 1e+08 m from the map's origin",
+    )
 
 
 @pytest.mark.parametrize(
@@ -564,11 +567,11 @@ def test_renderers_keep_files_of_the_user(tmp_path: Path, command: str, name: st
     assert "another file stands there" in expect_error(tmp_path, command, "--out", tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["weights.safetensors", "log.jsonl", "curves.png"])
+@pytest.mark.parametrize("name", ["weights.safetensors", "log.jsonl", "curves.png", "scene.json"])
 def test_training_keeps_files_of_the_user(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
     before = tree(tmp_path)
-    with pytest.raises(InputError, match="another file stands there"):
+    with pytest.raises(InputError, match="is not empty and not a training run: choose another"):
         claim_run(tmp_path, {"config": TrainConfig().model_dump(mode="json")}, 0)
     assert tree(tmp_path) == before
 

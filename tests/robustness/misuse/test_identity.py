@@ -26,6 +26,7 @@ from objconnect.methods import METHODS, create
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import Estimate, Query, Status
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from tests.baselines.lightglue.weights import LIGHTGLUE, options_of
 from tests.baselines.pixloc.made_map import write_map
 from tests.benchmark.datasets.test_cmu import HIDDEN, REFERENCE, SNOW, cmu  # noqa: F401
 from tests.benchmark.made_data import FakeLocalizer, pose_at, write_flight, write_scene
@@ -190,7 +191,8 @@ def test_results_of_an_older_version_are_one_line(
     text = file.read_text()
     file.write_text(text.replace(load(file).dataset.sha256, "0" * 64))
     run_queries(made_flight, tmp_path / "out", {})
-    assert warning(caplog).endswith("fake.json was written: which part was not recorded")
+    said = "fake.json was written: the earlier run did not record its parts"
+    assert warning(caplog).endswith(said)
     file.write_text(text[: len(text) // 2])
     run_queries(made_flight, tmp_path / "out", {})
     assert not caplog.records
@@ -276,9 +278,20 @@ QUICK = {
 }
 
 
+# The objects of objconnect without what it shares with pixloc, place and sift.
+OBJECTS = {"longest": 128, "matches": None, "place": {"candidates": 0}}
+# The first two keep what the other methods keep, and objconnect its objects; LightGlue is slow.
+COMBINED = dict.fromkeys(("objconnect", "pixloc-search", *LIGHTGLUE), pytest.mark.thorough)
+
+
 @pytest.mark.parametrize(
     ("method", "part"),
-    [*((method, "photograph") for method in METHODS), ("d2net", "camera"), ("pixloc", "tracks")],
+    [
+        *(pytest.param(name, "photograph", marks=COMBINED.get(name, ())) for name in METHODS),
+        ("d2net", "camera"),
+        ("pixloc", "tracks"),
+        ("objconnect", "objects"),
+    ],
 )
 def test_no_method_takes_from_the_cache_what_was_of_other_bytes(
     made_map: tuple[SparseMap, Path], tmp_path: Path, method: str, part: str
@@ -291,12 +304,13 @@ def test_no_method_takes_from_the_cache_what_was_of_other_bytes(
     fresh.mkdir()
 
     def prepare(cache: Path) -> Content:
-        create(method, QUICK.get(method, {})).prepare(sparse_map, images, cache)
+        options = OBJECTS if part == "objects" else QUICK.get(method, {})
+        create(method, options_of(method, **options)).prepare(sparse_map, images, cache)
         return content(cache)
 
     before = prepare(used)
     assert prepare(used) == before
-    if part == "photograph":
+    if part in ("photograph", "objects"):
         edit(images / "2.png")
     elif part == "camera":
         sparse_map = replace(sparse_map, images=dict(map(narrow, sparse_map.images.items())))

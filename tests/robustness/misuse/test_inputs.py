@@ -188,17 +188,19 @@ def test_scratch_is_gone_after_an_error(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("no pixels")
     beside = tmp_path / "cache"
     with pytest.raises(InputError, match="damaged"):
-        extract_sift(tmp_path, ["a.jpg"], SiftOptions(), beside=beside)
+        extract_sift(tmp_path, ["a.jpg"], SiftOptions(), parent=beside)
     assert not beside.exists()
 
 
-def test_colmap_leaves_no_logs(tmp_path: Path) -> None:
+def test_colmap_leaves_no_logs_and_ends_quietly(tmp_path: Path) -> None:
+    """SIGTERM ends a process without a handler of its own."""
     code = (
-        "import objconnect.scene.colmap.native, pycolmap\n"
-        "pycolmap.logging.error('of no use'); print('done')"
+        "import os, signal, objconnect.scene.colmap.native, pycolmap\n"
+        "pycolmap.logging.error('of no use'); print('done', flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGTERM)"
     )
     done = python(code, TMPDIR=str(tmp_path))
-    assert (done.stdout, done.stderr) == ("done\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGTERM, "done\n", "")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -212,13 +214,6 @@ def test_colmap_takes_no_signal_of_python_s(installed: str) -> None:
     code += "os.kill(os.getpid(), signal.SIGTERM); signal.pause()"
     done = python(code)
     assert (done.returncode, done.stderr) == (7, "")
-
-
-def test_sigterm_without_a_handler_ends_quietly() -> None:
-    done = python(
-        "import os, signal, objconnect.scene.colmap.native; os.kill(os.getpid(), signal.SIGTERM)"
-    )
-    assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
 # --- places on earth ----------------------------------------------------------------------------

@@ -33,12 +33,12 @@ from tests.robustness.misuse.harness import COMMAND, differences, run, snapshot
 
 
 def mark_thorough() -> Iterator[Any]:
-    """Mark a fault of an argument thorough if another command has it already."""
+    """Mark a fault thorough if another case has it: of an argument, or of a file's format."""
     seen: set[tuple[str, str]] = set()
     for case in CASES:
-        marks = pytest.mark.thorough if (case.argument, case.name) in seen else ()
-        seen.add((case.argument, case.name))
-        yield pytest.param(case, id=case.id, marks=marks)
+        kind = Path(case.fault.at).suffix or case.fault.at or case.argument, case.name
+        yield pytest.param(case, id=case.id, marks=pytest.mark.thorough if kind in seen else ())
+        seen.add(kind)
 
 
 @pytest.mark.parametrize("case", mark_thorough())
@@ -163,7 +163,24 @@ CONTRADICTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("train", "objconnect", "--data", "meadow", "--out", "out"),
         ("meadow",),
     ),
-    "submit_a_scene": (("submit", "hamlet", "--out", "out"), ("hamlet",)),
+    "submit_a_folder": (("submit", "mine", "--out", "out"), ("mine",)),
+    "start_of_cmu": (("submit", "cmu", "--start", "none", "--out", "out"), ("--start",)),
+    "sealed_scene_of_a_public_seed": (
+        ("publish", "hamlet", "--sealed", "--out", "out"),
+        ("hamlet",),
+    ),
+    "sealed_layers": (
+        ("publish", "hamlet", "--sealed", "--layer", "depth", "--out", "out"),
+        ("--layer",),
+    ),
+    "key_of_no_sealed_place": (
+        ("track", "tiny", "--board", "board", "--sealed", "photos/p0.jpg", "--out", "out"),
+        ("--sealed",),
+    ),
+    "container_in_threads": (
+        ("evaluate", "hamlet", "--method", "a", "--container", "a", "--jobs", "2", "--out", "out"),
+        ("--container",),
+    ),
 }
 
 

@@ -14,8 +14,9 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.learning.training.config import TrainConfig
-from objconnect.scene.config import SHIPPED, list_configs, load_config
+from objconnect.scene.config import SHIPPED_CONFIGS, list_configs, load_config
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from tests.robustness.misuse.built import (
@@ -27,11 +28,11 @@ from tests.robustness.misuse.built import (
     install,
     source_tree,
 )
-from tests.test_imports import ALL, imports_when_loaded
+from tests.test_imports import imports_when_loaded, list_loaded_with
 
 pytestmark = pytest.mark.thorough
 
-GATE = ROOT / "tests" / "data" / "gate"
+GATE = GATE_SCENES["gate"]
 BASELINE = ROOT / "tests" / "data" / "gate-baseline"
 ALL_ASKED = "| sift | same-flight | 10 | "  # as a leaderboard says it
 
@@ -191,7 +192,7 @@ def test_every_command_finds_configurations_by_name(
     answer = CliRunner().invoke(app, words)
     assert answer.exit_code == 2
     (line,) = answer.stderr.splitlines()
-    assert said.format(simulate=SHIPPED[""], train=SHIPPED["train/"]) in line
+    assert said.format(simulate=SHIPPED_CONFIGS[""], train=SHIPPED_CONFIGS["train/"]) in line
     assert not list(tmp_path.iterdir())
 
 
@@ -316,15 +317,7 @@ def test_everything_but_rendering_imports_where_unix_is_not(gate: Path, tmp_path
 
 def doctors_modules() -> list[str]:
     """What ``benchmark.doctor`` loads of ours, itself and the packages around it among them."""
-    found: set[str] = set()
-    ahead = ["benchmark.doctor"]
-    while ahead:
-        name = ahead.pop()
-        if name in ALL and name not in found:
-            found.add(name)
-            ahead += imports_when_loaded(ALL[name])
-            ahead += [name.rpartition(".")[0]]
-    return sorted(found)
+    return sorted(list_loaded_with("benchmark.doctor"))
 
 
 # What Python 3.10 and 3.11 brought, as far as a module may ask for it when it is loaded.

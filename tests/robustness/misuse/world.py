@@ -14,7 +14,8 @@ import torch
 from PIL import Image
 from rasterio.transform import from_origin
 
-from benchmark.tracks.description import Track, TrackPlace, write_track
+from benchmark.publishing.command import publish
+from benchmark.tracks.description import TRACKS_FOLDER, Track, TrackPlace, write_track
 from objconnect.learning.checkpoint import write_weights
 from objconnect.learning.training.command import _identity
 from objconnect.learning.training.config import TrainConfig
@@ -32,6 +33,7 @@ from objconnect.scene.geo.rasters import Grid, Patch, raster_writer
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.maps.features import Features, write_features
+from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.images import Exif
 from objconnect.scene.storage.images import write_jpeg as write_photograph
 from tests.benchmark.made_data import (
@@ -45,6 +47,7 @@ from tests.benchmark.made_data import (
     write_scene,
 )
 from tests.benchmark.report.board.made_board import write_board
+from tests.benchmark.submissions.made_submission import TRACK, write_submission
 from tests.robustness.fuzz.readers import CMU_NAME, CMU_QUERY, READERS
 from tests.robustness.misuse.harness import run
 from tests.simulate.test_qgroundcontrol import PLAN
@@ -57,6 +60,7 @@ def make(root: Path) -> None:
     """Write everything that an argument of a command can name."""
     _mine(root / "mine")
     make_scene(root / "hamlet")
+    publish([root / "hamlet"], root / "published")
     _grove(root / "hamlet", root / "grove")
     _meadow(root / "meadow")
     _photographs(root / "photos")
@@ -64,14 +68,18 @@ def make(root: Path) -> None:
     _cmu(root)
     (root / "rasters").mkdir()
     READERS["rasters"].make(root / "rasters")
+    _pair(root / "pair")
     _site(root / "site")
     _tables(root / "tables")
     _configs(root / "configs")
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
     _weights(root / "weights")
     _results(root)
+    _results_of_weights(root)
     write_board(root / "tracks", 2, [("town", 1)], ("pixloc", "sift"), ("none",))
     _board(root)
+    shutil.copytree(TRACKS_FOLDER / TRACK, root / "small" / TRACK)
+    write_submission(root / "submission")
     _run(root)
 
 
@@ -177,12 +185,14 @@ def _tables(folder: Path) -> None:
     folder.mkdir()
     lines = [pose_line(name, pose_at(k), 9) for k, name in enumerate(QUERY_NAMES)]
     (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+    (folder / "homography.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
     pairs = [f"{name} a.jpg\n" for name in QUERY_NAMES]
     for session in ("summer-grid", "winter-grid"):
         pairs += [
             f"{session}/images/{k:06d}.jpg summer-nadir/images/000001.jpg\n" for k in range(3)
         ]
     (folder / "pairs.txt").write_text("".join(pairs))
+    (folder / "slice-pairs.txt").write_text(f"{CMU_QUERY} {CMU_NAME}\n")
     rows = ["name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg"]
     rows += [f"p{k}.jpg,{4 * k},0,40,2,0,1,0,0,3.0" for k in range(3)]
     (folder / "priors.csv").write_text("\n".join(rows) + "\n")
@@ -253,7 +263,9 @@ def _weights(folder: Path) -> None:
     detector = {"stride": 4, "size": 4, "vector": 2}
     config = ObjConnectNetConfig.model_validate({**settings, "detector": detector})
     network = objconnect.ObjConnectNet(config)
-    write_weights(_make(folder) / "net.safetensors", network, config.model_dump(mode="json"))
+    weights = _make(folder) / "net.safetensors"
+    write_weights(weights, network, config.model_dump(mode="json"))
+    weights.with_suffix(".md").write_text(f"# Weights of objconnect\n\n- {sha256_of(weights)}\n")
 
 
 def _results(root: Path) -> None:
@@ -267,6 +279,28 @@ def _results(root: Path) -> None:
         done = run(words)
         assert done.code == 0, done.stderr
     shutil.copytree(root / "results", root / "baseline")
+
+
+def _results_of_weights(root: Path) -> None:
+    """Results as those of another method."""
+    results = json.loads((root / "results/meadow/sift.json").read_text())
+    results["method"]["weights_sha256"] = sha256_of(root / "weights/net.safetensors")
+    path = root / "weighed" / "meadow" / "net.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps(results))
+
+
+def _pair(folder: Path) -> None:
+    """An orthophoto large enough for the views of a map, and its surface model."""
+    folder.mkdir()
+    rng, projection = np.random.default_rng(0), Projection("EPSG:32632")
+    side_m, corner = 188, (424_000.0, 5_205_650.0)
+    fine = Grid(projection, *corner, (0.5, 0.5), 2 * side_m, 2 * side_m)
+    with raster_writer(folder / "ortho.tif", "orthophoto", fine) as write:
+        write(Patch(fine, rng.uniform(0, 255, (3, 2 * side_m, 2 * side_m)).astype(np.float32)))
+    coarse = Grid(projection, *corner, (4.0, 4.0), side_m // 4, side_m // 4)
+    with raster_writer(folder / "dsm.tif", "surface model", coarse) as write:
+        write(Patch(coarse, rng.uniform(400, 409, (1, side_m // 4, side_m // 4)).astype("f4")))
 
 
 def _board(root: Path) -> None:
@@ -284,6 +318,10 @@ def _board(root: Path) -> None:
     tiny = Track(name="tiny", title="Tiny", places=(places[0],), **lists)
     write_track(tiny, root / "board")
     write_track(tiny.model_copy(update={"name": "kept", "places": places}), root / "board")
+    flown = TrackPlace(dataset="meadow", renders=places[0].renders)
+    flights = Track(name="flown", title="Flown", places=(flown,), starts=("none",), methods=("a",))
+    write_track(flights, root / "board")
+    shutil.copytree(root / "meadow", root / "flown" / "meadow")
     (root / config).write_text("area: 120\nsize: 64\nspp: 1\nframes: 2\n")
 
 

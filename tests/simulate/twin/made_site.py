@@ -1,4 +1,4 @@
-"""A made site of 140 m with all classes, and its rasters in any system, written by rasterio alone.
+"""A synthetic site of 140 m with all classes, and its rasters in any reference system.
 
 Heights, colours and classes are functions of the world's east and north, so that what the twin
 finds can be compared with numbers that no file went through.

@@ -1,4 +1,4 @@
-"""Photographs of a map: which points they see, and in which colours."""
+"""Photographs of a map: which points they see, and the colours of these points."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_colours_are_those_of_the_photographs(rendered: Scene) -> None:
     assert len(photographs) == len(rendered.splits.map)
     session = "summer-noon-nadir-map"
     frames = rendered.frames(session)
-    with rendered.dense(session) as dense:
+    with rendered.layers(session) as dense:
         depth = dense.read("depth", 4)
     camera, pose = frames.cameras[4], frames.cam_from_world[4]
     # Near the middle of a photograph straight down, none looks more from above.

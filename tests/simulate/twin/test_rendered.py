@@ -1,4 +1,4 @@
-"""Renders of a site: the truth is that of its surface, whatever the season."""
+"""Renders of a site: depth and labels are those of its surface model in every season."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from simulate.command import render_job, simulate
 from simulate.config import SimulateConfig
 from simulate.place.survey_files import load_site
 from simulate.place.world import World
-from simulate.twin.report import PLACE, REPORT, SiteReport
+from simulate.twin.report import PLACE_FILE, REPORT_FILE, SiteReport
 from tests.blender import require_blender
 from tests.shared import make_once
-from tests.simulate.blender_says import check_rays
+from tests.simulate.blender_checks import check_rays
 from tests.simulate.twin.made_site import rasters
 
 SESSIONS = [
@@ -35,7 +35,7 @@ SESSIONS = [
 ]
 
 
-def config(folder: Path, **more: object) -> SimulateConfig:
+def make_config(folder: Path, **more: object) -> SimulateConfig:
     ortho, dsm = rasters(folder)
     given = {"preset": "site", "site.ortho": ortho, "site.dsm": dsm, "area": 120.0, "size": 96}
     return SimulateConfig.load(None, given | {"spp": 1, "sessions": SESSIONS} | more)
@@ -49,7 +49,8 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     def make(folder: Path) -> None:
         (folder / "rasters").mkdir()
         simulate(
-            config(folder / "rasters", position_jitter_m=0, attitude_jitter_deg=0), folder / "twin"
+            make_config(folder / "rasters", position_jitter_m=0, attitude_jitter_deg=0),
+            folder / "twin",
         )
 
     return Scene.open(make_once(tmp_path_factory, "twin", make) / "twin")
@@ -71,7 +72,7 @@ def rays(scene: Scene, session: str, frame: int) -> tuple[np.ndarray, np.ndarray
     frames = scene.frames(session)
     pose, camera = frames.cam_from_world[frame], frames.cameras[frame]
     local = camera.unproject(camera.pixel_grid())[0].numpy()
-    with scene.dense(session) as dense:
+    with scene.layers(session) as dense:
         depth = dense.read("depth", frame).astype(float)
     return -pose[:3, :3].T @ pose[:3, 3], local @ pose[:3, :3], depth
 
@@ -83,7 +84,7 @@ def test_the_place_of_a_finished_twin_is_taken_over(
     monkeypatch.setattr("simulate.base_place.build_site", None)
     made = SimulateConfig.model_validate(twin.manifest.config)
     world, report = base_place(made, tmp_path / "other", twin.path)
-    own = load_site(twin.path / PLACE, made.seed)
+    own = load_site(twin.path / PLACE_FILE, made.seed)
     np.testing.assert_array_equal(world.terrain.nodes, own.terrain.nodes)
     assert report is not None and report.spacing_m > 0
 
@@ -98,7 +99,7 @@ def test_the_truth_is_valid(twin: Scene) -> None:
 @pytest.mark.parametrize(("session", "frame"), [("again", 1), ("tilted", 0)])
 def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
     """Rays are followed over triangles of the test's own: above them before, on them at the end."""
-    world = load_site(twin.path / PLACE, 0)
+    world = load_site(twin.path / PLACE_FILE, 0)
     start, ways, depth = rays(twin, session, frame)
     points = start + depth[..., None] * ways
     inside = (depth > 0) & (np.abs(points[..., :2]) < world.terrain.half_side_m - 0.5).all(-1)
@@ -120,8 +121,10 @@ def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
 def test_blender_agrees(twin: Scene, tmp_path: Path) -> None:
     made = SimulateConfig.model_validate(twin.manifest.config)
     frames = twin.frames("again")
-    job = render_job(made, made.sessions[1], frames.cam_from_world[:2], prepared=twin.path / PLACE)
-    with twin.dense("again") as dense:
+    job = render_job(
+        made, made.sessions[1], frames.cam_from_world[:2], prepared=twin.path / PLACE_FILE
+    )
+    with twin.layers("again") as dense:
         arrays = [{k: dense.read(k, f) for k in ("depth", "instance")} for f in range(2)]
     check_rays(job, arrays, tmp_path)
 
@@ -130,7 +133,7 @@ def test_blender_agrees(twin: Scene, tmp_path: Path) -> None:
 def test_the_season_changes_no_truth(twin: Scene) -> None:
     summer, snow = "summer-noon-nadir-map", "again"
     assert np.array_equal(twin.frames(summer).cam_from_world, twin.frames(snow).cam_from_world)
-    with twin.dense(summer) as one, twin.dense(snow) as other:
+    with twin.layers(summer) as one, twin.layers(snow) as other:
         for layer in ("depth", "semantic", "normal", "instance"):
             for frame in range(8):
                 np.testing.assert_array_equal(one.read(layer, frame), other.read(layer, frame))
@@ -138,11 +141,11 @@ def test_the_season_changes_no_truth(twin: Scene) -> None:
 
 @pytest.mark.thorough
 def test_labels_and_normals_are_those_of_the_surface(twin: Scene) -> None:
-    world = load_site(twin.path / PLACE, 0)
+    world = load_site(twin.path / PLACE_FILE, 0)
     start, ways, depth = rays(twin, "again", 2)
     points = start + depth[..., None] * ways
     inside = (depth > 0) & (np.abs(points[..., :2]) < world.terrain.half_side_m - 0.5).all(-1)
-    with twin.dense("again") as dense:
+    with twin.layers("again") as dense:
         semantic, normal = dense.read("semantic", 2), dense.read("normal", 2) / 127
     labels = world.ground.label(points[..., 0], points[..., 1])
     assert (semantic[inside] == labels[inside]).mean() > 0.995
@@ -156,7 +159,7 @@ def test_labels_and_normals_are_those_of_the_surface(twin: Scene) -> None:
 
 @pytest.mark.thorough
 def test_a_report_tells_what_it_was_made_of(twin: Scene) -> None:
-    report = SiteReport.model_validate_json((twin.path / REPORT).read_text())
+    report = SiteReport.model_validate_json((twin.path / REPORT_FILE).read_text())
     assert report.texel_m == pytest.approx(0.5, abs=0.01)
     assert any("shadows of the orthophoto remain" in note for note in report.notes)
     assert twin.manifest.preset == "site"
@@ -181,4 +184,4 @@ def test_an_interrupted_twin_goes_on_from_its_own_place(
 
 def test_a_cluster_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cluster cannot render a site"):
-        simulate(config(tmp_path), tmp_path / "out", cluster="local")
+        simulate(make_config(tmp_path), tmp_path / "out", cluster="local")

@@ -1,4 +1,4 @@
-"""A site from its rasters: where things are, what they are, and what is said of them."""
+"""Sites built from rasters: heights, classes, albedo, report and refused files."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import rasterio
 from pydantic import ValidationError
 from rasterio.transform import from_origin
 
+from objconnect.scene.bundle.labels import CLASSES
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geo.rasters import Raster
@@ -19,11 +20,11 @@ from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.look.sun import sun_position
-from simulate.look.survey_albedo import bake_albedo, bake_gloss
+from simulate.look.survey_albedo import bake_albedo, bake_specular
 from simulate.place.survey_files import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
-from simulate.twin.classes import CROWN, LOW, PAVED, classify
+from simulate.twin.classes import CROWN, LOW_VEGETATION, PAVED, classify
 from simulate.twin.options import SiteConfig
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, sample_colours, sample_heights
@@ -63,7 +64,7 @@ def texels(world: World) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.meshgrid(axis, axis))
 
 
-def clear(x: np.ndarray, y: np.ndarray, metres: float) -> np.ndarray:
+def is_far_from_edges(x: np.ndarray, y: np.ndarray, metres: float) -> np.ndarray:
     """Whether points are this far from where classes change."""
     turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     own = classes(x, y)
@@ -101,7 +102,7 @@ def test_what_is_sampled_lies_where_proj_says(tmp_path: Path, crs: str) -> None:
 def test_heights_are_those_of_the_place(site: tuple[World, SiteReport]) -> None:
     world, _ = site
     x, y = np.random.default_rng(0).uniform(-60, 60, (2, 4000))
-    smooth = clear(x, y, 1.5) & (classes(x, y) != 17)
+    smooth = is_far_from_edges(x, y, 1.5) & (classes(x, y) != 17)
     off = np.abs(world.terrain.height(x, y) - height(x, y))[smooth]
     assert smooth.sum() > 2000
     assert np.percentile(off, 99) < 0.02
@@ -110,7 +111,7 @@ def test_heights_are_those_of_the_place(site: tuple[World, SiteReport]) -> None:
 def test_classes_are_found(site: tuple[World, SiteReport]) -> None:
     world, report = site
     x, y = texels(world)
-    truth, inner = classes(x, y), clear(x, y, 1.5)
+    truth, inner = classes(x, y), is_far_from_edges(x, y, 1.5)
     for label in (1, 4, 8, 16, 17):
         here = inner & (truth == label)
         assert here.sum() > 100
@@ -121,11 +122,11 @@ def test_classes_are_found(site: tuple[World, SiteReport]) -> None:
 def test_flights_count_their_height_from_the_ground(site: tuple[World, SiteReport]) -> None:
     world, _ = site
     x, y = np.random.default_rng(1).uniform(-55, 55, (2, 4000))
-    off = world.footing.height(x, y) - ground(x, y)
+    off = world.flight_ground.height(x, y) - ground(x, y)
     assert np.percentile(np.abs(off), 95) < 0.6
     on_roof = np.abs(x - np.mean(HOUSE[:2])) + np.abs(y - np.mean(HOUSE[2:])) < 5
     assert (off[on_roof] < 1.5).all() and on_roof.any()
-    assert (world.bare.nodes <= world.terrain.nodes + 1e-6).all()
+    assert (world.bare_ground.nodes <= world.terrain.nodes + 1e-6).all()
 
 
 def test_a_hill_is_no_building() -> None:
@@ -184,7 +185,7 @@ def test_woods_without_heights_are_crowns() -> None:
     found = classify(rgb, level, level, 0.1, np.ones((300, 300), bool))
     for columns, label in (
         (slice(20, 80), CROWN),
-        (slice(120, 180), LOW),
+        (slice(120, 180), LOW_VEGETATION),
         (slice(220, 280), PAVED),
     ):
         assert (found[:, columns] == label).mean() > 0.95
@@ -254,16 +255,17 @@ def test_known_shadows_are_softened_and_others_remain(tmp_path: Path) -> None:
     assert softened.sun == pytest.approx(tuple(sun), abs=0.01)
     assert not any("shadows" in note for note in softened.notes)
     x, y = texels(before)
-    grass = clear(x, y, 1.5) & (classes(x, y) == 1)
+    grass = is_far_from_edges(x, y, 1.5) & (classes(x, y) == 1)
     lawn = np.hypot(x - np.mean(HOUSE[:2]), y - np.mean(HOUSE[2:])) < 25
-    deep = np.logical_and.reduce(
-        [shade_place(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-    )
-    assert (grass & lawn & deep).sum() > 100
+    deep = grass.copy()
+    for dx in (0, -1, 1):
+        for dy in (0, -1, 1):  # of what is left: the first leaves the shadows alone
+            deep[deep] = shade_place(x[deep] + dx, y[deep] + dy)
+    assert (lawn & deep).sum() > 100
     ratio = {}
     for name, world in (("before", before), ("after", after)):
         value = world.imagery.albedo.mean(-1)
-        ratio[name] = np.median(value[grass & deep]) / np.median(value[grass & lawn & ~deep])
+        ratio[name] = np.median(value[deep]) / np.median(value[grass & lawn & ~deep])
     assert ratio["before"] < 0.55
     assert 0.8 < ratio["after"] < 1.2
 
@@ -272,7 +274,7 @@ def test_snow_lies_by_slope_shelter_and_class(site: tuple[World, SiteReport]) ->
     world, _ = site
     x, y = texels(world)
     snow = world.imagery.snow / 255
-    truth, inner = classes(x, y), clear(x, y, 3.0)
+    truth, inner = classes(x, y), is_far_from_edges(x, y, 3.0)
     assert np.median(snow[inner & (truth == 1)]) > 0.95
     assert np.median(snow[inner & (truth == 16)]) > 0.95
     assert (snow[inner & (truth == 8)] == 0).mean() > 0.99
@@ -288,7 +290,7 @@ def test_snow_lies_by_slope_shelter_and_class(site: tuple[World, SiteReport]) ->
 def test_seasons_change_what_grows_and_no_roofs(site: tuple[World, SiteReport]) -> None:
     world, _ = site
     x, y = texels(world)
-    truth, inner = classes(x, y), clear(x, y, 3.0)
+    truth, inner = classes(x, y), is_far_from_edges(x, y, 3.0)
 
     def mean(name: str, label: int) -> np.ndarray:
         return bake_albedo(world, condition(name))[inner & (truth == label)].mean(0)
@@ -310,11 +312,26 @@ def test_water_mirrors_and_rain_leaves_puddles(site: tuple[World, SiteReport]) -
     x, y = texels(world)
     west, east, south, north = POND
     pond = (x > west + 3) & (x < east - 3) & (y > south + 3) & (y < north - 3)
-    dry = bake_gloss(world, condition("summer-noon"))
-    wet = bake_gloss(world, condition("summer-noon-wet"))
+    dry = bake_specular(world, condition("summer-noon"))
+    wet = bake_specular(world, condition("summer-noon-wet"))
     assert (dry[pond] == 255).mean() > 0.97
-    yard = (classes(x, y) == 4) & clear(x, y, 2.0)
+    yard = (classes(x, y) == 4) & is_far_from_edges(x, y, 2.0)
     assert dry[yard].max() == 0 and wet[yard].mean() > 20
+
+
+def test_floods_lie_on_low_meadows_of_sites(site: tuple[World, SiteReport]) -> None:
+    world, _ = site
+    dry, flooded = (
+        bake_specular(world, condition(name)) for name in ("summer-noon", "summer-noon-flood")
+    )
+    new = (flooded > 200) & (dry < 200)
+    assert new.any()
+    assert (world.ground.labels[new] == CLASSES["grass"]).all()
+    x, y = texels(world)
+    height = world.flight_ground.height(x, y)
+    assert height[new].max() < np.quantile(height[world.ground.labels == CLASSES["grass"]], 0.6)
+    browner = bake_albedo(world, condition("summer-noon-flood"))[new].mean()
+    assert browner < bake_albedo(world, condition("summer-noon"))[new].mean()
 
 
 def test_given_classes_win(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Sites made of scenes: how far they reach, when they were taken, and what is refused."""
+"""Sites made of scenes: their extent, their time, and what is refused."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_town_becomes_a_site(rendered: Scene, tmp_path: Path) -> None:
     world, report = build_site(site, 120.0, rendered.manifest.origin, 0, tmp_path)
     session = "summer-noon-nadir-map"
     frames = rendered.frames(session)
-    with rendered.dense(session) as dense:
+    with rendered.layers(session) as dense:
         depth, up = dense.read("depth", 4)[::3, ::3], dense.read("normal", 4)[::3, ::3, 2]
     camera, pose = frames.cameras[4], frames.cam_from_world[4]
     rays = camera.unproject(camera.pixel_grid()[::3, ::3])[0].numpy()
@@ -76,7 +76,7 @@ def test_a_single_line_is_said(rendered_copy: Path, tmp_path: Path) -> None:
     assert 3 <= len(line) < 8
     site = SiteConfig(scene=with_map(rendered_copy, line))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulate.twin.source._FEWEST", 3)
+        patch.setattr("simulate.twin.source._MIN_PHOTOGRAPHS", 3)
         with open_rasters(site, tmp_path) as files:
             assert [note.partition(":")[0] for note in files.notes] == ["thin coverage"]
     whole = SiteConfig(scene=with_map(rendered_copy, every))

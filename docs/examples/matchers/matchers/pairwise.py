@@ -13,7 +13,7 @@ from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.lifting import interpolate_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
-from objconnect.localization.matching.retrieval import OnDemand, References
+from objconnect.localization.matching.retrieval import LazyDescriptors, References
 from objconnect.localization.matching.sift import Sift
 from objconnect.localization.starts import starts
 from objconnect.scene.config import load_config
@@ -56,14 +56,14 @@ class Vismatch:
         self._matcher = load_matcher(self.config)
         self._map, self._images = sparse_map, images
         self._sift = Sift(RETRIEVAL_FEATURES)
-        with open_cache(sparse_map, images, cache) as kept:
-            features = map_features(kept, self._sift)
+        with open_cache(sparse_map, images, cache) as map_cache:
+            features = map_features(map_cache, self._sift)
 
         def describe(row: int) -> NDArray[np.float32]:
             return self._sift.unit(features[sparse_map.names[row]].descriptors).numpy()
 
         count = len(sparse_map.names)
-        self._references = References.build(sparse_map, OnDemand(describe, count))
+        self._references = References.build(sparse_map, LazyDescriptors(describe, count))
 
     def localize(self, query: Query) -> Estimate:
         if reason := query_error(query):
@@ -74,7 +74,7 @@ class Vismatch:
                 query,
                 config.references,
                 lambda: self._sift.unit(self._sift(query.image).descriptors).numpy(),
-                tilted=False,
+                tilt_invariant=False,
             )
         if not len(chosen):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")

@@ -22,7 +22,9 @@ from benchmark.scoring.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import store, targets_of
 from benchmark.tracks.description import Track, TrackPlace, load_track, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
+from objconnect.scene.bundle.held_out import HeldOut
 from objconnect.scene.errors import InputError
+from objconnect.scene.flights.reference_error import ReferencePoseError
 from tests.benchmark.made_data import write_scene
 from tests.benchmark.report.board.made_board import write_board
 from tests.benchmark.report.test_leaderboard import run
@@ -106,18 +108,17 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     recall = pixloc.summary.recall["0.5m_5deg"]
     cells = page.texts("#rows tr:nth-child(2) td")
     shown = f"{recall.value:.1f}", f"[{recall.low:.1f},", f"{recall.high:.1f}]"
-    assert tuple(cells[2].split()) == shown
-    assert cells[0] == "48"
-    assert "48 queries of 6 flights" in page.texts("#facts")[0]
-    assert f"±{pixloc.half_width:.1f} points" in page.texts("#facts")[0]
+    assert tuple(cells[3].split()) == shown
+    assert cells[:2] == ["48", "6"]
+    assert "48 queries of 6 courses" in page.texts("#facts")[0]
     assert page.texts("#bounded tbody tr:nth-child(2) td")[1].split("\n")[0] == (
         f"{pixloc.surest.value:.1f}"
     )
     assert page.texts("#consistency tbody tr:nth-child(1) td")[0] == "–"
     nees = pixloc.summary.uncertainty.nees_mean
-    assert float(page.texts("#consistency tbody tr:nth-child(5) td")[0]) == pytest.approx(
-        nees, rel=0.01
-    )
+    shown = page.texts("#consistency tbody tr:nth-child(7) td")[0]
+    assert float(shown.split("\n")[0]) == pytest.approx(nees, rel=0.01)
+    assert shown.split("\n")[1].startswith("[")
     texts = page.run("[1000, 1000.1, 1e100, null].map(neesText)")
     assert texts == ["1000", "> 1000", "> 1000", "–"]
 
@@ -155,27 +156,65 @@ def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
             assert page.texts("#where") == [f"uav-seasons: {', '.join(named)}"]
             best = row(report, start=start, season=season, part=part, method="objconnect").summary
             cells = page.texts("#rows tr:nth-child(3) td")
-            assert cells[0] == str(best.queries)
-            assert cells[3].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
+            assert cells[:2] == [str(best.queries), str(best.courses)]
+            assert cells[4].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
     # A single condition is of all places only.
     assert page.texts("#part option") == ["all places"]
     assert is_clean(page)
+
+
+def test_what_the_reference_poses_do_not_judge_is_a_dash(tmp_path: Path, browser: Browser) -> None:
+    """At 0.5 m no card has a figure; at 5 m all have one."""
+    made = write_board(tmp_path / "tracks")
+    track = load_track("uav-seasons", made)
+    inexact = {"reference_error": ReferencePoseError(metres=0.6, source="stated")}
+    places = tuple(place.model_copy(update=inexact) for place in track.places)
+    write_track(track.model_copy(update={"places": places}), made)
+    board(made, tmp_path / "out")
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    cells = browser.texts("#rows tr:nth-child(3) td")
+    assert [cell == "–" for cell in cells[2:9]] == [True, True, False, True, False, True, True]
+    assert browser.texts(".heat tbody td") == ["–"] * 3 * len(browser.texts(".heat thead th small"))
+    assert "too inexact to judge 0.5 m 5°" in browser.texts("#pairs")[0]
+    browser.click("[data-of=threshold]:nth-of-type(3)")
+    assert "–" not in browser.texts(".heat tbody td")
+    assert is_clean(browser)
+
+
+def test_cells_of_what_is_held_out_are_shown(tmp_path: Path, browser: Browser) -> None:
+    made = write_board(tmp_path / "tracks")
+    held = HeldOut(conditions=("snow",), presets=("park",))
+    track = load_track("uav-seasons", made)
+    write_track(track.model_copy(update={"held_out": held}), made)
+    board(made, tmp_path / "out")
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    for name, queries, courses in (("unseen condition", 16, 2), ("unseen both", 8, 1)):
+        choose(browser, "season", name)
+        assert browser.texts("#where") == [f"uav-seasons: {name}, all places"]
+        assert f"{queries} queries of {courses} course" in browser.texts("#facts")[0]
+        listed = browser.texts("#worst-queries .choice .quiet")[0]
+        assert f"of {queries} queries" in listed
+    # One course: no interval, no p.
+    assert "[–]" in browser.texts("#rows td:nth-child(4)")[0]
+    assert "p unknown" in browser.texts("#pairs tbody tr:nth-child(3) td")[0]
+    assert "changed, by what training may use" in browser.texts("#overview thead th")
+    assert is_clean(browser)
 
 
 def test_the_table_can_be_sorted(page: Browser) -> None:
     assert methods(page) == ["sift", "pixloc", "objconnect"]
     page.click("#results thead th:nth-child(1) button")
     assert methods(page) == ["objconnect", "pixloc", "sift"]
-    page.click("#results thead th:nth-child(3) button")
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(3)")]
+    page.click("#results thead th:nth-child(4) button")
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
     assert values == sorted(values, reverse=True)
-    page.click("#results thead th:nth-child(3) button")
-    assert page.run("document.querySelector('#results th:nth-child(3)').ariaSort") == "ascending"
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(3)")]
+    page.click("#results thead th:nth-child(4) button")
+    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
     assert values == sorted(values)
     # The order outlives another cell.
     choose(page, "season", "same season")
-    assert page.run("document.querySelector('#results th:nth-child(3)').ariaSort") == "ascending"
+    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
     assert is_clean(page)
 
 
@@ -188,12 +227,12 @@ def test_the_paired_comparison_is_shown(page: Browser, report: BoardReport) -> N
     # Row objconnect, column sift.
     cell = page.texts("#pairs tbody tr:nth-child(3) td")[0].split("\n")
     assert cell[0] == f"+{100 * (won - lost) / len(changed):.1f}"
-    p = permutation_p(before.tolist(), after.tolist(), report.boards[0].flights[changed].tolist())
+    p = permutation_p(before.tolist(), after.tolist(), report.boards[0].courses[changed].tolist())
     assert p is not None
     assert cell[-1] == ("p < 0.001" if p < 0.001 else f"p = {p:.{3 if p < 0.1 else 2}f}")
     title = page.run("document.querySelector('#pairs tbody tr:nth-child(3) td').title")
     assert title == f"right where the other is wrong: {won}; wrong where it is right: {lost}"
-    assert "over whole flights (6 here)" in page.texts("#pairs .quiet")[0]
+    assert "by course (6 courses here)" in page.texts("#pairs .quiet")[0]
 
 
 def test_a_cell_of_the_overview_is_shown(page: Browser) -> None:

@@ -1,14 +1,13 @@
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 import pytest
 
-from benchmark.report.board.cells import Cell, cells, recall_at_risk
+from benchmark.report.board.cells import cells, recall_at_risk
 from benchmark.report.board.difficulty import AXES, bin_recall
 from benchmark.report.board.runs import BoardQuery
 from benchmark.results.query_result import QueryResult
+from benchmark.scoring.intervals import share
 from benchmark.scoring.score import THRESHOLDS
 from benchmark.tracks.difficulty import Difficulty, QueryRow
 from objconnect.scene.localizer import Status
@@ -20,7 +19,7 @@ OVERLAP, SCALE, ANGLE, DAYS = AXES
 
 def query(name: str, condition: str, part: str, same: bool) -> BoardQuery:
     row = QueryRow(name, condition, condition, part, Difficulty(0.5, 1.0, 5.0, 3))
-    return BoardQuery(f"{part}-1", row, same)
+    return BoardQuery(f"{part}-1", row, condition, same)
 
 
 def test_cells_are_both_seasons_of_each_part_and_every_condition() -> None:
@@ -43,18 +42,14 @@ def test_cells_are_both_seasons_of_each_part_and_every_condition() -> None:
     }
 
 
-@pytest.mark.parametrize("queries", [400, 200, 40])
-def test_half_width_at_90_percent(queries: int) -> None:
-    """Wilson's half width, as his paper has it: z sqrt(p q / n + z^2 / 4 n^2) / (1 + z^2 / n)."""
-    z = 1.959964
-    wide = z * sqrt(0.09 / queries + z**2 / (4 * queries**2)) / (1 + z**2 / queries)
-    cell = Cell("changed", "all", np.arange(queries))
-    assert cell.half_width == pytest.approx(100 * wide, abs=1e-4)
-
-
-def test_a_headline_cell_is_narrow_enough() -> None:
-    assert Cell("changed", "all", np.arange(400)).half_width < 3
-    assert Cell("changed", "all", np.arange(200)).half_width < 6
+def test_recall_at_risk_has_an_interval_by_course() -> None:
+    believed = [answer(0.001 * k, 0.1) for k in range(40)]
+    lost = [answer(None, None) for _ in range(20)]
+    outcomes = [
+        one.model_copy(update={"course": "abc"[k % 3]}) for k, one in enumerate([*believed, *lost])
+    ]
+    found = recall_at_risk(outcomes, AT)
+    assert found == share([True] * 40 + [False] * 20, [one.cluster for one in outcomes])
 
 
 def answer(sigma: float | None, metres: float | None, status: Status | None = None) -> QueryResult:
@@ -109,10 +104,13 @@ def test_bins_hold_their_lower_edge() -> None:
 def test_bins_have_the_recall_of_their_queries() -> None:
     bins = np.array([0, 0, 2, -1, 2, 2, 2])
     right = np.array([True, False, True, True, True, True, False])
-    first, second, third = bin_recall(bins, right, 3)
+    courses = ["a", "b", "a", "b", "b", "c", "c"]
+    first, second, third = bin_recall(bins, right, courses, 3)
     assert (first.queries, second, third.queries) == (2, (0, None), 4)
     assert first.recall is not None
     assert third.recall is not None
     assert (first.recall.value, third.recall.value) == (50, 75)
-    # Wilson's interval of 1 of 2.
-    assert first.recall.low == pytest.approx(9.4531, abs=1e-3)
+    assert first.recall == share([True, False], ["a", "b"])
+    assert third.recall == share([True, True, True, False], ["a", "b", "c", "c"])
+    alone = bin_recall(bins, right, ["a"] * 7, 3)[0].recall
+    assert alone == (50, None, None)

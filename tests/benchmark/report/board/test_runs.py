@@ -9,6 +9,7 @@ import pytest
 
 from benchmark.report.board.cells import cells
 from benchmark.report.board.command import board
+from benchmark.report.board.figures import track_figures
 from benchmark.report.board.runs import read_board, read_boards
 from benchmark.results.results import rescore
 from benchmark.results.results_files import load
@@ -17,6 +18,7 @@ from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import load_track, write_track
 from objconnect.localization.provenance import Method
 from objconnect.scene.errors import InputError
+from objconnect.scene.flights.reference_error import ReferencePoseError
 from tests.benchmark.report.board.made_board import write_board
 
 NAME = "uav-seasons"
@@ -44,12 +46,12 @@ def test_every_query_has_the_answers_of_its_own_data_set(made: Path) -> None:
     ]
     k = next(k for k, query in enumerate(found.queries) if query.dataset == "town-2")
     given = load(results_path(made, "town-2")).queries[0]
-    assert found.runs[1].answers[k] == given
+    assert found.runs[1].answers[k] == given.model_copy(update={"course": f"town-2/{given.group}"})
     assert found.runs[1].correct[:, k].tolist() == [
         given.t_err_m is not None and given.t_err_m < threshold.metres for threshold in THRESHOLDS
     ]
     assert {q.row.condition for q in found.queries if q.same} == {"summer-noon"}
-    assert len(set(found.flights)) == 9
+    assert len(set(found.courses)) == 9
 
 
 def test_the_track_of_aircraft_comes_first(made: Path) -> None:
@@ -96,7 +98,8 @@ def test_figures_pool_the_data_sets(made: Path) -> None:
     assert row.summary.queries == total == 48
     assert row.summary.recall["0.5m_5deg"].value == pytest.approx(100 * right / total)
     text = board(made).text()
-    assert f"| changed | all | pixloc | 48 | {row.half_width:.1f} |" in text
+    assert f"| changed | all | pixloc | 48 | {row.summary.courses} |" in text
+    assert row.summary.courses == 6
     paper = next(line for line in text.splitlines() if line.startswith("| pixloc | measured here"))
     assert f"{100 * right / total:.1f} [" in paper
     assert "| – | – | – |" in paper
@@ -110,7 +113,31 @@ def test_compressed_results_count_alike(made: Path) -> None:
     after = board(made).rows
     for one, two in zip(before[0], after[0], strict=True):
         assert one.summary.recall == two.summary.recall
-        assert one.summary.false_fixes == two.summary.false_fixes
+        assert one.summary.integrity() == two.summary.integrity()
+
+
+def test_what_the_track_says_of_its_truth_is_a_dash(made: Path) -> None:
+    """The stored results need not state it, and cells that pool such a place are dashes."""
+    path = made / NAME / "track.yaml"
+    track = load_track(NAME, made)
+    inexact = ReferencePoseError(metres=0.6, source="stated")
+    first = track.places[0].model_copy(update={"reference_error": inexact})
+    write_track(track.model_copy(update={"places": (first, *track.places[1:])}), made)
+    assert "reference_error" in path.read_text()
+    report = board(made)
+    rows = {(row.start, row.season, row.part, row.method): row for row in report.rows[0]}
+    for part, judged in (("all", False), (first.preset, False), ("town", True)):
+        row = rows[START, "changed", part, "pixloc"]
+        summary = row.summary
+        assert summary.recall["5m_10deg"] is not None
+        assert summary.false_fixes is not None
+        figures = summary.recall["0.5m_5deg"], summary.wrong_1m, summary.worse_than_prior
+        assert [figure is not None for figure in (*figures, row.surest)] == [judged] * 4
+    cell = next(c for c in track_figures(report.boards[0])["starts"][0]["cells"])
+    assert {pair.get("reason") for pair in cell["pairs"][1]} == {
+        "the reference poses are too inexact to judge 0.5 m 5°"
+    }
+    assert {pair.get("reason") for pair in cell["pairs"][2]} == {None}
 
 
 def test_what_is_missing_is_said_and_not_counted(
@@ -187,7 +214,7 @@ def test_a_missing_list_of_queries_is_named(made: Path) -> None:
 def test_a_missing_track_or_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no track"):
         read_boards(tmp_path)
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="is not a folder: give the folder of the tracks"):
         read_boards(tmp_path / "nowhere")
 
 

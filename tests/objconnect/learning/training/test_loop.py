@@ -40,6 +40,10 @@ TINY = TrainConfig(
 )
 
 
+# Half the pairs, where nothing is said about how many there are.
+ONE = TINY.model_copy(update={"batch": 1})
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Curves are drawn at every checkpoint, which takes as long as these few steps."""
@@ -71,9 +75,11 @@ THOROUGH = dict.fromkeys(("objects", "objconnect"), pytest.mark.thorough)
     "method", [pytest.param(name, marks=THOROUGH.get(name, ())) for name in TRAINABLE]
 )
 def test_every_method_learns_and_leaves_weights_curves_and_a_card(
-    method: str, rendered: Scene, tmp_path: Path
+    method: str, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
+    # Two of the eight batches: the mean of several is what is logged.
+    monkeypatch.setattr("objconnect.learning.training.loop._VALIDATION_BATCHES", 2)
     # The detector of objects learns on the network that comes with the project.
     on_shipped = method == "objects"
     known = {"pairs": PairOptions(objects=True)} if on_shipped else {}
@@ -96,17 +102,17 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_killed_run_resumes_to_the_same_weights(rendered: Scene, tmp_path: Path) -> None:
-    whole = train("pixloc", PixlocTraining, [rendered.path], tmp_path / "whole", TINY)
+    whole = train("pixloc", PixlocTraining, [rendered.path], tmp_path / "whole", ONE)
     broken = tmp_path / "broken"
     with pytest.raises(Killed):
-        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], broken, TINY)
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], broken, ONE)
     assert not (broken / WEIGHTS).exists()
-    resumed = train("pixloc", PixlocTraining, [rendered.path], broken, TINY)
+    resumed = train("pixloc", PixlocTraining, [rendered.path], broken, ONE)
     expected, found = read_weights(whole).tensors, read_weights(resumed).tensors
     for name, tensor in expected.items():
         assert torch.allclose(found[name], tensor, atol=1e-5), name
     steps = [json.loads(line)["step"] for line in (broken / LOG).read_text().splitlines()]
-    assert steps == list(range(TINY.steps))
+    assert steps == list(range(ONE.steps))
 
 
 class _Bereaved(PixlocTraining):
@@ -140,10 +146,29 @@ def test_two_trainings_do_not_write_one_folder(rendered: Scene, tmp_path: Path) 
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -> None:
-    short = TINY.model_copy(update={"steps": 1})
+    short = ONE.model_copy(update={"steps": 1})
     train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
     with pytest.raises(InputError, match="another config"):
+        train("pixloc", PixlocTraining, [rendered.path], tmp_path, ONE)
+
+
+@pytest.mark.parametrize("option", ["data", "validation"])
+def test_a_scene_is_given_once(rendered: Scene, tmp_path: Path, option: str) -> None:
+    """Also by another name."""
+    link = tmp_path / "link"
+    link.symlink_to(rendered.path)
+    scenes = {"data": [rendered.path]} | {option: [rendered.path, link]}
+    with pytest.raises(InputError, match=f"{rendered.path} is given 2 times: give it once"):
+        train("pixloc", PixlocTraining, out=tmp_path / "run", config=TINY, **scenes)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_folder_of_other_files_is_refused(rendered: Scene, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(InputError, match="is not empty and not a training run: choose another"):
         train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -151,13 +176,13 @@ def test_other_pictures_of_the_same_seed_are_refused(
     rendered: Scene, rendered_copy: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(Killed):
-        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, TINY)
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path / "run", ONE)
     manifest = json.loads((rendered_copy / "scene.json").read_text())
     name = next(name for name in manifest["sha256"] if name.endswith("frames.h5"))
     manifest["sha256"][name] = "0" * 64
     (rendered_copy / "scene.json").write_text(json.dumps(manifest))
     with pytest.raises(InputError, match="another scenes"):
-        train("pixloc", PixlocTraining, [rendered_copy], tmp_path, TINY)
+        train("pixloc", PixlocTraining, [rendered_copy], tmp_path / "run", ONE)
 
 
 def test_other_workers_are_the_same_run(tmp_path: Path) -> None:
@@ -173,14 +198,14 @@ def test_other_workers_are_the_same_run(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_a_run_goes_on_with_other_workers(rendered: Scene, tmp_path: Path) -> None:
     with pytest.raises(Killed):
-        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, TINY)
-    other = TINY.model_copy(update={"workers": 1 - min(TINY.workers, 1), "save_every": 3})
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, ONE)
+    other = ONE.model_copy(update={"workers": 1 - min(ONE.workers, 1), "save_every": 3})
     assert train("pixloc", PixlocTraining, [rendered.path], tmp_path, other).is_file()
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_damaged_checkpoint_is_named(rendered: Scene, tmp_path: Path) -> None:
-    short = TINY.model_copy(update={"steps": 1})
+    short = ONE.model_copy(update={"steps": 1})
     train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
     (tmp_path / "checkpoint.pt").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(InputError, match=r"checkpoint.pt is damaged .* remove it"):

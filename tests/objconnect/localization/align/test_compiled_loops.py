@@ -54,12 +54,12 @@ def level_cost(
         torch.stack([each.rotation for each in starts]),
         torch.stack([each.translation for each in starts]),
     )
-    cost = cost.rows(torch.arange(poses) % 2)
+    cost = cost.select(torch.arange(poses) % 2)
     if smooth:  # so that poses have somewhere to go
         there = Pose(
             *(each.expand(poses, *each.shape) for each in (truth.rotation, truth.translation))
         )
-        cost = replace(cost, target=cost.sample(there)[0] + 0.1 * cost.target)
+        cost = replace(cost, reference=cost.sample(there)[0] + 0.1 * cost.reference)
     return cost, pose
 
 
@@ -86,9 +86,11 @@ def test_threads_change_no_bit(poses: int) -> None:
     for shared in found[1:]:
         assert torch.equal(shared.pose.matrix(), alone.pose.matrix())
         assert torch.equal(shared.iterations, alone.iterations)
-        assert torch.equal(shared.damping, alone.damping)
+        assert torch.equal(shared.damping_factor, alone.damping_factor)
         for each in fields(Linearisation):
-            assert torch.equal(getattr(shared.around, each.name), getattr(alone.around, each.name))
+            assert torch.equal(
+                getattr(shared.linearisation, each.name), getattr(alone.linearisation, each.name)
+            )
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, DISTORTED])
@@ -124,25 +126,25 @@ def test_a_descent_is_that_of_torch(camera: Camera, trusted: bool) -> None:
     away = pose.translation + torch.tensor([0, 0, 0, 0, 0, 1e4])[:, None]
     pose = Pose(pose.rotation, away)  # the last one sees nothing
     ours, theirs = (descend_plainly(cost, pose, alive, by_torch=each) for each in (False, True))
-    assert theirs.iterations[[0, 1, 3, 4]].min() > 2 and theirs.damping.min() < 0.1
+    assert theirs.iterations[[0, 1, 3, 4]].min() > 2 and theirs.damping_factor.min() < 0.1
     # Rounding may decide whether a last step, shorter than what counts, is still taken.
     same = ours.iterations == theirs.iterations
     assert same.sum() >= 5 and (ours.iterations - theirs.iterations).abs().max() <= 1
-    torch.testing.assert_close(ours.damping[same], theirs.damping[same])
+    torch.testing.assert_close(ours.damping_factor[same], theirs.damping_factor[same])
     torch.testing.assert_close(ours.pose.matrix(), theirs.pose.matrix(), rtol=1e-3, atol=1e-3)
     assert torch.equal(ours.pose.matrix()[[2, 5]], pose.matrix()[[2, 5]])
-    assert not ours.around.seen[5].any()
+    assert not ours.linearisation.seen[5].any()
     before = linearise_plainly(cost, pose, by_torch=True).mean_cost()
     moved = ours.iterations > 0
-    assert (ours.around.mean_cost() < 0.9 * before)[moved].all()
-    costs = (each.around.mean_cost() for each in (ours, theirs))
+    assert (ours.linearisation.mean_cost() < 0.9 * before)[moved].all()
+    costs = (each.linearisation.mean_cost() for each in (ours, theirs))
     torch.testing.assert_close(*costs, rtol=1e-3, atol=0)
 
 
 def test_a_descent_from_features_that_are_not_finite_stays() -> None:
     cost, pose = level_cost(PINHOLE, 1)
-    broken = torch.full_like(cost.table.cells, torch.nan)
-    cost = replace(cost, table=replace(cost.table, cells=broken))
+    broken = torch.full_like(cost.table.values, torch.nan)
+    cost = replace(cost, table=replace(cost.table, values=broken))
     alive = torch.ones(1, dtype=torch.bool)
     ours, theirs = (descend_plainly(cost, pose, alive, by_torch=each) for each in (False, True))
     assert int(ours.iterations) == int(theirs.iterations) == 0
@@ -197,17 +199,21 @@ def test_maps_of_few_cells(size: tuple[int, int]) -> None:
     assert torch.equal(ours.seen, theirs.seen)
     if min(size) > 3:
         assert ours.seen.any()
-    most = float(theirs.pull.abs().max())
-    torch.testing.assert_close(ours.pull, theirs.pull, rtol=1e-4, atol=1e-4 * most)
+    most = float(theirs.point_gradient.abs().max())
+    torch.testing.assert_close(
+        ours.point_gradient, theirs.point_gradient, rtol=1e-4, atol=1e-4 * most
+    )
 
 
 def test_what_is_not_finite_stays_so() -> None:
     cost, pose = level_cost(PINHOLE, 1)
-    broken = cost.table.cells.clone()
+    broken = cost.table.values.clone()
     broken[:, 3] = torch.nan
-    cost = replace(cost, table=replace(cost.table, cells=broken))
-    around = linearise_plainly(cost, pose, by_torch=False)
-    assert not around.hessian.isfinite().all() and not around.gradient.isfinite().all()
+    cost = replace(cost, table=replace(cost.table, values=broken))
+    linearisation = linearise_plainly(cost, pose, by_torch=False)
+    assert (
+        not linearisation.hessian.isfinite().all() and not linearisation.gradient.isfinite().all()
+    )
 
 
 def test_gradients_and_double_precision_are_left_to_torch() -> None:
@@ -220,11 +226,13 @@ def test_gradients_and_double_precision_are_left_to_torch() -> None:
 
 def test_without_numba_torch_computes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     cost, pose = level_cost(PINHOLE, 1)
-    monkeypatch.setattr(linearising, "loops_serve", lambda device: False)
+    monkeypatch.setattr(linearising, "supports_loops", lambda device: False)
     with torch.inference_mode():
         assert not can_be_compiled(cost)
-        around = linearise(cost, pose)
-    torch.testing.assert_close(around.pull, linearise_plainly(cost, pose, by_torch=True).pull)
+        linearisation = linearise(cost, pose)
+    torch.testing.assert_close(
+        linearisation.point_gradient, linearise_plainly(cost, pose, by_torch=True).point_gradient
+    )
 
 
 FIRST = """
@@ -241,7 +249,7 @@ with torch.inference_mode():
     cost, pose = level_cost(DISTORTED, 4, smooth=True)
     moving, damping = torch.ones(4, dtype=torch.bool), torch.full((6,), 1e-3)
     state = descend_compiled(cost, pose, moving, damping, Options())
-parts = (state.pose.rotation, state.pose.translation, state.around.hessian)
+parts = (state.pose.rotation, state.pose.translation, state.linearisation.hessian)
 print(hashlib.sha256(b"".join(part.numpy().tobytes() for part in parts)).hexdigest())
 """
 

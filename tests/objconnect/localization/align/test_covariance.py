@@ -13,7 +13,7 @@ from torch import Tensor
 from objconnect.localization.align.aligner import Alignment, align
 from objconnect.localization.align.covariance import covariance, measure_spread
 from objconnect.localization.align.linearise import linearise
-from objconnect.localization.align.local_frame import Local
+from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.align.residuals import Linearisation
@@ -149,7 +149,7 @@ def test_equals_that_of_gauss_and_newton_where_nothing_is_new() -> None:
 
 
 def linearise_plainly(problem: Problem, options: Options) -> Linearisation:
-    local = Local.of(problem)
+    local = LocalProblem.of(problem)
     return linearise(local.cost(problem.levels[-1], options), local.start)
 
 
@@ -177,7 +177,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     around = linearise_plainly(problem.starting_at(found.pose), problem.options)
     sandwich = covariance(around) @ around.hessian.double()
     torch.testing.assert_close(
-        here.level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
+        here.scatter_level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
     )
     assert (here.equal_patches > 1).all() and (here.equal_patches < here.patches).all()
     # Another scale of the features is one of the level alone.
@@ -188,7 +188,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     scale = 3 * problem.options.robust_scale
     options = replace(problem.options, robust_scale=scale)
     scaled = measure_spread(replace(problem, levels=levels, options=options), found.pose)
-    torch.testing.assert_close(scaled.level, 9 * here.level, rtol=1e-2, atol=0)
+    torch.testing.assert_close(scaled.scatter_level, 9 * here.scatter_level, rtol=1e-2, atol=0)
     torch.testing.assert_close(scaled.equal_patches, here.equal_patches, rtol=1e-2, atol=0)
 
 
@@ -215,7 +215,7 @@ def test_nothing_is_known_where_points_are_too_few() -> None:
     around = measure_spread(problem, start)
     assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
     assert float(around.curvature) == 0
-    assert float(around.level) == float(around.equal_patches) == 0
+    assert float(around.scatter_level) == float(around.equal_patches) == 0
 
 
 @pytest.mark.parametrize("degrees", [0, 40])
@@ -252,13 +252,17 @@ def test_informative_cost_is_that_of_the_points_that_tell_the_pose() -> None:
     for trust in (None, torch.rand(made.points.shape[:2]) + 0.1):
         levels[-1] = replace(levels[-1], reference_confidence=trust)
         problem = Problem(levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
-        cost = Local.of(problem).cost(levels[-1], Options())
-        around = cost.linearise(Local.of(problem).start)
+        cost = LocalProblem.of(problem).cost(levels[-1], Options())
+        around = cost.linearise(LocalProblem.of(problem).start)
         parts = []
         for point in range(made.points.shape[1]):  # the part of the Hessian that is its own
             only = torch.zeros_like(cost.mask)
             only[:, point] = True
-            own = replace(cost, mask=cost.mask & only).linearise(Local.of(problem).start).hessian
+            own = (
+                replace(cost, mask=cost.mask & only)
+                .linearise(LocalProblem.of(problem).start)
+                .hessian
+            )
             parts.append(torch.linalg.solve(around.hessian, own).diagonal(dim1=-2, dim2=-1).sum(-1))
         shares = torch.stack(parts, -1) / 6
         assert float(shares.sum()) == pytest.approx(1, abs=1e-4)

@@ -11,9 +11,9 @@ from objconnect.localization.align.hypotheses import (
     _MERGE_ITERATIONS,
     _best,
     align_from_many,
-    around,
+    grid_around,
 )
-from objconnect.localization.align.options import Options, SearchRadius, Width
+from objconnect.localization.align.options import Options, SearchRadius, SearchWidth
 from objconnect.localization.align.problem import Problem
 from objconnect.scene.geometry.pose import Pose
 from tests.objconnect.localization.align.problems import (
@@ -38,7 +38,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
         rays = PINHOLE.unproject(pixels)[0] @ truth.rotation
         ground = truth.centre() - rays * (truth.centre()[2] / rays[:, 2:])
         start = stack_problems([wrong(truth, 10, 10, seed)])
-        poses = around(start, torch.tensor([80.0]), reach, 5.9)
+        poses = grid_around(start, torch.tensor([80.0]), reach, 5.9)
         seen = PINHOLE.project(poses.transform(ground)[0])
         best.append(float((seen.xy - pixels).norm(dim=-1).mean(-1).min()))
         first = PINHOLE.project(start.transform(ground)).xy
@@ -49,7 +49,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
 def test_narrow_reach_asks_less() -> None:
     start, distance = stack_problems([looking_down(0)]), torch.tensor([80.0])
     sizes = [
-        around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
+        grid_around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
     ]
     assert sizes == [27, 243, 17 * 17 * 5]
@@ -97,7 +97,7 @@ def test_hypotheses_that_have_met_go_on_as_one() -> None:
     place = problem.points, PINHOLE.intrinsics(), start
     found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
-    most = Width().first_refined * _MERGE_ITERATIONS
+    most = SearchWidth().first_refined * _MERGE_ITERATIONS
     assert found.iterations.item() <= most + alone.iterations.item()
 
 
@@ -108,7 +108,7 @@ def many_from(problem: Small, off: float, **width: int) -> Alignment:
     return align_from_many(
         Problem(problem.levels, *place, DAMPING, Options()),
         SearchRadius(8, 8),
-        Width(**width),
+        SearchWidth(**width),
     )
 
 

@@ -21,7 +21,7 @@ def test_stencil_is_bilinear_with_central_differences() -> None:
     cells[0, 0], cells[0, 1] = torch.tensor([1.0, 1.0]), torch.tensor([7.0, 5.0])  # both borders
     table = CellTable.of(maps)
     index, weights = stencil(cells, table, table.first(torch.arange(2)))
-    value, along_x, along_y = table.mix(index, weights).unbind(-2)
+    value, along_x, along_y = table.value_and_slopes(index, weights).unbind(-2)
     x, y = torch.eye(2, dtype=torch.float64)
 
     def at(c: torch.Tensor) -> torch.Tensor:

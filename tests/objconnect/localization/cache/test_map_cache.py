@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from objconnect.localization.cache.map_cache import Earlier, MapCache, open_cache
+from objconnect.localization.cache.map_cache import EarlierRows, MapCache, open_cache
 from objconnect.localization.cache.store import Rows, write_store
 from objconnect.scene.errors import InputError
 from objconnect.scene.localizer import MapPart
@@ -26,10 +26,10 @@ def cache(tmp_path: Path) -> MapCache:
     return MapCache.of(dataset.load_map(), dataset.images, tmp_path / "cache")
 
 
-def one(value: float) -> Callable[[Earlier], Rows]:
+def one(value: float) -> Callable[[EarlierRows], Rows]:
     """Return what makes a row of a number."""
 
-    def rows(_: Earlier) -> Rows:
+    def rows(_: EarlierRows) -> Rows:
         yield digest_of(value), {"a": np.array([value])}
 
     return rows
@@ -47,12 +47,12 @@ def test_every_part_decides_the_file(cache: MapCache) -> None:
         (replace(cache, digests={**cache.digests, first: "0"}), "mosaic", 1, "key"),
         (replace(cache, sparse_map=moved), "mosaic", 1, "key"),
     ]
-    for number, (kept, kind, *made_of) in enumerate(asked):
-        assert not kept.holds(kind, *made_of)
-        if kept.digests is cache.digests:  # else its photographs are not what it says
-            kept.store(kind, *made_of, rows=one(number))
-            assert kept.holds(kind, *made_of)
-            assert kept.store(kind, *made_of, rows=one(-1)).read(0, "a") == [number]
+    for number, (map_cache, kind, *made_of) in enumerate(asked):
+        assert not map_cache.holds(kind, *made_of)
+        if map_cache.digests is cache.digests:  # else its photographs are not what it says
+            map_cache.store(kind, *made_of, rows=one(number))
+            assert map_cache.holds(kind, *made_of)
+            assert map_cache.store(kind, *made_of, rows=one(-1)).read(0, "a") == [number]
     assert len(list(cache.folder.iterdir())) == len(asked) - 1
 
 
@@ -69,7 +69,7 @@ def test_a_part_lies_in_its_own_folder(cache: MapCache, tmp_path: Path) -> None:
 def test_a_photograph_that_changes_meanwhile_is_told(cache: MapCache) -> None:
     path = cache.images / cache.names[0]
 
-    def rows(_: Earlier) -> Rows:
+    def rows(_: EarlierRows) -> Rows:
         yield "", {"a": np.ones(1)}
         path.write_bytes(path.read_bytes() + b"more")
 
@@ -79,9 +79,9 @@ def test_a_photograph_that_changes_meanwhile_is_told(cache: MapCache) -> None:
 
 
 def test_without_a_folder_files_stay_open(cache: MapCache) -> None:
-    with open_cache(cache.sparse_map, cache.images, None) as kept:
-        store = kept.store("a", rows=one(3))
-    assert not kept.folder.exists()
+    with open_cache(cache.sparse_map, cache.images, None) as map_cache:
+        store = map_cache.store("a", rows=one(3))
+    assert not map_cache.folder.exists()
     assert store.read(0, "a") == [3]
 
 
@@ -94,7 +94,7 @@ def test_earlier_rows_are_found_by_what_they_were_made_of(tmp_path: Path) -> Non
     paths[2].write_bytes(paths[2].read_bytes()[:200])
     with h5py.File(paths[4], "w") as file:  # as earlier versions wrote it
         file["keys"], file["a"] = np.array([digest_of("old", 0).encode()]), np.ones((1, 2))
-    earlier = Earlier(paths)
+    earlier = EarlierRows(paths)
     for name in ("one", "other"):
         for row in range(3):
             found = earlier(digest_of(name, row), ["a"])
@@ -109,12 +109,12 @@ def test_earlier_rows_are_found_by_what_they_were_made_of(tmp_path: Path) -> Non
 def test_more_earlier_files_than_a_process_may_open(tmp_path: Path) -> None:
     paths = [tmp_path / f"{number}.h5" for number in range(60)]
     for number, path in enumerate(paths):
-        write_store(path, one(number)(Earlier([])))
+        write_store(path, one(number)(EarlierRows([])))
     before, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     there = len(list(Path("/proc/self/fd").iterdir()))
     resource.setrlimit(resource.RLIMIT_NOFILE, (there + 30, hard))
     try:
-        earlier = Earlier(paths)
+        earlier = EarlierRows(paths)
         for number in range(60):
             found = earlier(digest_of(number), ["a"])
             assert found is not None and found["a"] == [number]

@@ -9,9 +9,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.coarse.finder import CoarseSearchOptions, hypotheses
+from objconnect.localization.coarse.finder import hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import ALTITUDES
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
 from objconnect.localization.coarse.search import Hypotheses, MosaicSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
@@ -99,25 +99,25 @@ def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
 def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
     true = make_pose(DOWN, (12.0, -20.0, 65.0))
     search = MosaicSearch(mosaic)
-    elsewhere = Hypotheses([DOWN], [0.0], [60.0], within=(-40.0, 40.0, 15.0))
+    elsewhere = Hypotheses([DOWN], [0.0], [60.0], region=(-40.0, 40.0, 15.0))
     for candidate in search(lambda _: render_view(mosaic, true), elsewhere, 5):
         x, y, _ = candidate.pose.centre().tolist()
         assert math.hypot(x + 40, y - 40) <= 15
         assert candidate.score < 0.4
-    there = Hypotheses([DOWN], [0.0], [60.0], within=(10.0, -15.0, 15.0))
+    there = Hypotheses([DOWN], [0.0], [60.0], region=(10.0, -15.0, 15.0))
     assert search(lambda _: render_view(mosaic, true), there, 1)[0].score > 0.6
 
 
-@pytest.mark.parametrize(("sigmas", "radius"), [(3.0, 19.0), (1.0, 9.0)])
-def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radius: float) -> None:
-    """By so many standard deviations and two cells, of 2 m each."""
-    known = Prior(np.array([10.0, 20.0, 65.0]), np.array([5.0, 4.0, 1.0]))
-    tried = hypotheses(known, CoarseSearchOptions(reach_sigmas=sigmas), mosaic.grid, 80.0)
-    assert tried.within == (10.0, 20.0, radius)
+@pytest.mark.parametrize(("sigma", "radius"), [(5.0, 19.0), (2.0, 10.0)])
+def test_an_unsure_position_bounds_the_search(mosaic: Mosaic, sigma: float, radius: float) -> None:
+    """By three standard deviations and two cells, of 2 m each."""
+    known = Prior(np.array([10.0, 20.0, 65.0]), np.array([sigma, sigma - 1, 1.0]))
+    tried = hypotheses(known, mosaic.grid, 80.0)
+    assert tried.region == (10.0, 20.0, radius)
     assert tried.altitudes == [60.0]
-    unknown = hypotheses(None, CoarseSearchOptions(), mosaic.grid, 80.0)
-    assert unknown.within is None
-    assert unknown.altitudes == [80.0 * part for part in ALTITUDES]
+    unknown = hypotheses(None, mosaic.grid, 80.0)
+    assert unknown.region is None
+    assert unknown.altitudes == [80.0 * part for part in ALTITUDE_RATIOS]
 
 
 def test_candidates_are_apart(mosaic: Mosaic) -> None:

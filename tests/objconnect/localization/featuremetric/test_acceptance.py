@@ -30,11 +30,13 @@ def pose(east: float) -> Pose:
 
 
 def test_the_shipped_model_tells_right_from_wrong() -> None:
-    model = AcceptanceModel.beside(None)
-    assert model.of_alignment(RIGHT) > model.of_alignment(CHANGED) > log_odds_of(0.95)
-    assert model.of_alignment(WRONG) < log_odds_of(0.05)
-    assert model.of_matches(100) > log_odds_of(0.99) > log_odds_of(0.5) > model.of_matches(4)
-    assert model.of_matches(0) == -math.inf
+    model = AcceptanceModel.load_beside(None)
+    assert model.alignment_log_odds(RIGHT) > model.alignment_log_odds(CHANGED) > log_odds_of(0.95)
+    assert model.alignment_log_odds(WRONG) < log_odds_of(0.05)
+    assert (
+        model.match_log_odds(100) > log_odds_of(0.99) > log_odds_of(0.5) > model.match_log_odds(4)
+    )
+    assert model.match_log_odds(0) == -math.inf
 
 
 @pytest.mark.parametrize(
@@ -43,14 +45,14 @@ def test_the_shipped_model_tells_right_from_wrong() -> None:
 )
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
     told = Evidence(**{**vars(WRONG), **broken})
-    assert math.isfinite(AcceptanceModel.beside(None).of_alignment(told))
+    assert math.isfinite(AcceptanceModel.load_beside(None).alignment_log_odds(told))
 
 
 @pytest.mark.parametrize("field", vars(RIGHT))
 def test_evidence_that_is_no_number_is_no_evidence(field: str) -> None:
-    model = AcceptanceModel.beside(None)
+    model = AcceptanceModel.load_beside(None)
     told = Evidence(**{**vars(RIGHT), field: math.nan})
-    assert model.of_alignment(told) < model.of_alignment(CHANGED)
+    assert model.alignment_log_odds(told) < model.alignment_log_odds(CHANGED)
 
 
 @pytest.mark.parametrize("probability", [1e-6, 0.3, 0.999])
@@ -92,7 +94,7 @@ def test_certain_poses_do_not_overflow() -> None:
 
 
 def test_matches_that_found_nothing_are_not_rated() -> None:
-    model = AcceptanceModel.beside(None)
+    model = AcceptanceModel.load_beside(None)
     lost = Estimate(Status.FALLBACK, pose(0), inliers=500)
     assert model.rate(lost).probability is None
     found = model.rate(Estimate(Status.OK, pose(0), np.eye(6), inliers=500))
@@ -101,15 +103,15 @@ def test_matches_that_found_nothing_are_not_rated() -> None:
 
 def test_weights_of_a_user_have_a_model_of_their_own(tmp_path: Path) -> None:
     weights = tmp_path / "own.safetensors"
-    shipped = AcceptanceModel.beside(weights)
-    assert shipped == AcceptanceModel.beside(None)
+    shipped = AcceptanceModel.load_beside(weights)
+    assert shipped == AcceptanceModel.load_beside(None)
     numbers = shipped.model_dump() | {"matched": {"bias": -1.0, "inliers": 2.0}}
-    AcceptanceModel.file(weights).write_text(str(numbers).replace("'", '"'))
-    assert AcceptanceModel.beside(weights) == AcceptanceModel.model_validate(numbers)
-    AcceptanceModel.file(weights).write_text("aligned: 3")
+    AcceptanceModel.path_beside(weights).write_text(str(numbers).replace("'", '"'))
+    assert AcceptanceModel.load_beside(weights) == AcceptanceModel.model_validate(numbers)
+    AcceptanceModel.path_beside(weights).write_text("aligned: 3")
     with pytest.raises(InputError, match="aligned"):
-        AcceptanceModel.beside(weights)
-    AcceptanceModel.file(weights).unlink()
-    AcceptanceModel.file(weights).mkdir()
+        AcceptanceModel.load_beside(weights)
+    AcceptanceModel.path_beside(weights).unlink()
+    AcceptanceModel.path_beside(weights).mkdir()
     with pytest.raises(InputError, match="cannot read"):
-        AcceptanceModel.beside(weights)
+        AcceptanceModel.load_beside(weights)

@@ -1,7 +1,8 @@
-"""Which of the poses of matches and of alignments a search believes."""
+"""Which candidates a search aligns, and which of the poses it believes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 import torch
 
+import objconnect.localization.featuremetric.global_search as global_search
 from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.acceptance import log_odds_of
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.refiner import Refiner
+from objconnect.localization.featuremetric.screening import ScreenedCandidate
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -44,17 +47,41 @@ def match(probability: float) -> Estimate:
     )
 
 
-def search(*attempts: Attempt) -> GlobalSearch:
-    """A search of one place, whose refiner gives these attempts in turn."""
+@pytest.fixture(autouse=True)
+def heights(monkeypatch: pytest.MonkeyPatch) -> dict[float, float]:
+    """Heights of peaks by the easting of a candidate; 9 if it is not listed."""
+    listed: dict[float, float] = {}
+
+    def screen(
+        _: Refiner, __: Query, candidates: Sequence[Candidate], ___: Stopwatch
+    ) -> list[ScreenedCandidate]:
+        screened = [ScreenedCandidate(each, listed.get(east(each.pose), 9)) for each in candidates]
+        return sorted(screened, key=lambda each: -each.height)
+
+    monkeypatch.setattr(global_search, "screen_candidates", screen)
+    return listed
+
+
+def east(pose: Pose) -> float:
+    return float(pose.centre()[0])
+
+
+def search(
+    *attempts: Attempt, eastings: Sequence[float] = (80,), starts: list[float] | None = None
+) -> GlobalSearch:
+    """A search with candidates at these eastings, whose refiner gives these attempts in turn."""
     given = iter(attempts)
 
-    def near(*_: Any) -> Attempt:
+    def near(_: Query, start: Pose, *__: Any) -> Attempt:
+        if starts is not None:
+            starts.append(east(start))
         return next(given)
 
-    refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), near=near)
-    places = SimpleNamespace(find=lambda _: [Candidate(at(80), 0.0, By.PLACE)])
+    refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
+    candidates = [Candidate(at(each), 0.0, By.PLACE) for each in eastings]
+    coarse = SimpleNamespace(find=lambda _: candidates)
     return GlobalSearch(
-        cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, places), None
+        cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, coarse), None
     )
 
 
@@ -91,4 +118,25 @@ def test_matches_that_say_another_place_are_not_forgotten() -> None:
 def test_an_inexact_alignment_does_not_lend_its_probability_to_matches_elsewhere() -> None:
     far = align(40, 0.9999, variance=9.0)
     found = answer(match(0.6), far, align(80, 0.01), far)
-    assert found.status is Status.FALLBACK and "known to" in found.reason
+    assert found.status is Status.FALLBACK and "standard deviation" in found.reason
+
+
+def test_after_the_first_candidate_that_with_the_highest_peak_is_aligned(
+    heights: dict[float, float],
+) -> None:
+    heights.update({10: 3.6, 20: 4.0, 30: 8.0, 40: 5.0})
+    starts: list[float] = []
+    attempts = align(10, 0.1), align(30, 0.5), align(40, 0.999), align(40, 0.999)
+    found = search(*attempts, eastings=(10, 20, 30, 40), starts=starts)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.OK
+    # The last alignment is from the pose that is believed.
+    assert starts == [10, 30, 40, 40]
+
+
+def test_candidates_of_low_peaks_are_not_aligned(heights: dict[float, float]) -> None:
+    heights.update({10: 1.0, 20: 8.0, 30: 2.0})
+    starts: list[float] = []
+    attempts = align(10, 0.1), align(20, 0.1)
+    found = search(*attempts, eastings=(10, 20, 30), starts=starts)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.FALLBACK
+    assert starts == [10, 20]

@@ -147,7 +147,8 @@ def test_a_photograph_that_is_gone_by_then_is_named(rendered_copy: Path, tmp_pat
 def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
     images = tmp_path / "images"
     sparse_map = write_map(images)
-    for method, options in (("pixloc", {}), ("objconnect", {"matches": None})):
+    for method, more in (("pixloc", {}), ("objconnect", {"matches": None})):
+        options = {"longest": 128, **more}
         localizer = create(method, options)
         prepare_first(localizer, sparse_map, images, tmp_path / method)
         assert method in list_kinds(tmp_path / method)

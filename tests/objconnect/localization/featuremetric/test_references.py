@@ -93,7 +93,8 @@ def test_kept_on_disk_and_bounded_in_memory(
     monkeypatch.setattr(MapExtractor, "__call__", None)  # the network is not asked again
     one = first[0].nbytes
     monkeypatch.setattr(
-        "objconnect.localization.featuremetric.references.room", lambda _: 2 * one + one // 2
+        "objconnect.localization.featuremetric.references.free_cache_bytes",
+        lambda _: 2 * one + one // 2,
     )
     again = read(made, extract, tmp_path)
     assert len(again) == 5
@@ -116,7 +117,7 @@ def test_other_inputs_are_other_files(
     moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
     kept = MapCache.of(sparse_map, images, tmp_path)
     source = ReferenceSource(kept, extract, "key", "method", 100)
-    load_references(replace(source, kept=replace(kept, sparse_map=moved)), 2**30)
+    load_references(replace(source, map_cache=replace(kept, sparse_map=moved)), 2**30)
     load_references(replace(source, extractor_key="other"), 2**30)
     load_references(replace(source, corners=CORNERS), 2**30)
     # The last has a file of corners beside it.
@@ -144,8 +145,10 @@ def test_what_an_added_photograph_does_not_change_is_copied(
     kept = MapCache.of(whole, images, tmp_path / "cache")
     source = ReferenceSource(kept, extract, "key", "method", 100, corners)
     before = MapCache.of(without_the_last(whole), images, tmp_path / "cache")
-    load_references(replace(source, kept=before), 2**30)
-    alone = load_references(replace(source, kept=replace(kept, folder=tmp_path / "alone")), 2**30)
+    load_references(replace(source, map_cache=before), 2**30)
+    alone = load_references(
+        replace(source, map_cache=replace(kept, folder=tmp_path / "alone")), 2**30
+    )
     asked = []
 
     def count(of: MapExtractor, *args: Any) -> Any:

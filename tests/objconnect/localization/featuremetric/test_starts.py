@@ -54,7 +54,7 @@ def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str
     assert_right(localizer.localize(replace(QUERY, prior=PRIORS[told])))
 
 
-MODEL = AcceptanceModel.beside(None)
+MODEL = AcceptanceModel.load_beside(None)
 NO_ALIGNMENT = {"bias": -20, "peak": 0, "halves": 0, "curvature": 0}
 MATCHED: dict[str, dict[str, Any]] = {
     "many": {"matched_answer_inliers": 20},

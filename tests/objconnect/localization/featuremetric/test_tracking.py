@@ -142,7 +142,7 @@ def test_the_middle_of_a_view_is_where_it_was(model: str) -> None:
     lens = () if model == "PINHOLE" else (-0.1, 0.02, 1e-3, -2e-3)
     camera = Camera(model, 256, 192, (220.0, 224.0, 126.0, 98.0, *lens))
     whole = warp_image(photograph(TRUTH), camera, 0.5)
-    part = whole.middle(180)
+    part = whole.crop_middle(180)
     assert (part.camera.width, part.camera.height) == part.picture.shape[1::-1] == (180, 180)
     wide, high = whole.camera.width, whole.camera.height
     corner: NDArray[np.int64] = np.array([(wide - 180) // 2, (high - 180) // 2])
@@ -152,4 +152,4 @@ def test_the_middle_of_a_view_is_where_it_was(model: str) -> None:
     xy = whole.camera.project(points).xy.numpy()
     np.testing.assert_allclose(part.camera.project(points).xy.numpy(), xy - corner, atol=1e-9)
     np.testing.assert_allclose(part.in_photograph(xy - corner), whole.in_photograph(xy))
-    assert whole.middle(max(wide, high)) is whole
+    assert whole.crop_middle(max(wide, high)) is whole

@@ -107,9 +107,9 @@ def cameras_at(centres: NDArray[np.float64]) -> SparseMap:
 def test_near_ignores_altitude() -> None:
     viewpoints = Viewpoints(cameras_at(np.array([[0.0, 0, 0], [10, 0, 100], [20, 0, 500]])))
     position = np.array([14.0, 0, 0])
-    assert viewpoints.near(position, 3).tolist() == [1, 2, 0]
+    assert viewpoints.nearest(position, 3).tolist() == [1, 2, 0]
     for up in (-1e4, 1e4):
-        assert viewpoints.near(position + np.array([0, 0, up]), 3).tolist() == [1, 2, 0]
+        assert viewpoints.nearest(position + np.array([0, 0, up]), 3).tolist() == [1, 2, 0]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_an_unsure_position_leaves_what_looks_alike(
 
 
 def test_near_in_a_small_map() -> None:
-    assert Viewpoints(cameras_at(np.zeros((2, 3)))).near(np.ones(3), 5).tolist() == [0, 1]
+    assert Viewpoints(cameras_at(np.zeros((2, 3)))).nearest(np.ones(3), 5).tolist() == [0, 1]
 
 
 def test_words_are_found_in_some_of_many_descriptors(
@@ -162,5 +162,5 @@ def test_photographs_that_show_the_same_north_up_come_first() -> None:
     ground = np.random.default_rng(0).uniform(-200, 200, (300, 3)) * [1, 1, 0]
     sparse_map = map_of(poses, ground)
     viewpoints = Viewpoints(sparse_map)
-    found = viewpoints.alike(np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 5)
+    found = viewpoints.most_similar(np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 5)
     assert [sparse_map.names[row] for row in found] == ["a", "d", "b", "c", "0"]

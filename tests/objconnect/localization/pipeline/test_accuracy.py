@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from objconnect.localization.pipeline.accuracy import combine_accuracies
 from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
 from objconnect.localization.pipeline.disagreement import measure_disagreement, warn_of_disagreement
-from objconnect.scene.bundle.georeference import EXACT, Georeference
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
+from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.localizer import Estimate, Prior, Status
 from tests.objconnect.localization.pipeline.test_answers import looking

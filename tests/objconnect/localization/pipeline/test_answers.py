@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import objconnect.methods
 from objconnect.ingestion.attitude import gimbal_angles, gimbal_pose
 from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
-from objconnect.scene.bundle.georeference import EXACT
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.geometry.pose import Pose

@@ -158,7 +158,7 @@ def test_nothing_to_localize_or_nowhere(
     assert "is no map" in run(empty, photographs, tmp_path / "p.txt").stderr
     (made_flight / "origin.json").write_text('{"lat": "north"}')
     answer = run(made_flight, photographs, tmp_path / "p.txt")
-    assert "must hold numbers lat, lon and alt" in answer.stderr
+    assert "must hold numbers lat, lon (degrees) and alt" in answer.stderr
 
 
 def test_the_risk_is_that_of_the_search(

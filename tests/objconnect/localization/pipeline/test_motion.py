@@ -24,19 +24,19 @@ def fly(seconds: float, yaw_rate: float = 10.0, velocity: tuple[float, ...] = (6
 def track(until: int, **how: object) -> Motion:
     motion = Motion.begin(0.0, fly(0.0, **how), EXACT, OPTIONS)
     for k in range(1, until):
-        motion = motion.after(0.5 * k, OPTIONS).correct(fly(0.5 * k, **how), EXACT, OPTIONS)
+        motion = motion.predict(0.5 * k, OPTIONS).correct(fly(0.5 * k, **how), EXACT, OPTIONS)
     return motion
 
 
 def test_an_even_motion_is_predicted() -> None:
     motion = track(20)
-    predicted = motion.after(10.0, OPTIONS)
+    predicted = motion.predict(10.0, OPTIONS)
     metres, degrees = predicted.pose.error_to(fly(10.0))
 
     assert float(metres) < 0.05 and float(degrees) < 0.1
     np.testing.assert_allclose(motion.velocity, [6, -3, 1], atol=0.05)
     # A turn clockwise from above is negative about up.
-    np.testing.assert_allclose(np.degrees(motion.turn), [0, 0, -10], atol=0.1)
+    np.testing.assert_allclose(np.degrees(motion.turn_rate), [0, 0, -10], atol=0.1)
 
 
 def test_covariance_of_a_prediction_is_that_of_the_equations() -> None:
@@ -49,7 +49,7 @@ def test_covariance_of_a_prediction_is_that_of_the_equations() -> None:
         least_sigma_m=0.3,
         least_sigma_deg=0.4,
     )
-    motion = Motion.begin(1.0, fly(0.0), 0.16 * np.eye(6), options).after(3.0, options)
+    motion = Motion.begin(1.0, fly(0.0), 0.16 * np.eye(6), options).predict(3.0, options)
 
     assert motion.sigma_m == pytest.approx(np.sqrt(0.16 + 0.09 + (5 * 2) ** 2 + 4 * 16 / 4))
     degrees = np.degrees(np.sqrt(0.16)) ** 2 + 0.4**2 + (10 * 2) ** 2 + 20**2 * 16 / 4
@@ -95,7 +95,7 @@ def test_an_uneven_motion_stays_within_its_covariance() -> None:
         if motion is None:
             motion = Motion.begin(float(time), pose, EXACT, OPTIONS)
             continue
-        motion = motion.after(float(time), OPTIONS)
+        motion = motion.predict(float(time), OPTIONS)
         distances.append(motion.distance(pose, EXACT, OPTIONS))
         motion = motion.correct(pose, EXACT, OPTIONS)
     assert np.quantile(distances, 0.99) < 22.5

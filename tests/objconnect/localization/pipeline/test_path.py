@@ -13,11 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
+from benchmark.gate.scene import GATE_SCENES
 from objconnect.localization.align import aligner
 from objconnect.localization.align.descent import descend
 
 ROOT = Path(__file__).parents[4]
-GATE = ROOT / "tests" / "data" / "gate-snow"
+GATE = GATE_SCENES["gate-snow"]
 NAME = "same/images/000000.jpg"
 COMMAND = "benchmark/cli/localization.py"
 MOST = 9

@@ -16,7 +16,8 @@ import pytest
 
 import objconnect.methods
 from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
-from objconnect.scene.bundle.georeference import EXACT, Georeference
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
+from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.geo.crs import Projection, geoid_undulation
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.localizer import Estimate, Status

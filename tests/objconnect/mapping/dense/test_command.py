@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from objconnect.mapping.dense.command import DENSE, KEY, UNFINISHED, _resumable, dense
+from objconnect.mapping.dense.command import DENSE, KEY_FILE, UNFINISHED, _resumable, dense
 from objconnect.mapping.dense.options import DenseOptions
 from objconnect.mapping.dense.report import DenseReport
 from objconnect.mapping.dense.sources import choose_sources, seeds_in
@@ -70,7 +70,7 @@ def test_the_cloud_lies_on_the_surface(scene_and_report: tuple[Scene, DenseRepor
     assert report.points == len(cloud) > 500
     assert np.median(cloud["normal"][:, 2]) > 0.9
     frames = scene.frames("summer-noon-nadir-map")
-    with scene.dense("summer-noon-nadir-map") as layers:
+    with scene.layers("summer-noon-nadir-map") as layers:
         depth = layers.read("depth", 5)
     pose = frames.cam_from_world[5]
     local = cloud["xyz"] @ pose[:3, :3].T + pose[:3, 3]
@@ -228,14 +228,16 @@ def test_the_options_are_recorded(tmp_path: Path) -> None:
     before = {"map": "sha256", "size": 96}
     key = {**before, "options": DenseOptions().model_dump(mode="json"), "device": "cpu"}
     other = DenseOptions(confirmed=3).model_dump(mode="json")
-    (tmp_path / KEY).write_text(json.dumps(before))
+    (tmp_path / KEY_FILE).write_text(json.dumps(before))
     assert _resumable(tmp_path, key).is_same()
-    (tmp_path / KEY).write_text(json.dumps({**before, "options": {"agreement": key["options"]}}))
+    (tmp_path / KEY_FILE).write_text(
+        json.dumps({**before, "options": {"agreement": key["options"]}})
+    )
     assert _resumable(tmp_path, key).is_same()
     assert not _resumable(tmp_path, {**key, "options": other}).is_same()
     assert not _resumable(tmp_path, {**key, "device": "cuda:0"}).is_same()
     assert not _resumable(tmp_path, {**key, "size": 97}).is_same()
-    (tmp_path / KEY).write_text('{"map"')
+    (tmp_path / KEY_FILE).write_text('{"map"')
     assert not _resumable(tmp_path, key).is_same()
 
 

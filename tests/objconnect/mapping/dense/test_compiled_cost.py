@@ -9,7 +9,7 @@ import torch
 from objconnect.mapping.dense import patchmatch
 from objconnect.mapping.dense.compiled_cost import CompiledPhotometry
 from objconnect.mapping.dense.patchmatch import first_estimate
-from objconnect.mapping.dense.photometry import WORST, Photometry
+from objconnect.mapping.dense.photometry import WORST_COST, Photometry
 from objconnect.mapping.dense.warp import StereoView
 from tests.objconnect.mapping.dense.made_views import (
     REFERENCE,
@@ -63,7 +63,7 @@ def test_costs_are_those_of_torch(maps: list[torch.Tensor] | None, threads: int)
         torch.set_num_threads(before)
     # Where a point lies between two pixels of a map, rounding decides which is read.
     assert ((costs[1] - costs[0]).abs() < 2e-4).double().mean() > 0.999
-    assert (costs[0] < 0.1).any() and (costs[0] >= WORST).any()
+    assert (costs[0] < 0.1).any() and (costs[0] >= WORST_COST).any()
 
 
 def test_what_is_not_below_a_bound_may_be_left_out() -> None:
@@ -85,7 +85,7 @@ def test_planes_that_are_no_numbers_cost_most() -> None:
     planes = some_planes(1)
     planes[0, ::3], planes[1, 1::3] = torch.nan, torch.inf
     cost = photometry.cost(window, planes)
-    assert (cost[::3] == WORST).all()
+    assert (cost[::3] == WORST_COST).all()
 
 
 def test_without_numba_torch_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,6 +96,6 @@ def test_without_numba_torch_computes_the_same(monkeypatch: pytest.MonkeyPatch) 
         return first_estimate(REFERENCE, SOURCES, seeds, generator).planes
 
     compiled = planes()
-    monkeypatch.setattr(patchmatch, "loops_serve", lambda device: False)
+    monkeypatch.setattr(patchmatch, "supports_loops", lambda device: False)
     assert patchmatch._photometry(torch.device("cpu")) is Photometry
     assert ((planes()[0] / compiled[0] - 1).abs() < 1e-3).double().mean() > 0.9

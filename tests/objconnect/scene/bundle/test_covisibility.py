@@ -8,7 +8,7 @@ import pytest
 
 from objconnect.scene.bundle.covisibility import (
     Covisibility,
-    overlap_matrix,
+    mutual_overlap,
     read_covisibility,
     surface_points,
     visible_share,
@@ -43,7 +43,7 @@ def test_overlap_of_a_strip_of_flat_ground() -> None:
     poses = np.stack([looking_down(east) for east in (0.0, 10.0, 100.0)])
     depth = np.full((60, 80), 40.0, np.float32)
     points = np.stack([surface_points(CAMERA, pose, depth, 16) for pose in poses])
-    shares = overlap_matrix([CAMERA] * 3, poses, points)
+    shares = mutual_overlap([CAMERA] * 3, poses, points)
     assert shares[0, 1] == pytest.approx(0.75, abs=0.07)
     assert shares[0, 2] == shares[1, 2] == 0
     np.testing.assert_array_equal(shares, shares.T)
@@ -53,7 +53,7 @@ def test_overlap_of_a_strip_of_flat_ground() -> None:
 def test_a_picture_of_nothing_overlaps_nothing() -> None:
     poses = np.stack([looking_down(0.0)] * 2)
     points = np.full((2, 4, 3), np.nan)
-    np.testing.assert_array_equal(overlap_matrix([CAMERA] * 2, poses, points), 0)
+    np.testing.assert_array_equal(mutual_overlap([CAMERA] * 2, poses, points), 0)
 
 
 def under_a_block() -> np.ndarray:
@@ -74,7 +74,7 @@ def test_what_is_hidden_is_not_seen() -> None:
     # The first sees all that the second sees: the top of the block lies before its ground.
     assert shares[1, 0] == 1
     assert shares[0, 1] == pytest.approx(1 - hidden, abs=0.03)
-    assert overlap_matrix([CAMERA] * 2, poses, points)[0, 1] == 1
+    assert mutual_overlap([CAMERA] * 2, poses, points)[0, 1] == 1
 
 
 def test_covisibility_comes_back_from_disk(tmp_path: Path) -> None:

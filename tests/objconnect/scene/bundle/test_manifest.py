@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from objconnect.scene.bundle.georeference import EXACT, Georeference
+from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
+from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.bundle.manifest import (
     Manifest,
     Objects,

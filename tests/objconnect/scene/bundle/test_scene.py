@@ -56,7 +56,7 @@ def test_everything_is_read_back(scene: Path) -> None:
     assert opened.name == "my scene"
     assert list(opened.sessions) == [SESSION]
     assert_equal(opened.frames(SESSION), make_frames(2))
-    with opened.dense(SESSION) as dense:
+    with opened.layers(SESSION) as dense:
         assert (dense.read("depth", 1) == make_layers(1)["depth"]).all()
     assert opened.splits.map == make_frames(1).names
     assert opened.objects.objects == ()

@@ -37,7 +37,7 @@ FISHEYE = Camera("OPENCV_FISHEYE", 320, 320, (200.0, 202.0, 150.0, 165.0, 0.05, 
 def surface_point(scene: Scene, session: str = SESSION) -> tuple[Array, Array]:
     """A point of the first frame's depth map in the world, and its (x, y) = (X/Z, Y/Z)."""
     frames = scene.frames(session)
-    with scene.dense(session) as dense:
+    with scene.layers(session) as dense:
         depth = dense.read("depth", 0)
     row, column = np.argwhere(depth > 0)[-40]
     (fx, fy), (cx, cy) = frames.cameras[0].focal, frames.cameras[0].principal
@@ -239,7 +239,7 @@ def test_colmap_holds_every_coefficient(rendered_copy: Path, tmp_path: Path) -> 
 def test_photographs_of_one_name_are_refused(
     rendered: Scene, tmp_path: Path, file_format: str
 ) -> None:
-    with pytest.raises(InputError, match="have one file name"):
+    with pytest.raises(InputError, match="have the same file name"):
         export(rendered.path, file_format, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -253,7 +253,7 @@ def test_nerfstudio_has_depth(rendered: Scene, tmp_path: Path) -> None:
         f for f in document["frames"] if f["file_path"].endswith(f"{SESSION}/images/000003.jpg")
     )
     depth = np.load(tmp_path / "out" / frame["depth_file_path"]) * 0.001
-    with rendered.dense(SESSION) as dense:
+    with rendered.layers(SESSION) as dense:
         np.testing.assert_allclose(depth, dense.read("depth", 3), rtol=1e-6)
     assert depth.max() > 10
 

@@ -39,7 +39,7 @@ def with_cameras(path: Path, session: str, cameras: list[Camera]) -> Scene:
     scene = Scene.open(path)
     frames = scene.frames(session)
     turns = tuple(cameras[k % len(cameras)] for k in range(len(frames)))
-    with scene.dense(session) as dense:
+    with scene.layers(session) as dense:
         layers = [{layer: dense.read(layer, k) for layer in LAYERS} for k in range(len(frames))]
     write_frames(
         path / "sessions" / session / "frames.h5",
@@ -89,7 +89,7 @@ def test_nerfstudio_projects_a_known_point(rendered: Scene, tmp_path: Path) -> N
     assert len(document["frames"]) == len(poses)
     for session in rendered.sessions:
         frames = rendered.frames(session)
-        with rendered.dense(session) as dense:
+        with rendered.layers(session) as dense:
             depth = dense.read("depth", 0)
         entry = next(f for f in document["frames"] if f["file_path"].endswith(frames.names[0]))
         photograph = (tmp_path / "out" / entry["file_path"]).resolve()

@@ -83,11 +83,20 @@ def test_without_a_fix_a_drone_writes_zeros(made: Path, tmp_path: Path) -> None:
     assert [item.place is None for item in flight] == [False, True, False]
 
 
-@pytest.mark.parametrize("times", [(0.0, 1.0, 3.0), (0.0, np.nan, 2.0), (2.0, 1.0, 0.0)])
+@pytest.mark.parametrize(
+    ("times", "why"),
+    [
+        ((0.0, 1.0, 3.0), "not taken at one rate"),
+        ((0.0, np.nan, 2.0), "without a time"),
+        ((2.0, 1.0, 0.0), "not in the order of their times"),
+        ((0.0, 61.0, 122.0), "taken 61 s apart"),
+        ((0.0, 0.001, 0.002), "taken 0.001 s apart"),
+    ],
+)
 def test_uneven_times_are_refused(
-    made: Path, tmp_path: Path, times: tuple[float, float, float]
+    made: Path, tmp_path: Path, times: tuple[float, float, float], why: str
 ) -> None:
     change(made, time=np.array(times))
-    with pytest.raises(InputError, match="not taken at one rate"):
+    with pytest.raises(InputError, match=why):
         export(made, "video", tmp_path / "out", [SESSION])
     assert not (tmp_path / "out").exists()

@@ -266,7 +266,7 @@ def test_a_world_file_beside(tmp_path: Path, numbers: str, agrees: bool, end: st
     if agrees:
         assert Raster.open(path, "orthophoto").grid.left == 500_000.0
     else:
-        with pytest.raises(InputError, match="name two places"):
+        with pytest.raises(InputError, match="state different positions"):
             Raster.open(path, "orthophoto")
 
 

@@ -264,9 +264,9 @@ def test_keys_that_gdal_leaves_out(tmp_path: Path, egm96: float, key: int, says:
     "crs",
     [
         "EPSG:25832+5783",
-        "EPSG:25832+7837",
-        "EPSG:2180+5705",
-        "EPSG:6339+5703",
+        pytest.param("EPSG:25832+7837", marks=pytest.mark.thorough),
+        pytest.param("EPSG:2180+5705", marks=pytest.mark.thorough),
+        pytest.param("EPSG:6339+5703", marks=pytest.mark.thorough),
         "EPSG:6339+6360",
         "EPSG:7415",
         "EPSG:25832+5831",

@@ -51,6 +51,7 @@ def test_a_place_and_its_height(line: str, system: str, unit: float) -> None:
         ("EPSG:2256", "unit of heights is unknown .*in foot"),
         (STATE_PLANE, "unit of heights is unknown .*US survey foot"),
         ("EPSG:26849 +vunits=fathom", r"\+vunits=fathom is no unit of length"),
+        ("EPSG:26849 +vto_meter=0", r"\+vto_meter=0 is no positive number"),
         ("EPSG:26849 +vunits=m +vto_meter=2", "contradict each other"),
         ("EPSG:7415 +vunits=ft", "has heights of its own|need the grid"),
         ("WGS84 UTM 61N", "UTM has no zone 61"),

@@ -45,6 +45,22 @@ def test_grid_and_values(dsm: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("dtype", "says"),
+    [
+        ("uint16", r"type uint16: gdal_translate -ot Byte -scale makes 8 bits$"),
+        ("float32", r"type float32: gdal_translate -a_nodata 0 .* 1 255 .*undeclared NaN would"),
+    ],
+)
+def test_orthophotos_of_other_types_are_told_how_to_convert(
+    tmp_path: Path, dtype: str, says: str
+) -> None:
+    path = write(tmp_path / "ortho.tif", np.ones((3, 6, 8), dtype), photometric="RGB")
+    with pytest.raises(InputError, match=says) as error:
+        Raster.open(path, "orthophoto")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
     ("crs", "left", "top"),
     [
         ("EPSG:32632", 5_200_000, 500_000),  # exchanged

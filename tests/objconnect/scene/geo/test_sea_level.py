@@ -40,4 +40,4 @@ def test_sea_level_becomes_the_ellipsoid(
     raw.write(tmp_path / "a.jpg", (40, 30), raw.exif({}, gps))
     exif = above_ellipsoid(read_exif(tmp_path / "a.jpg"), given)
     assert exif.position is not None and exif.position.altitude == pytest.approx(altitude)
-    assert bool(exif.doubts) is doubted and exif.is_above_sea is doubted
+    assert bool(exif.doubts) is doubted and exif.refers_to_sea_level is doubted

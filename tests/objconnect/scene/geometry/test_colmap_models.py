@@ -9,7 +9,12 @@ import torch
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import MODELS, Camera
-from objconnect.scene.geometry.colmap_models import MODEL_IDS, READ, equal_model, parameter_count
+from objconnect.scene.geometry.colmap_models import (
+    CONVERTIBLE_MODELS,
+    MODEL_IDS,
+    equal_model,
+    parameter_count,
+)
 
 FOCAL = (500.0, 510.0)
 MIDDLE = (322.0, 237.5)
@@ -31,7 +36,7 @@ def test_names_and_counts_are_colmaps() -> None:
     for name, native in known.items():
         number = int(native.value) if hasattr(native, "value") else int(native)
         assert MODEL_IDS[number] == name
-        if name in READ or name in MODELS:
+        if name in CONVERTIBLE_MODELS or name in MODELS:
             made = pycolmap.Camera.create_from_model_name(0, name, 500.0, 640, 480)
             assert (parameter_count(name) or len(MODELS[name])) == len(made.params)
 

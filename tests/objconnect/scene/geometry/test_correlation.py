@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from objconnect.scene.geometry.correlation import count_neighbours
+from objconnect.scene.geometry.correlation import estimate_correlation
 
 SIDE, REACH, COUNT = 1000.0, 120.0, 500
 
@@ -40,14 +40,21 @@ def fit(
     flat = jacobian.reshape(-1, 4)
     found = np.linalg.lstsq(flat, errors.ravel(), rcond=None)[0]
     residuals = errors - (flat @ found).reshape(-1, 2)
-    pairs = count_neighbours(xy, residuals, jacobian, reach)
+    pairs = estimate_correlation(xy, residuals, jacobian, reach)
     variance = (residuals**2).sum() / (2 * len(xy) - 4)
     inverse = np.linalg.inv(flat.T @ flat)
     added = inverse @ pairs.information @ inverse * pairs.correlation
     return found, pairs.correlation, variance * inverse, variance * (inverse + added)
 
 
-@pytest.mark.parametrize(("share", "alone"), [(0.0, 1.0), (0.15, 1.68), (0.4, 2.81)])
+@pytest.mark.parametrize(
+    ("share", "alone"),
+    [
+        pytest.param(0.0, 1.0, marks=pytest.mark.thorough),
+        pytest.param(0.15, 1.68, marks=pytest.mark.thorough),
+        (0.4, 2.81),
+    ],
+)
 def test_covariances_are_those_of_alike_errors(share: float, alone: float) -> None:
     """Over many draws of 500 residuals: the mean NEES of four parameters is four.
 
@@ -82,7 +89,7 @@ def test_pairs_are_all_pairs() -> None:
     t = np.minimum(np.linalg.norm(xy[:, None] - xy[None], axis=2) / REACH, 1)
     weight = (1 - 1.5 * t + 0.5 * t**3) - np.eye(700)
     expected = sum(jacobian[:, axis].T @ weight @ jacobian[:, axis] for axis in range(2))
-    pairs = count_neighbours(xy, residuals, jacobian, REACH)
+    pairs = estimate_correlation(xy, residuals, jacobian, REACH)
     np.testing.assert_allclose(pairs.information, expected, atol=1e-8)
 
 
@@ -90,4 +97,4 @@ def test_residuals_that_differ_from_their_neighbours_add_nothing() -> None:
     xy = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), -1).reshape(-1, 2)
     board = np.where((xy.sum(1) % 2) == 0, 1.0, -1.0)
     residuals = np.stack([board, board], 1)
-    assert count_neighbours(xy, residuals, lines(xy), 3.0).correlation == 0
+    assert estimate_correlation(xy, residuals, lines(xy), 3.0).correlation == 0

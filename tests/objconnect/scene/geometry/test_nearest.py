@@ -36,5 +36,5 @@ def test_as_all_looked_at(count: int, k: int, kind: str) -> None:
 
 
 def test_nowhere() -> None:
-    with pytest.raises(ValueError, match="the place must be finite"):
+    with pytest.raises(ValueError, match="the point must be finite"):
         Nearest(np.zeros((3, 2)))(np.array([0, np.nan]), 1)

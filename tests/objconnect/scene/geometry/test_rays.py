@@ -22,7 +22,7 @@ def turn(degrees: float) -> NDArray[np.float64]:
 
 
 def test_exact_rays_meet_exactly() -> None:
-    np.testing.assert_allclose(rays().meet(), PLACE, atol=1e-9)
+    np.testing.assert_allclose(rays().intersect(), PLACE, atol=1e-9)
     assert rays().consensus(1, 5).tolist() == [0, 1, 2, 3, 4]
 
 
@@ -34,7 +34,7 @@ def test_two_of_five_wrong_rays_are_left_out() -> None:
     wrong = Rays(good.origins, directions, good.rotations)
     chosen = wrong.consensus(2, 5)
     assert chosen.tolist() == [0, 2, 4]
-    np.testing.assert_allclose(wrong[chosen].meet(), PLACE, atol=1e-9)
+    np.testing.assert_allclose(wrong[chosen].intersect(), PLACE, atol=1e-9)
 
 
 def test_a_reference_that_disagrees_on_the_attitude_is_left_out() -> None:
@@ -58,7 +58,7 @@ def test_fewer_than_two_say_nothing(number: int) -> None:
 def test_references_in_line_with_the_place_say_nothing() -> None:
     line = np.array([[0.0, 0, 50], [10, 0, 50], [20, 0, 50]])
     one = rays(line, np.array([35.0, 0.5, 50]))
-    assert one.widest_deg() < 2
+    assert one.widest_angle_deg() < 2
     assert not len(one.consensus(5, 5))
 
 
@@ -68,7 +68,7 @@ def test_the_nearer_of_two_noisy_rays_counts_for_more() -> None:
     good = rays(origins, np.zeros(3))
     directions = good.directions.copy()
     directions[2] = directions[2] @ turn(0.5)
-    off = np.linalg.norm(Rays(origins, directions, good.rotations).meet())
+    off = np.linalg.norm(Rays(origins, directions, good.rotations).intersect())
     assert off < 0.02
 
 

@@ -17,8 +17,8 @@ from objconnect.scene.geometry.views import (
     map_angle,
     north_angle,
     roll_rotation,
+    rotate_north_up,
     tilt,
-    upright,
     warp_image,
 )
 from objconnect.scene.maps.features import Features
@@ -54,7 +54,7 @@ def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
 def test_a_camera_turned_about_its_axis_looks_at_the_same(heading: float) -> None:
     tilt = so3_exp(torch.tensor([np.radians(-20.0), 0.1, 0.0], dtype=torch.float64)).numpy()
     rotation = tilt @ turn_by(70)
-    other = roll_rotation(-heading) @ upright(rotation)
+    other = roll_rotation(-heading) @ rotate_north_up(rotation)
     assert north_angle(other) == pytest.approx(heading, abs=1e-9)
     np.testing.assert_allclose(other[2], rotation[2])
 

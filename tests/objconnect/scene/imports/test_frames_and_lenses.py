@@ -104,7 +104,7 @@ def test_applied_scale_is_undone(tmp_path: Path) -> None:
         document["frames"][0]["transform_matrix"]
     ).T.tolist()
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match="does not end with the row 0 0 0 1: is it transposed"):
+    with pytest.raises(InputError, match="does not end with the row 0 0 0 1: transpose it"):
         read_foreign(path)
 
 
@@ -127,7 +127,10 @@ EMPTY = "<sensor id='7' label='x'><calibration type='frame' class='adjusted'/></
         (("<scale>20.0</scale>", ""), "transform of component '' has no scale"),
         (("<scale>20.0</scale>", "<scale>-1</scale>"), "the scale of component must be positive"),
         (("<translation>", "<t>"), "has no translation"),
-        (("</chunk></document>", "</chunk><chunk>C</chunk></document>"), "2 chunks, each in a"),
+        (
+            ("</chunk></document>", "</chunk><chunk>C</chunk></document>"),
+            "2 chunks, each with its own",
+        ),
         (("</cameras>", "B</cameras>"), "in a component without a transform"),
     ],
 )
@@ -161,7 +164,7 @@ def test_local_components_are_not_one_frame(tmp_path: Path) -> None:
     text = text.replace("</components>", f"<component id='4'>{inner[0]}</component></components>")
     camera = f"<camera id='77' sensor_id='0' component_id='4' label='y'><transform>{matrix}"
     path.write_text(text.replace("</cameras>", f"{camera}</transform></camera></cameras>"))
-    with pytest.raises(InputError, match="in 2 components, which nothing places in one frame"):
+    with pytest.raises(InputError, match="in 2 components, which have no common frame"):
         read_foreign(path)
 
 

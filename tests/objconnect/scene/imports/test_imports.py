@@ -272,7 +272,7 @@ def test_tables_of_positions(tmp_path: Path) -> None:
         (
             "a.json",
             '[{"cameras":{},"shots":{"a":{"rotation":[0,0,0],"translation":[0,0,0],"camera":"x"}}}]',
-            "camera 'x', which is not there",
+            "camera 'x', which the file lacks",
         ),
         ("a.json", "[1", "not valid JSON"),
         ("a.json", '{"frames": []}', "no photograph with a pose"),
@@ -280,7 +280,7 @@ def test_tables_of_positions(tmp_path: Path) -> None:
             "a.json",
             '{"frames": [{"file_path": "a", "transform_matrix": '
             "[[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}",
-            "no rotation matrix",
+            "is scaled, sheared or mirrored",
         ),
         ("a.xml", "<document/>", "has no chunk"),
         ("a.xml", "<document>", "not valid XML"),
@@ -288,7 +288,7 @@ def test_tables_of_positions(tmp_path: Path) -> None:
         (
             "a.xml",
             "<d><chunk><camera label='a'><transform>1 2</transform></camera></chunk></d>",
-            "must be 16 numbers",
+            "must be 16 finite numbers",
         ),
         ("a.txt", "1 2 3\n", "expected the numbers timestamp"),
         ("a.txt", "1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "'1' is listed twice"),

@@ -164,7 +164,7 @@ def test_a_frame_is_stated_of_a_file_that_leaves_it_open(
     del document[0]["reference_lla"]
     path.write_text(json.dumps(document))
     assert read_foreign(path).origin is None
-    with pytest.raises(InputError, match="no place in reference_lla, and is placed by GPS: leave"):
+    with pytest.raises(InputError, match="no position in reference_lla, and GPS places it: leave"):
         read_foreign(path, "projected")
     with pytest.raises(
         InputError, match=r"not a reconstruction\.json of ODM or OpenSfM: leave out"
@@ -242,7 +242,7 @@ def test_opensfm_without_gps_is_nowhere_on_earth(
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        ({"focal_x": 3200.0, "focal_y": 3200.0}, "focal 3200 is not in longer sides"),
+        ({"focal_x": 3200.0, "focal_y": 3200.0}, "focal 3200 is not in units of"),
         ({"c_x": 0.7}, "c_x puts the principal point"),
         ({"c_y": 1500.0}, "c_y puts the principal point"),
     ],

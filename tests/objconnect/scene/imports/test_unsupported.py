@@ -34,7 +34,7 @@ LENS = {"projection_type": "brown", "width": 5472, "height": 3648, "focal_x": 0.
 def test_it_is_named(tmp_path: Path, name: str, text: str, message: str) -> None:
     path = tmp_path / name
     path.write_text(text)
-    with pytest.raises(InputError, match=f"is no file of poses that is known: it is .*{message}"):
+    with pytest.raises(InputError, match=f"is not supported as a file of poses: it is .*{message}"):
         read_foreign(path)
 
 
@@ -58,5 +58,5 @@ def test_cameras_of_gaussian_splatting(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses.positions, [[1, 2, 50]])
     np.testing.assert_allclose(poses.cam_from_world[0, 2, :3], ahead, atol=1e-12)
     path.write_text(json.dumps([entry | {"rotation": np.diag([1.0, -1.0, 1.0]).tolist()}]))
-    with pytest.raises(InputError, match="the pose of 'a' has no rotation matrix"):
+    with pytest.raises(InputError, match="the rotation of 'a' is scaled, sheared or mirrored"):
         read_foreign(path)

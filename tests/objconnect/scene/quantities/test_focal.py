@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from objconnect.scene.quantities.focal import FocalLength, Lens, is_turned, read_focal
+from objconnect.scene.quantities.focal import FocalLength, Lens, is_rotated, read_focal
 
 # 8.8 mm on 13.2 mm of 5472 pixels: 24 mm of film.
 PLANE = {
@@ -52,12 +52,12 @@ def test_a_program_that_updates_the_width_alone(plane: dict[str, object]) -> Non
 
 def test_the_camera_s_own_file_with_a_second_source() -> None:
     assert read((5472, 3648), PLANE, FILM).reading.value == TRUE
-    sized = Lens(0.6667, sized=True)
-    assert read((5472, 3648), PLANE, lens=sized).reading.value == TRUE
+    size_confirmed = Lens(0.6667, size_confirmed=True)
+    assert read((5472, 3648), PLANE, lens=size_confirmed).reading.value == TRUE
     # Two numbers of pixels are wrong by one factor where the size is.
-    both = read((1000, 667), PLANE, SMALL, lens=Lens(0.6667 * 5.472, sized=False))
+    both = read((1000, 667), PLANE, SMALL, lens=Lens(0.6667 * 5.472, size_confirmed=False))
     assert not both.reading.is_known
-    assert not both.agrees
+    assert not both.calibration_applies
 
 
 @pytest.mark.parametrize("size", [(5472, 3078), (2736, 2736), (1000, 562), (1000, 1000)])
@@ -106,7 +106,7 @@ def test_nothing_is_no_doubt() -> None:
 def test_a_panorama_has_no_focal_length(parts: list[dict[str, object]]) -> None:
     """No sensor is so wide; the number for film is that of the pictures it was made of."""
     found = read((8000, 2000), *parts)
-    assert not found.reading.is_known and not found.agrees and not found.candidates
+    assert not found.reading.is_known and not found.calibration_applies and not found.candidates
     assert "panorama" in found.reading.why
 
 
@@ -132,5 +132,5 @@ def test_resolutions_of_two_sizes_contradict_each_other() -> None:
 def test_pictures_that_were_turned(
     size: tuple[int, int], orientation: int | None, turned: bool
 ) -> None:
-    assert is_turned(PLANE, size, orientation) is turned
-    assert not is_turned({}, size, orientation)
+    assert is_rotated(PLANE, size, orientation) is turned
+    assert not is_rotated({}, size, orientation)

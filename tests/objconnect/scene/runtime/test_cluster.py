@@ -65,7 +65,7 @@ def test_a_killed_node_loses_and_doubles_nothing(two_nodes: TwoNodes) -> None:
 
 
 def test_workers_keep_their_copy_of_the_work(two_nodes: TwoNodes) -> None:
-    two_nodes.have(2)
+    two_nodes.set_node_count(2)
     told_to_end = signal.getsignal(signal.SIGTERM)
     with worker_pool(two_nodes.address, Counting()) as workers:
         assert signal.getsignal(signal.SIGTERM) is told_to_end
@@ -77,7 +77,7 @@ def test_workers_keep_their_copy_of_the_work(two_nodes: TwoNodes) -> None:
 def test_an_input_error_ends_the_run_and_is_not_tried_again(
     two_nodes: TwoNodes, tmp_path: Path
 ) -> None:
-    two_nodes.have(2)
+    two_nodes.set_node_count(2)
     calls = tmp_path / "calls"
     work = Failing(calls, WriteError("the disk is full"), times=99)
     with (
@@ -89,7 +89,7 @@ def test_an_input_error_ends_the_run_and_is_not_tried_again(
 
 
 def test_another_error_is_tried_again(two_nodes: TwoNodes, tmp_path: Path) -> None:
-    two_nodes.have(2)
+    two_nodes.set_node_count(2)
     work = Failing(tmp_path / "calls", OSError("the network is gone"), times=2)
     with worker_pool(two_nodes.address, work) as workers:
         assert list(workers.map(["only"])) == ["only begun", "only done"]

@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 import torch
 
-from objconnect.scene.runtime.threads import map_in_threads, torch_threads
+from objconnect.scene.runtime.threads import map_in_threads, map_unordered, torch_threads
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -50,3 +50,32 @@ def test_an_error_ends_it() -> None:
     with torch_threads(2), pytest.raises(ValueError, match="two"):
         list(map_in_threads(work, range(100)))
     assert torch.get_num_threads() == 1
+
+
+def test_finished_items_need_not_wait_for_the_first() -> None:
+    taken = threading.Event()
+
+    def work(number: int) -> int:
+        assert number or taken.wait(60)
+        return number
+
+    results = map_unordered(work, range(2), 2)
+    assert next(results) == 1  # item 0 ends only after this
+    taken.set()
+    assert list(results) == [0]
+    assert sorted(map_unordered(work, range(4), 2)) == [0, 1, 2, 3]
+
+
+def test_after_an_error_no_item_begins() -> None:
+    begun = []
+
+    def work(number: int) -> int:
+        begun.append(number)
+        if number == 1:
+            raise ValueError("one")
+        return number
+
+    results = map_unordered(work, range(50), 1)
+    with pytest.raises(ValueError, match="one"):
+        list(results)
+    assert begun == [0, 1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import pytest
 
+from objconnect.scene.runtime.tuning import ProcessTuning
 from tests.programs import run_and_print
 
 FREED = """
@@ -109,17 +111,32 @@ print(resident_bytes() - before)
 """
 
 
+VARIABLE = "ONEDNN_PRIMITIVE_CACHE_CAPACITY"
+
+
+@pytest.mark.parametrize("theirs", [None, "1024"])
+def test_few_kernels_are_asked_for(theirs: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless the user says how many."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    if theirs is not None:
+        monkeypatch.setenv(VARIABLE, theirs)
+    with ProcessTuning():
+        assert os.environ[VARIABLE] == (theirs or "32")
+    assert os.environ.get(VARIABLE) == theirs
+
+
+@pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
 def test_few_kernels_are_kept() -> None:
     few = int(run_and_print(KERNELS))
-    all_of_them = int(run_and_print(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
+    all_of_them = int(run_and_print(KERNELS, **{VARIABLE: "1024"}))
     assert few < 0.7 * all_of_them, (few, all_of_them)
 
 
 CODE = """
 import numpy as np
 from objconnect.scene.runtime.loops import compile_loop
-from objconnect.scene.runtime.tuning import ProcessTuning, return_code
+from objconnect.scene.runtime.tuning import ProcessTuning, release_code
 
 ProcessTuning().__enter__()
 
@@ -144,7 +161,7 @@ print(resident())
 loop(numbers)
 compile_loop(double, "void(f4[::1])")
 print(int(numbers.sum()))
-return_code("no such library")
+release_code("no such library")
 """
 
 
@@ -158,7 +175,7 @@ def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
 SPARED = """
 import gc
 import weakref
-from objconnect.scene.runtime.tuning import ProcessTuning, spare_collector
+from objconnect.scene.runtime.tuning import ProcessTuning, freeze_objects
 
 tuning = ProcessTuning().__enter__()
 
@@ -169,12 +186,12 @@ class Cycle:
 held = Cycle()
 seen = weakref.ref(held)
 before = len(gc.get_objects())
-spare_collector()
+freeze_objects()
 print(before, len(gc.get_objects()))
 del held
 gc.collect()
 print(seen() is None)
-spare_collector()
+freeze_objects()
 print(seen() is None)
 tuning.__exit__()
 print(gc.get_freeze_count())
@@ -217,7 +234,7 @@ def state():
 before = state()
 import objconnect as oc
 
-flight = Path("tests/data/gate-snow")
+flight = Path("benchmark/gate/gate-snow")
 place = oc.open_map(flight)
 localizer = oc.create_localizer(os.environ["METHOD"], {})
 first = dict(list(place.sparse_map.images.items())[:6])

@@ -245,7 +245,7 @@ def test_what_cannot_be_read(kept: Path, tmp_path: Path) -> None:
 def test_much_to_read_is_shown_and_the_same(
     kept: Path, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(objconnect.scene.storage.digests, "_LONG", 0)
+    monkeypatch.setattr(objconnect.scene.storage.digests, "_PROGRESS_BYTES", 0)
     assert digest(file) == sha256(b"first")
 
 

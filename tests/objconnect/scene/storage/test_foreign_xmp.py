@@ -68,7 +68,7 @@ def test_a_field_with_two_values_has_none(tmp_path: Path) -> None:
         exif = read_exif(tmp_path / "a.jpg")
         assert exif.position is None and "-91.9944 and +91.9944" in exif.place_doubts[0]
     same = description(f"{DJI} {PLACE}") + description(f"{DJI} {PLACE.replace('46', '+46')}")
-    assert parse_xmp(packet(same), SIZE).places["GpsLatitude"] == "46.8426"
+    assert parse_xmp(packet(same), SIZE).position_texts["GpsLatitude"] == "46.8426"
 
 
 @pytest.mark.parametrize("element", ["LocationShown", "Pantry", "LocationCreated"])
@@ -80,7 +80,7 @@ def test_fields_of_other_pictures_and_places_are_left_alone(element: str) -> Non
         "</d:AbsoluteAltitude>"
     )
     said = parse_xmp(packet(description(f'{DJI} xmlns:e="e" {PLACE}', inside)), SIZE)
-    assert set(said.places) == {"GpsLatitude", "GpsLongitude", "AbsoluteAltitude"}
+    assert set(said.position_texts) == {"GpsLatitude", "GpsLongitude", "AbsoluteAltitude"}
 
 
 def test_packets_of_two_programs_are_read_together(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_picture_that_was_turned_has_no_attitude(tmp_path: Path) -> None:
         raw.write(tmp_path / "a.jpg", size, raw.exif(fields, {}), said)
         exif = read_exif(tmp_path / "a.jpg")
         assert (exif.gimbal is not None) is known
-        assert known or "rotated after capture" in exif.other_doubts[0]
+        assert known or "rotated after capture" in exif.capture_doubts[0]
 
 
 def test_a_spherical_panorama_has_no_lens(tmp_path: Path) -> None:
@@ -129,4 +129,4 @@ def test_two_blocks_of_exif_are_reported(tmp_path: Path) -> None:
         raw.write(path, SIZE, first)
         data, segment = path.read_bytes(), b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block
         path.write_bytes(data[:2] + segment + data[2:])
-        assert len(read_exif(path).other_doubts) == doubts
+        assert len(read_exif(path).capture_doubts) == doubts

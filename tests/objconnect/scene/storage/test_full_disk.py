@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from benchmark.datasets.open import open_datasets
+from benchmark.gate.scene import GATE_SCENES
 from benchmark.results.query_result import QueryResult
 from objconnect.localization.pipeline.journal import Journal
 from objconnect.scene.bundle.frames import read_frames, write_frames
@@ -29,8 +30,9 @@ from objconnect.scene.storage.files import require_disk_space
 from objconnect.scene.storage.locks import resumable_file, write_lock
 from tests.benchmark.made_data import make_scored_query
 from tests.objconnect.scene.bundle.test_frames import ALL, assert_equal, make_frames, make_layers
+from tests.robustness.misuse.harness import run
 
-GATE = Path(__file__).parents[3] / "data" / "gate"
+GATE = GATE_SCENES["gate"]
 
 
 @pytest.fixture
@@ -103,8 +105,16 @@ except WriteError as error:
 """
 
 
-@pytest.mark.parametrize("left", [0, 3_000, 64_000, 500_000])
-@pytest.mark.parametrize("how", ["whole", "in place"])
+# Of each way one in the default part.
+DEFAULT_LEFT = {(3_000, "whole"), (64_000, "in place")}
+LEFT = [
+    pytest.param(left, how, marks=() if (left, how) in DEFAULT_LEFT else pytest.mark.thorough)
+    for how in ("whole", "in place")
+    for left in (0, 3_000, 64_000, 500_000)
+]
+
+
+@pytest.mark.parametrize(("left", "how"), LEFT)
 def test_hdf5_survives(disk: Path, left: int, how: str) -> None:
     """The library of HDF5 would end the process after its last line: signal 11."""
     filling = fill(disk, left)
@@ -140,11 +150,11 @@ def test_a_copy_names_what_is_written(disk: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ("leaderboard", str(GATE.with_name("gate-baseline")), "--out"),
         pytest.param(
-            ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
+            ("leaderboard", str(Path(__file__).parents[3] / "data" / "gate-baseline"), "--out"),
             marks=pytest.mark.thorough,
         ),
+        ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
         pytest.param(("audit", "places.csv", "--out"), marks=pytest.mark.thorough),
     ],
     ids=lambda words: words[0],
@@ -155,20 +165,13 @@ def test_a_command_ends_with_one_line(disk: Path, tmp_path: Path, words: tuple[s
     words = tuple(str(tmp_path / word) if word == "places.csv" else word for word in words)
     out = "out.html" if words[0] == "audit" else "out"
     filling = fill(disk, 2 << 10)
-    command = [sys.executable, "-m", "benchmark.cli", *words, str(disk / out)]
-
-    def run() -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            command, cwd=GATE.parents[2], capture_output=True, text=True, check=False
-        )
-
-    ended = run()
-    assert ended.returncode == 2, ended.stderr
+    ended = run([*words, str(disk / out)])
+    assert ended.code == 2, ended.stderr
     assert ended.stderr.splitlines()[-1].startswith(f"objconnect: error: cannot write {disk}")
     assert "Traceback" not in ended.stderr
     assert not [path for path in disk.rglob("*") if path.name.endswith(".partial")]
     filling.unlink()
-    assert run().returncode == 0
+    assert run([*words, str(disk / out)]).code == 0
 
 
 @pytest.mark.parametrize(
@@ -203,7 +206,7 @@ def test_rerun_is_whole_or_absent(disk: Path, rendered: Scene, left: int) -> Non
     ("method", "cache"),
     [
         ("sift", None),
-        ("pixloc", "cache"),
+        pytest.param("pixloc", "cache", marks=pytest.mark.thorough),
         pytest.param("sift", "cache", marks=pytest.mark.thorough),
         pytest.param("pixloc", None, marks=pytest.mark.thorough),
     ],

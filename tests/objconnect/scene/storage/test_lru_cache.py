@@ -30,15 +30,15 @@ def test_the_last_used_stay_within_the_bound() -> None:
 
 ROOM = """
 import numpy as np
-from objconnect.scene.storage.lru_cache import MEGABYTE, room
+from objconnect.scene.storage.lru_cache import MEGABYTE, free_cache_bytes
 from objconnect.scene.runtime.memory import resident_bytes
 
 bound = round(resident_bytes() / MEGABYTE) + 200
-print(room(bound) / MEGABYTE)
+print(free_cache_bytes(bound) / MEGABYTE)
 taken = np.ones(100 * MEGABYTE, np.uint8)
-print(room(bound) / MEGABYTE)
+print(free_cache_bytes(bound) / MEGABYTE)
 assert taken.all()
-print(room(1))
+print(free_cache_bytes(1))
 """
 
 

@@ -23,18 +23,18 @@ def refusal(difference: str) -> str:
 
 def test_the_same_request_goes_on_and_another_is_refused(tmp_path: Path) -> None:
     red = folder(tmp_path, "red")
-    assert not red.resume(refusal)
+    assert not red.can_resume(refusal)
     red.begin()
     assert red.is_begun()
     assert red.is_same()
-    assert red.resume(refusal)
+    assert red.can_resume(refusal)
     blue = folder(tmp_path, "blue")
     assert not blue.is_same()
     with pytest.raises(InputError, match="another colour {}"):
-        blue.resume(refusal)
+        blue.can_resume(refusal)
     red.end()
     red.end()
-    assert not blue.resume(refusal)
+    assert not blue.can_resume(refusal)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -69,7 +69,7 @@ def without(*names: str, **others: str) -> bytes:
 def test_every_field(elements: bool) -> None:
     said = parse_xmp(packet(elements=elements), SIZE)
     assert said.gimbal == (-79.0, -89.9, 0.1)
-    assert said.places["AbsoluteAltitude"] == "+116.56"
+    assert said.position_texts["AbsoluteAltitude"] == "+116.56"
     assert said.rtk_sigma == (0.01052, 0.01187, 0.02534)
     assert said.speed == 5
     assert said.shutter == "Mechanical"
@@ -179,5 +179,5 @@ def test_of_a_resized_photograph(tmp_path: Path) -> None:
 
 def test_a_real_photograph(beach: Path) -> None:
     said = read_exif(beach / "photos" / "DJI_0018.jpg").xmp
-    assert said == DroneXmp(gimbal=(45.0, -89.9, 0.0), places=said.places)
-    assert said.places["AbsoluteAltitude"] == "+198.31"
+    assert said == DroneXmp(gimbal=(45.0, -89.9, 0.0), position_texts=said.position_texts)
+    assert said.position_texts["AbsoluteAltitude"] == "+198.31"

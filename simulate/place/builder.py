@@ -1,10 +1,10 @@
-"""A place under construction, in which every placed object claims its footprint."""
+"""The builder of a place, in which every placed object claims its footprint."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ from simulate.place.world import (
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-PAVEMENT_M = 2.0  # on both sides of every road
+PAVEMENT_M = 2.0  # width of the pavement on each side of a road
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class ObjectSpec:
         size: length, width and height, metres.
         colour: linear albedo of its painted parts.
         style: style of a building; None otherwise.
+        driven: whether it is a vehicle in traffic.
     """
 
     class_name: str
@@ -47,6 +48,7 @@ class ObjectSpec:
     size: Sequence[float]
     colour: Rgb = (1.0, 1.0, 1.0)
     style: BuildingStyle | None = None
+    driven: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,15 +66,15 @@ class Footing:
     gap_m: float = 0.15
 
 
-ANYWHERE_FREE: Final = Footing()
-"""The footing of most objects: neither roads nor reserved ground."""
+OPEN_GROUND: Final = Footing()
+"""The footing of most objects: ground that is neither road, pavement nor reserved."""
 
 
-class Site:
-    """Collects regions, markings and objects, and refuses objects that would intersect.
+class PlaceBuilder:
+    """A place under construction: its terrain, roads, ground cover and objects.
 
     An object must lie inside the area and must not overlap earlier objects, roads with their
-    pavements, and reserved ground such as driveways, unless its footing allows it.
+    pavements, or reserved ground such as driveways, unless its footing allows it.
     """
 
     def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
@@ -83,6 +85,7 @@ class Site:
         self.regions: list[Region] = []
         self.markings: list[Marking] = []
         self.objects: list[WorldObject] = []
+        self._drawn: dict[Callable[..., Any], Any] = {}
         self._claims: list[Array] = []
         self._reserved: list[bool] = []  # whether each claim is only reserved ground
         self._circles = CircleGrid()  # circles around the claims
@@ -99,6 +102,13 @@ class Site:
     def chance(self, probability: float) -> bool:
         """Return True with a probability."""
         return bool(self.rng.random() < probability)
+
+    def once(self, draw: Callable[[PlaceBuilder], T]) -> T:
+        """Return what ``draw`` draws at its first call: a property of the whole place."""
+        if draw not in self._drawn:
+            self._drawn[draw] = draw(self)
+        drawn: T = self._drawn[draw]
+        return drawn
 
     def lay_roads(self, roads: Sequence[Road]) -> None:
         """Set the roads that later objects keep off."""
@@ -122,7 +132,9 @@ class Site:
     def roads_within(self, points: Array, clear_m: float) -> set[int]:
         """Return the indices of roads with a carriageway within ``clear_m`` of any point (M, 2)."""
         centre = points.mean(0)
-        near = self._reach.near(centre, float(np.hypot(*(points - centre).T).max()) + clear_m)
+        near = self._reach.find_overlapping(
+            centre, float(np.hypot(*(points - centre).T).max()) + clear_m
+        )
         if not near:
             return set()
         a, d = self._pieces[near, :2], self._pieces[near, 2:]
@@ -133,14 +145,14 @@ class Site:
         return set(self._road_of[near][hit].tolist())
 
     def paint(self, class_name: str, polygon: Array, tone: float = 0.5) -> None:
-        """Paint a polygon (K, 2) over what was painted before."""
+        """Paint a polygon (K, 2) of a ground class and tone over what was painted before."""
         self.regions.append(Region(class_name, polygon, tone))
 
     def mark(self, line: ArrayLike, width_m: float = 0.12) -> None:
         """Paint a white line (K, 2)."""
         self.markings.append(Marking(np.asarray(line, float), width_m))
 
-    def free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
+    def is_free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
         """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
         return not self._is_occupied(rectangle(at, size, yaw), on_reserved=False)
 
@@ -153,7 +165,7 @@ class Site:
         spec: ObjectSpec,
         at: ArrayLike,
         yaw: float,
-        footing: Footing = ANYWHERE_FREE,
+        footing: Footing = OPEN_GROUND,
     ) -> bool:
         """Place an object where there is room for it.
 
@@ -197,7 +209,7 @@ class Site:
         self._add(spec, centre, np.array([length, width, height], float), yaw)
         return True
 
-    def span(
+    def hang(
         self,
         class_name: str,
         ends: Array,
@@ -230,11 +242,11 @@ class Site:
         spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
         axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
         margin = 1.5 * spacing
-        spans = [
+        slices = [
             slice(*np.searchsorted(axis, [low - margin - bank_m, high + margin + bank_m]))
             for low, high in zip(shore.min(0), shore.max(0), strict=True)
         ]
-        columns, rows = spans
+        columns, rows = slices
         outline = shore.astype(np.float32)
         outside = np.array(
             [
@@ -252,7 +264,7 @@ class Site:
         self.paint("water", shore)
 
     def _add(self, spec: ObjectSpec, centre: Array, size: Array, yaw: float) -> None:
-        """Add an object with its box (3,), metres, which may be higher than its own size."""
+        """Add an object with a box of ``size`` (3,) metres, maybe higher than ``spec.size``."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(
@@ -270,6 +282,7 @@ class Site:
                 spec.shape,
                 spec.colour,
                 spec.style,
+                spec.driven,
             )
         )
 
@@ -283,7 +296,9 @@ class Site:
         centre = corners.mean(0)
         return any(
             overlap(corners, self._claims[k])
-            for k in self._circles.near(centre, float(np.linalg.norm(corners[0] - centre)))
+            for k in self._circles.find_overlapping(
+                centre, float(np.linalg.norm(corners[0] - centre))
+            )
             if not (on_reserved and self._reserved[k])
         )
 

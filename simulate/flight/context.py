@@ -1,4 +1,4 @@
-"""The place and the camera as flight planners take them."""
+"""What flight planners know besides the flight itself: place, camera, wind and defaults."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Wind:
     attitude_jitter_deg: float = 0.0
 
 
-_ANYWHERE: Final = Geodetic(0.0, 0.0, 0.0)
+_DEFAULT_ORIGIN: Final = Geodetic(0.0, 0.0, 0.0)
 
 
 def _is_free_everywhere(centres: Array) -> NDArray[np.bool_]:
@@ -43,14 +43,14 @@ def _is_free_everywhere(centres: Array) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class FlightSite:
-    """The place of a flight, and the camera.
+class FlightContext:
+    """What a flight planner knows besides the flight: the place, the camera, wind and defaults.
 
     Attributes:
         area_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
-        usual: Defaults of the flight's options.
+        defaults: Options that a flight leaves out, by the role of its session.
         wind: Deviations from planned poses.
         roads: The roads that corridors and streets may follow.
         is_free: Returns which positions (N, 3) in world metres are free for a camera.
@@ -60,11 +60,11 @@ class FlightSite:
     area_m: float
     ground_height: GroundHeight
     camera: Camera
-    usual: FlightPlan = MAP_PLAN
+    defaults: FlightPlan = MAP_PLAN
     wind: Wind = Wind()
     roads: tuple[Road, ...] = ()
     is_free: Callable[[Array], NDArray[np.bool_]] = _is_free_everywhere
-    origin: Geodetic = _ANYWHERE
+    origin: Geodetic = _DEFAULT_ORIGIN
 
     def footprint_m(self, altitude_m: float) -> tuple[float, float]:
         """Return the width and height of a nadir photograph's footprint on flat ground, metres."""

@@ -1,4 +1,4 @@
-"""How far points are from the ground of a place, pavements and their kerbs included."""
+"""Measure how far points are from the ground of a place, including pavements and kerbs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def ground_error(world: World, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> n
     found = np.zeros((len(around), len(x)))
     close = [world.ground.label(x + dx, y + dy) for dx in (-0.2, 0, 0.2) for dy in (-0.2, 0, 0.2)]
     for k in np.flatnonzero((np.array(close) == CLASSES["pavement"]).any(0)):
-        found[:, k] = [rises.at(np.array([x[k] + dx, y[k] + dy])) for dx, dy in around]
+        found[:, k] = [rises.height_at(np.array([x[k] + dx, y[k] + dy])) for dx, dy in around]
     above = z - world.terrain.height(x, y)
     error: np.ndarray = np.maximum(0, np.maximum(found.min(0) - above, above - found.max(0)))
     return error

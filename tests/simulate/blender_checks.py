@@ -1,4 +1,4 @@
-"""What Blender itself says of a rendered scene, asked in processes of their own."""
+"""Compare renders with Blender's own ray casts and photographs of discs, in other processes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _RADIUS_PX, _REACH_PX = 4.0, 8
 
 
 def check_rays(job: RenderJob, frames: list[dict[str, np.ndarray]], folder: Path) -> None:
-    """Frames of a job show what rays through 1,000 random pixel centres of each meet."""
+    """Check frames of a job against ray casts through 1,000 random pixel centres of each."""
     path, out = folder / "job.json", folder / "rays.npz"
     path.write_text(job.model_dump_json())
-    _ask("cast_rays", path, out)
+    _run_script("cast_rays", path, out)
     rays = np.load(out)
     for k, arrays in enumerate(frames):
         at = rays["rows"][k], rays["columns"][k]
@@ -38,8 +38,8 @@ def check_rays(job: RenderJob, frames: list[dict[str, np.ndarray]], folder: Path
 
 
 def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
-    """Centres of light of small discs in a photograph minus those of their projected outlines,
-    (N, 2) pixels. The discs are parallel to the image, all over it, 5 to 60 m away."""
+    """Return the centres of light of small discs in a photograph minus those of their projected
+    outlines, (N, 2) pixels. The discs are parallel to the image, all over it, 5 to 60 m away."""
     rng = np.random.default_rng(0)
     x, y = (np.arange(11.0, side - 10, 18) for side in (camera.width, camera.height))
     pixels = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
@@ -59,7 +59,7 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
     paths[0].write_text(job.model_dump_json())
     radii = _RADIUS_PX * local[:, 2] / camera.focal[0]
     np.savez(paths[1], points=points, radii=radii)
-    _ask("photograph_dots", *paths)
+    _run_script("photograph_dots", *paths)
     light = np.load(paths[2]).mean(-1)
     light -= np.median(light)
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
@@ -77,7 +77,7 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
     return np.array(errors)
 
 
-def _ask(script: str, *paths: Path) -> None:
+def _run_script(script: str, *paths: Path) -> None:
     require_blender()
     words = [sys.executable, "-m", f"tests.simulate.{script}", *map(str, paths)]
     subprocess.run(words, check=True, cwd=Path(__file__).parents[2], stdout=subprocess.DEVNULL)

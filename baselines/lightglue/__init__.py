@@ -1,0 +1,1 @@
+"""Learned keypoints matched by LightGlue, through kornia."""

@@ -1,0 +1,1 @@
+"""Methods in containers: a program reads a folder of photographs and writes poses."""

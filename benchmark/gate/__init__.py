@@ -1,0 +1,1 @@
+"""The scenes of the regression gate, which come with the package."""

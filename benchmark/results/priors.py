@@ -1,0 +1,31 @@
+"""The errors of priors that follow from the name of a start.
+
+The starts ``error=3m,5deg`` and ``gps=50m`` give each query a position with an error of exactly
+this size, so that it is known although files of earlier versions and submissions do not hold it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+from benchmark.results.query_result import QueryResult
+
+_EXACT: Final = re.compile(r"(?:error|gps)=([0-9]+(?:\.[0-9]+)?)m(?:,.*)?")
+
+
+def with_prior_errors(queries: Sequence[QueryResult], start: str) -> tuple[QueryResult, ...]:
+    """Return queries with the errors of their priors.
+
+    Args:
+        queries: results of queries; an error that they hold is kept.
+        start: name of the starting information. Only "error" and "gps" tell the error.
+    """
+    match = _EXACT.fullmatch(start)
+    if match is None:
+        return tuple(queries)
+    told = {"prior_t_m": float(match.group(1))}
+    return tuple(
+        query if query.prior_t_m is not None else query.model_copy(update=told) for query in queries
+    )

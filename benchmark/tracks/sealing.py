@@ -1,0 +1,54 @@
+"""Seeds of sealed places, which follow from a key that only the organiser has.
+
+The code, the configuration and the map of a sealed place are public. Whoever knew its seed could
+plan the same flights, and so compute the poses of the queries.
+"""
+
+from __future__ import annotations
+
+import hmac
+from pathlib import Path
+from typing import Final
+
+from benchmark.tracks.description import Track, TrackPlace
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import require_readable
+
+# Bytes of a key: at least 128 random bits, and no photograph or archive by mistake.
+_LEAST_BYTES: Final = 16
+_MOST_BYTES: Final = 4096
+# Of 16 random bytes or hexadecimal digits, fewer are different in less than one of 10,000 keys.
+_LEAST_DIFFERENT: Final = 6
+
+
+def read_key(path: Path) -> bytes:
+    """Read the key of sealed places; every byte of the file counts.
+
+    Raises:
+        InputError: the file cannot be read, is too short or too long, or is not random.
+    """
+    require_readable(path, "key")
+    try:
+        size = path.stat().st_size
+        if not _LEAST_BYTES <= size <= _MOST_BYTES:
+            raise InputError(
+                f"key {path} has {size} bytes, not {_LEAST_BYTES} to {_MOST_BYTES}: make one with "
+                "'head -c 32 /dev/urandom > FILE'"
+            )
+        key = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read key {path}: {error.strerror}") from None
+    if len(set(key)) < _LEAST_DIFFERENT:
+        raise InputError(
+            f"key {path} is not random: make one with 'head -c 32 /dev/urandom > FILE'"
+        )
+    return key
+
+
+def sealed_seed(key: bytes, track: Track, place: TrackPlace) -> int:
+    """Return the seed of a sealed place: the first 128 bits of HMAC-SHA256 of its name.
+
+    A seed of 31 bits, as those of other places, could be found by trying all.
+    """
+    digest = hmac.digest(key, f"{track.name}/{place.dataset}".encode(), "sha256")
+    return int.from_bytes(digest[:16], "big")

@@ -1,0 +1,291 @@
+"""Hypotheses of a camera's pose from pairs of objects and pairs of landmarks, in closed form.
+
+On level ground, two objects of a photograph and the two landmarks that they are matched with give
+the heading, the height and the position of the camera. A hypothesis is scored by the landmarks that
+lie near all objects, so that few of the matches need be right. Nothing is sampled at random.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objconnect.network.landmarks import Landmarks, ObjectLayout
+
+_Complex = NDArray[np.complex128]
+_Real = NDArray[np.float64]
+# Sharpness of the softmax over cosines of vectors.
+_SHARPNESS: Final = 10.0
+# Maximum number of landmarks of a tile of the map: an object is matched in each tile.
+_TILE: Final = 800
+# Maximum number of partners of an object, and of matched pairs of all objects, which bounds time.
+_PARTNERS: Final = 6
+_MOST_PAIRS: Final = 1_000_000
+# Least distance of two partners, heights of the camera: nearer ones give no exact heading.
+_LEAST_BASE: Final = 0.12
+# Largest difference of the logarithms of the height from a pair and that from the objects' sizes.
+_SIZE_TOLERANCE: Final = 0.35
+# Largest ratio of a height, and largest difference of a heading (rad), to the nearest one allowed.
+_STRETCH: Final = 1.2
+_TURN: Final = math.radians(15)
+# Standard deviation of a landmark's distance from its object, metres: of hypotheses, and of poses
+# in the refinement.
+_NEAR_M: Final = 1.5
+_REFINED_NEAR_M: Final = 2.0
+_ROUNDS: Final = 2
+# Largest change in one round of the refinement: heading (rad) and logarithm of the height.
+_MOST_CHANGE: Final = 0.3
+# Hypotheses scored at once; and the number of the best ones among which distinct ones are kept.
+_BATCH: Final = 4096
+_LOOKED: Final = 4000
+# Least differences of distinct hypotheses: metres or, at one position, rad.
+_APART_M: Final = 4.0
+_APART_RAD: Final = 0.2
+# Side of a cell of the nearest landmarks, metres, and the largest number of cells along an axis.
+_CELL_M: Final = 1.0
+_MOST_CELLS: Final = 4096
+# Margin of these cells around the landmarks, metres.
+_MARGIN_M: Final = 4.0
+
+
+class GroundPoses(NamedTuple):
+    """H poses above level ground, as similarities ``place + turn * offset`` of the complex plane.
+
+    The real axis points to the east, the imaginary one to the north.
+
+    Attributes:
+        turn: (H,) height above the ground, metres, times ``exp(-i * heading)``.
+        place: (H,) position of the camera, metres.
+    """
+
+    turn: _Complex
+    place: _Complex
+
+    def select(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> GroundPoses:
+        """Return the poses with these rows."""
+        return GroundPoses(self.turn[rows], self.place[rows])
+
+    def carry(self, offset: _Complex) -> _Complex:
+        """Return the positions (H, N) of objects at offsets (N,) from the camera."""
+        positions: _Complex = self.place[:, None] + self.turn[:, None] * offset
+        return positions
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Poses that are allowed.
+
+    Attributes:
+        headings: radians; those near one of them are allowed.
+        heights: metres; those near or between them are allowed.
+        region: centre (east, north) and radius, metres; None for everywhere.
+    """
+
+    headings: Sequence[float]
+    heights: Sequence[float]
+    region: tuple[float, float, float] | None = None
+
+    def allow(self, poses: GroundPoses) -> NDArray[np.bool_]:
+        """Return whether each pose is allowed (H,)."""
+        height = np.abs(poses.turn)
+        allowed = height > min(self.heights) / _STRETCH
+        allowed &= height < max(self.heights) * _STRETCH
+        if 2 * _TURN * len(self.headings) < math.tau:
+            off = poses.turn[:, None] * np.exp(1j * np.array(self.headings))
+            allowed &= (np.abs(np.angle(off)) < _TURN).any(1)
+        if self.region is not None:
+            east, north, radius = self.region
+            allowed &= np.abs(poses.place - complex(east, north)) <= radius
+        return allowed
+
+
+class Likeness(NamedTuple):
+    """How alike N objects and M landmarks are.
+
+    Attributes:
+        ratio: (N, M) logarithm of the likelihood that they are one, over that of any landmark; 0 if
+            it is less.
+        rows: (T, N, K) rows of the most similar landmarks of each tile of the map.
+    """
+
+    ratio: NDArray[np.float32]
+    rows: NDArray[np.int64]
+
+    def select(self, rows: NDArray[np.int64]) -> Likeness:
+        """Return the likeness of the objects with these rows."""
+        return Likeness(self.ratio[rows], self.rows[:, rows])
+
+
+class PairSearch:
+    """Finds the poses at which the objects of a photograph lie on landmarks of a map.
+
+    Args:
+        landmarks: the landmarks, at least one.
+        similar: number of the most similar landmarks of a tile that an object is matched with.
+    """
+
+    def __init__(self, landmarks: Landmarks, similar: int) -> None:
+        self._at: _Complex = landmarks.xyz[:, 0] + 1j * landmarks.xyz[:, 1]
+        self._log_sides = np.log(np.maximum(landmarks.sides.astype(np.float64), 0.1))
+        self._vectors = torch.nn.functional.normalize(torch.from_numpy(landmarks.vectors), dim=1)
+        self._tiles = _tiles(landmarks.xyz[:, :2], np.arange(len(landmarks)))
+        self._similar = min(similar, *map(len, self._tiles))
+        self._nearest = _NearestLandmarks(self._at)
+
+    def compare(self, vectors: Tensor) -> Likeness:
+        """Return how alike objects with unit vectors (N, V) and the landmarks are."""
+        cosine = vectors.float() @ self._vectors.T
+        rows = [tile[cosine[:, tile].topk(self._similar).indices.numpy()] for tile in self._tiles]
+        ratio = _SHARPNESS * cosine
+        chance = ratio.logsumexp(1, keepdim=True) - math.log(ratio.shape[1])
+        return Likeness((ratio - chance).clamp_min(0).numpy(), np.stack(rows))
+
+    def __call__(
+        self, layout: ObjectLayout, likeness: Likeness, bounds: Bounds, count: int
+    ) -> tuple[GroundPoses, _Real]:
+        """Return the best distinct poses, at most ``count``, and their scores.
+
+        A score is the sum of the log likelihood ratios of the matched objects over the square root
+        of the number of objects.
+        """
+        offset: _Complex = layout.offset[:, 0] + 1j * layout.offset[:, 1]
+        poses = self._hypotheses(layout, offset, likeness)
+        poses = poses.select(bounds.allow(poses))
+        kept = poses.select(_distinct(poses, self._scores(offset, likeness, poses), count))
+        for _ in range(_ROUNDS):
+            kept = self._refine(offset, likeness, kept)
+        kept = kept.select(bounds.allow(kept))
+        return kept, self._scores(offset, likeness, kept)
+
+    def matches(
+        self, offset: _Complex, poses: GroundPoses, near_m: float = _NEAR_M
+    ) -> tuple[NDArray[np.int64], _Real]:
+        """Return the landmark nearest to each object (H, N), and 1 where it is at the object.
+
+        It falls to 0 with the distance, like a normal density of ``near_m`` metres.
+        """
+        where = poses.carry(offset)
+        rows, is_inside = self._nearest(where)
+        away = np.abs(self._at[rows] - where)
+        return rows, np.exp(-np.square(away / near_m) / 2) * is_inside
+
+    def _hypotheses(
+        self, layout: ObjectLayout, offset: _Complex, likeness: Likeness
+    ) -> GroundPoses:
+        """Return the poses that pairs of matches give, if the sizes of the objects agree."""
+        one, other = _pairs(offset, likeness.rows.shape[2])
+        base = (offset[other] - offset[one])[:, None, None]
+        sides = np.log(np.maximum(layout.side, 1e-9))[:, None]
+        turns, places = [], []
+        for rows in likeness.rows:
+            first, second = self._at[rows[one]], self._at[rows[other]]
+            turn = (second[:, None, :] - first[:, :, None]) / base
+            # The height at which an object has the size of a landmark, for each match.
+            by_size = (self._log_sides[rows] - sides) / 2
+            expected = by_size[one][:, :, None] + by_size[other][:, None, :]
+            height = np.log(np.maximum(np.abs(turn), 1e-9))
+            pair, row, _ = agree = np.nonzero(np.abs(height - expected) < _SIZE_TOLERANCE)
+            turns.append(turn[agree])
+            places.append(first[pair, row] - turn[agree] * offset[one[pair]])
+        return GroundPoses(np.concatenate(turns), np.concatenate(places))
+
+    def _scores(self, offset: _Complex, likeness: Likeness, poses: GroundPoses) -> _Real:
+        scores = np.empty(len(poses.turn))
+        objects = np.arange(len(offset))
+        for begin in range(0, len(scores), _BATCH):
+            part = slice(begin, begin + _BATCH)
+            rows, near = self.matches(offset, GroundPoses(poses.turn[part], poses.place[part]))
+            scores[part] = (likeness.ratio[objects, rows] * near).sum(1)
+        return scores / math.sqrt(max(1, len(offset)))
+
+    def _refine(self, offset: _Complex, likeness: Likeness, poses: GroundPoses) -> GroundPoses:
+        """Return the least-squares similarities of the objects and the landmarks near them."""
+        rows, near = self.matches(offset, poses, _REFINED_NEAR_M)
+        weight = likeness.ratio[np.arange(len(offset)), rows] * near
+        weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
+        theirs = self._at[rows]
+        middle, middle_there = (weight * offset).sum(1), (weight * theirs).sum(1)
+        ours = offset - middle[:, None]
+        spread = (weight * np.square(np.abs(ours))).sum(1)
+        turn = (weight * (theirs - middle_there[:, None]) * ours.conj()).sum(1)
+        turn /= np.maximum(spread, 1e-9)
+        change = np.log(np.where(turn == 0, 1e-9, turn) / poses.turn)
+        small = (np.abs(change.real) < _MOST_CHANGE) & (np.abs(change.imag) < _MOST_CHANGE)
+        place = middle_there - turn * middle
+        return GroundPoses(np.where(small, turn, poses.turn), np.where(small, place, poses.place))
+
+
+class _NearestLandmarks:
+    """The landmark nearest to every cell of a grid, by a distance transform."""
+
+    def __init__(self, at: _Complex) -> None:
+        xy = np.column_stack([at.real, at.imag])
+        self._origin = xy.min(0) - _MARGIN_M
+        extent = xy.max(0) + _MARGIN_M - self._origin
+        self._cell = max(_CELL_M, float(extent.max()) / _MOST_CELLS)
+        columns, rows = np.ceil(extent / self._cell).astype(int).tolist()
+        column, row = np.floor((xy - self._origin) / self._cell).astype(int).T
+        is_empty = np.ones((rows, columns), np.uint8)
+        is_empty[row, column] = 0
+        _, labels = cv2.distanceTransformWithLabels(
+            is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        landmark = np.zeros(int(labels.max()) + 1, np.int64)
+        landmark[labels[row, column]] = np.arange(len(at))
+        self._landmark = landmark[labels]
+
+    def __call__(self, where: _Complex) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the rows of the nearest landmarks, and whether the position is in the grid."""
+        column = np.floor((where.real - self._origin[0]) / self._cell).astype(np.int64)
+        row = np.floor((where.imag - self._origin[1]) / self._cell).astype(np.int64)
+        rows, columns = self._landmark.shape
+        is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        return self._landmark[
+            np.where(is_inside, row, 0), np.where(is_inside, column, 0)
+        ], is_inside
+
+
+def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return rows of positions (M, 2) in tiles of nearly equal numbers, split at medians."""
+    if len(rows) <= _TILE:
+        return [rows]
+    axis = int(np.ptp(xy[rows], axis=0).argmax())
+    order = rows[np.argsort(xy[rows, axis], kind="stable")]
+    half = len(order) // 2
+    return _tiles(xy, order[:half]) + _tiles(xy, order[half:])
+
+
+def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the rows of pairs of objects, each with its nearest ones that are not too near."""
+    count = len(offset)
+    most = _MOST_PAIRS // (count * similar**2)
+    partners = min(count - 1, max(1, min(_PARTNERS, most)))
+    away = np.abs(offset[:, None] - offset)
+    away[away < _LEAST_BASE] = np.inf
+    nearest = np.argsort(away, axis=1, kind="stable")[:, :partners]
+    one, other = np.repeat(np.arange(count), partners), nearest.ravel()
+    exists = np.isfinite(away[one, other])
+    pairs = np.sort(np.column_stack([one, other])[exists], axis=1)
+    one, other = np.unique(pairs, axis=0).T
+    return one, other
+
+
+def _distinct(poses: GroundPoses, scores: _Real, count: int) -> NDArray[np.int64]:
+    """Return the rows of the best poses that differ, best first."""
+    left = np.argsort(-scores, kind="stable")[:_LOOKED]
+    kept: list[int] = []
+    while len(left) and len(kept) < count:
+        best = int(left[0])
+        kept.append(best)
+        far = np.abs(poses.place[left] - poses.place[best]) > _APART_M
+        turned = np.abs(np.angle(poses.turn[left] / poses.turn[best])) > _APART_RAD
+        left = left[far | turned]
+    return np.array(kept, np.int64)

@@ -1,0 +1,60 @@
+"""JPEG files without metadata: the picture alone, with the bytes of its compressed pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from objconnect.scene.errors import InputError
+from objconnect.scene.storage.files import require_readable
+
+# Markers of ITU-T T.81 (1992), table B.1.
+_START, _SCAN, _END = b"\xff\xd8", 0xDA, b"\xff\xd9"
+_APPLICATIONS: Final = range(0xE0, 0xF0)
+_COMMENT: Final = 0xFE
+# Segments that tell how to decode the picture: JFIF, and Adobe's transform of colours.
+_KEPT: Final = ((0xE0, b"JFIF\0"), (0xEE, b"Adobe"))
+
+
+def read_bare_jpeg(path: Path) -> bytes:
+    """Read a JPEG file without EXIF, XMP, comments and whatever follows the picture.
+
+    Raises:
+        InputError: the file is missing, damaged or not a JPEG file.
+    """
+    require_readable(path, "photograph")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read photograph {path}: {error.strerror}") from None
+    bare = _strip(data)
+    if bare is None:
+        raise InputError(
+            f"{path} is not a JPEG file, or is damaged: only the metadata of JPEG files is removed"
+        )
+    return bare
+
+
+def _strip(data: bytes) -> bytes | None:
+    """Return the bytes without metadata; None if they are no JPEG file."""
+    if not data.startswith(_START):
+        return None
+    kept, at = [_START], len(_START)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if marker == _SCAN:
+            # Within compressed pixels, a byte 0xFF is never followed by the end's second byte.
+            end = data.find(_END, at)
+            return None if end < 0 else b"".join([*kept, data[at : end + len(_END)]])
+        segment = data[at : at + 2 + length]
+        if not _is_metadata(marker, segment[4:]):
+            kept.append(segment)
+        at += 2 + length
+    return None
+
+
+def _is_metadata(marker: int, content: bytes) -> bool:
+    if marker == _COMMENT:
+        return True
+    is_kept = any(marker == kind and content.startswith(words) for kind, words in _KEPT)
+    return marker in _APPLICATIONS and not is_kept

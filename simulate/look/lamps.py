@@ -1,0 +1,74 @@
+"""The lamps of a place that shine at night: street lamps and headlights of vehicles in traffic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.world import Rgb, World, WorldObject
+
+Array = NDArray[np.float64]
+
+_SODIUM: Final[Rgb] = (1.0, 0.42, 0.09)
+_LED: Final[Rgb] = (1.0, 0.72, 0.42)
+_LED_SHARE: Final = 0.6  # share of places whose street lamps are LEDs
+# Power in W of Blender's spot lights, which sends P / (4 pi) per steradian. A street lamp gives the
+# street below it 1 W/m2, see ``simulate.look.conditions``.
+_STREET_W: Final = 560.0
+_HEADLIGHTS_W: Final = 10000.0
+_STREET_CONE_DEG: Final = 150.0
+_HEADLIGHTS_CONE_DEG: Final = 44.0
+_DIP: Final = 0.07  # downward slope of headlights
+_FLAT: Final = 0.4  # height of the beam of headlights by its width
+
+
+class Beam(NamedTuple):
+    """A spot light.
+
+    Attributes:
+        at: Position (3,), world metres.
+        towards: Unit vector (3,) along the middle of the beam.
+        cone_deg: Angle of the cone, degrees.
+        flat: Height of the beam by its width.
+        watts: Power, on Blender's scale.
+        rgb: Linear colour.
+        reach_m: Distance beyond which its light is left out, metres.
+    """
+
+    at: Array
+    towards: Array
+    cone_deg: float
+    flat: float
+    watts: float
+    rgb: Rgb
+    reach_m: float
+
+
+def beams(world: World) -> Iterator[Beam]:
+    """Yield the light of every lamp of a place at night. The colour of street lamps is its own."""
+    rng = np.random.default_rng([world.seed, 4])
+    street = _LED if rng.random() < _LED_SHARE else _SODIUM
+    for item in world.objects:
+        ahead = np.array([np.cos(item.yaw), np.sin(item.yaw), 0.0])
+        if item.class_name == "lamp":
+            yield _street_light(item, ahead, street)
+        elif item.driven:
+            yield _headlights(item, ahead)
+
+
+def _street_light(item: WorldObject, ahead: Array, rgb: Rgb) -> Beam:
+    """Return the beam of a lamp, whose head is at the end of its arm, just under its box's top."""
+    at = item.centre + 0.32 * item.size[0] * ahead + [0.0, 0.0, 0.47 * item.size[2]]
+    return Beam(at, np.array([0.0, 0.0, -1.0]), _STREET_CONE_DEG, 1.0, _STREET_W, rgb, 40.0)
+
+
+def _headlights(item: WorldObject, ahead: Array) -> Beam:
+    """Return the common beam of both headlights, from the middle of a vehicle's front."""
+    above_ground = 0.65 - 0.5 * item.size[2]
+    at = item.centre + (0.5 * item.size[0] + 0.1) * ahead + [0.0, 0.0, above_ground]
+    towards = ahead - [0.0, 0.0, _DIP]
+    towards /= np.linalg.norm(towards)
+    return Beam(at, towards, _HEADLIGHTS_CONE_DEG, _FLAT, _HEADLIGHTS_W, _LED, 90.0)

@@ -1,0 +1,14 @@
+"""Towns that many tests share, because building one takes most of a second."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from simulate.place.town import TOWN
+from simulate.place.world import World
+
+
+@cache
+def cached_town(seed: int, area_m: float) -> World:
+    """Return a town, built once in a process; no test changes it."""
+    return TOWN.build(seed, area_m)
