@@ -12,6 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
+# Beginning of the names that reserve cores; the processes of all runs on a machine share them.
+_RESERVES = "objconnect-renders-on"
 
 
 def end_with(parent: int) -> None:
@@ -41,7 +43,7 @@ def keep_to_one_core() -> None:
     for core in cores:
         mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            mark.bind(f"\0objconnect-renders-on-{core}")
+            mark.bind(f"\0{_RESERVES}-{core}")
         except OSError:
             mark.close()
             continue

@@ -8,7 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -93,10 +93,32 @@ def test_map_and_query_flights_differ(rendered: Scene) -> None:
     assert abs(queries[:, 2].mean() - mapped[:, 2].mean()) > 5
 
 
-def start_simulate(out: Path, config: Path, *words: str) -> subprocess.Popen[bytes]:
+# The command line, killed with all its processes as soon as the third frame is there.
+KILLS_ITSELF = """
+import os, signal
+from benchmark import cli
+from simulate import command
+
+render = command.render
+
+def render_three(job, folder, jobs, on_frame):
+    def count(frame):
+        on_frame(frame)
+        if frame == 2:
+            os.killpg(0, signal.SIGKILL)
+    render(job, folder, jobs, count)
+
+command.render = render_three
+cli.main()
+"""
+
+
+def start_simulate(
+    out: Path, config: Path, *words: str, program: Sequence[str] = ("-m", "benchmark.cli")
+) -> subprocess.Popen[bytes]:
     """The command line at work on RENDERED, in a process group of its own."""
     config.write_text(RENDERED.model_dump_json())  # JSON is YAML
-    command = [sys.executable, "-m", "benchmark.cli", "simulate", "--config", str(config)]
+    command = [sys.executable, *program, "simulate", "--config", str(config)]
     return subprocess.Popen([*command, "--out", str(out), *words], start_new_session=True)
 
 
@@ -108,16 +130,8 @@ def digests_without_map(scene: Scene) -> dict[str, str]:
 def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
     """kill -9 in the middle loses no finished frame, and the scene ends bit for bit the same."""
     out = tmp_path / "hamlet"
-    child = start_simulate(out, tmp_path / "config.yaml")
-    try:
-        deadline = time.monotonic() + 300
-        while not list(out.rglob("000002.npz")):
-            assert child.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-    finally:
-        os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
+    killed = start_simulate(out, tmp_path / "config.yaml", program=("-c", KILLS_ITSELF))
+    assert killed.wait() == -signal.SIGKILL
     assert not (out / "scene.json").exists()
     finished = {p: p.stat().st_mtime_ns for p in out.rglob("*.npz") if p.name < "000002.npz"}
     assert finished

@@ -6,10 +6,16 @@ import sys
 
 import pytest
 
-BIND_AND_PRINT = (
-    "import os; from simulate.render.process import keep_to_one_core; keep_to_one_core();"
-    "print(*sorted(os.sched_getaffinity(0)), flush=True); input()"
-)
+# The names that reserve cores are those of this test alone: other tests render meanwhile.
+BIND_AND_PRINT = """
+import os, sys
+from simulate.render import process
+
+process._RESERVES = sys.argv[1]
+process.keep_to_one_core()
+print(*sorted(os.sched_getaffinity(0)), flush=True)
+input()
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux binds processes to cores")
@@ -19,7 +25,7 @@ def test_processes_keep_to_a_core_each_while_there_are_any():
 
     def another() -> tuple[subprocess.Popen, list[int]]:
         child = subprocess.Popen(
-            [sys.executable, "-c", BIND_AND_PRINT],
+            [sys.executable, "-c", BIND_AND_PRINT, f"test-{os.getpid()}-binds"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -51,7 +57,7 @@ if len(sys.argv) == 1:
 from simulate.render.process import end_with
 end_with(int(sys.argv[1]))
 print(os.getpid(), flush=True)
-time.sleep(60)
+time.sleep(600)
 """
 
 
@@ -64,5 +70,5 @@ def test_a_process_ends_with_the_one_that_asked_for_it():
         child = int(parent.stdout.readline())
         os.kill(child, 0)
         parent.kill()
-        # The pipe ends once nobody holds it: a minute later if the child goes on.
-        assert parent.communicate(timeout=20)[0] == ""
+        # The pipe ends once nobody holds it: ten minutes later if the child goes on.
+        assert parent.communicate(timeout=300)[0] == ""

@@ -1,9 +1,12 @@
 """Small renders, whose layers must agree with the geometry of the place."""
 
+import ctypes
 import os
+import signal
 import subprocess
 import sys
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +32,7 @@ from tests.simulate.test_flights import pinhole
 from tests.simulate.towns import cached_town
 
 SEED, AREA = 5, 120.0
+_PR_SET_CHILD_SUBREAPER = 36
 # Off-centre and not square, so that a mistaken principal point or axis shows.
 CAMERA = PinholeCamera(width=112, height=96, f=90.0, cx=52.5, cy=50.25)
 
@@ -255,7 +259,24 @@ def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monk
             assert np.array_equal(array, load(tmp_path, frame)[name]), name
 
 
+@contextmanager
+def adopted_orphans() -> Iterator[None]:
+    """Let children of ended children become children of this process, which can wait for them."""
+    libc = ctypes.CDLL(None)
+    libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    try:
+        yield
+    finally:
+        libc.prctl(_PR_SET_CHILD_SUBREAPER, 0)
+
+
+def children_of(process: int) -> list[int]:
+    listed = Path(f"/proc/{process}/task/{process}/children")
+    return [int(child) for child in listed.read_text().split()]
+
+
 @pytest.mark.thorough
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends processes with their parent")
 def test_no_process_outlives_a_killed_run(tmp_path):
     """kill -9 of the parent alone: nothing goes on writing where the next run will write."""
     script = tmp_path / "run.py"
@@ -269,16 +290,20 @@ def test_no_process_outlives_a_killed_run(tmp_path):
     (tmp_path / "job.json").write_text(many.model_dump_json())
     words = [sys.executable, str(script), str(tmp_path / "job.json"), str(tmp_path / "out")]
     root = str(Path(__file__).parents[2])
-    with subprocess.Popen(
-        words, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
-    ) as parent:
+    with (
+        adopted_orphans(),
+        subprocess.Popen(
+            words, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
+        ) as parent,
+    ):
         assert parent.stdout is not None
         assert parent.stdout.readline()
+        (renderer,) = children_of(parent.pid)
         parent.kill()
-    time.sleep(0.5)
-    count = len(list((tmp_path / "out").iterdir()))
-    time.sleep(2.0)
-    assert len(list((tmp_path / "out").iterdir())) == count < 500
+        parent.wait()
+        _, status = os.waitpid(renderer, 0)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+    assert len(list((tmp_path / "out").glob("*.npz"))) < 500
 
 
 def test_nothing_missing_starts_no_process(summer, monkeypatch):

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from threading import Lock
 from typing import Final
 
 from objconnect.scene.errors import WriteError
@@ -29,6 +30,8 @@ killed, it may be the only copy."""
 
 # A disk with less free space (bytes) counts as full.
 _FULL_BYTES = 1 << 20
+# The mask is read by setting it: two threads at once would leave it at zero.
+_UMASK_LOCK: Final = Lock()
 
 
 def is_temporary(name: str) -> bool:
@@ -243,6 +246,7 @@ def _reason(error: OSError, partial: Path | None) -> str:
 
 
 def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
+    with _UMASK_LOCK:
+        current = os.umask(0)
+        os.umask(current)
     return current

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -21,11 +20,24 @@ _TEMPORARY: Final = re.compile(
 _IN_USE: Final = f"{TEMPORARY_PREFIX}in-use"
 
 
-@contextmanager
-def mark_in_use(folder: Path) -> Iterator[None]:
-    """Mark a temporary folder as in use by a living process during the block."""
-    with FileLock(folder / _IN_USE, thread_local=False):
-        yield
+def make_folder_in_use(root: Path) -> tuple[Path, FileLock]:
+    """Make a temporary folder in ``root``, and mark it as in use until the lock is released.
+
+    Raises:
+        OSError: the folder cannot be made.
+    """
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
+        lock = FileLock(folder / _IN_USE, thread_local=False)
+        try:
+            lock.acquire()
+        except FileNotFoundError:
+            # Without its mark it looked abandoned, and another process has removed it.
+            continue
+        except OSError:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        return folder, lock
 
 
 def remove_partial(folder: Path) -> None:
@@ -38,35 +50,49 @@ def remove_partial(folder: Path) -> None:
     for path in sorted(temporary):  # folders before their contents
         if used.intersection(path.parents):
             continue
-        if _is_used(path):
+        if not _remove_unused(path):
             used.add(path)
-            continue
-        if path.name.endswith(ASIDE_SUFFIX):
-            for old in list(path.iterdir()):
-                if not os.path.lexists(path.parent / old.name):
-                    old.replace(path.parent / old.name)
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
 
 
 def remove_abandoned(folder: Path) -> None:
     """Remove temporary folders in ``folder`` that killed processes had marked as in use."""
     for path in folder.glob(f"{TEMPORARY_PREFIX}*{PARTIAL_SUFFIX}"):
-        if _is_temporary(path) and (path / _IN_USE).exists() and not _is_used(path):
-            shutil.rmtree(path, ignore_errors=True)
+        if _is_temporary(path) and (path / _IN_USE).exists():
+            _remove_unused(path)
+
+
+def _remove_unused(path: Path) -> bool:
+    """Remove a temporary file or folder, and return False if a process uses it.
+
+    The mark of a folder is locked meanwhile, so that no process begins to use the folder.
+    """
+    if path.is_symlink() or not path.is_dir():
+        path.unlink(missing_ok=True)
+        return True
+    is_marked = (path / _IN_USE).exists()
+    lock = FileLock(path / _IN_USE, blocking=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        return False
+    except OSError:
+        if is_marked:  # by another user
+            return False
+    if path.name.endswith(ASIDE_SUFFIX):
+        _restore(path)
+    shutil.rmtree(path, ignore_errors=True)
+    lock.release()
+    if os.name == "nt":  # Windows keeps the mark until it is closed
+        shutil.rmtree(path, ignore_errors=True)
+    return True
+
+
+def _restore(aside: Path) -> None:
+    """Move the old version of a folder back to its place, unless there is a new one."""
+    for old in list(aside.iterdir()):
+        if old.name != _IN_USE and not os.path.lexists(aside.parent / old.name):
+            old.replace(aside.parent / old.name)
 
 
 def _is_temporary(path: Path) -> bool:
     return _TEMPORARY.fullmatch(path.name) is not None
-
-
-def _is_used(path: Path) -> bool:
-    if not (path / _IN_USE).is_file():
-        return False
-    try:
-        with FileLock(path / _IN_USE, blocking=False):
-            return False
-    except (OSError, Timeout):  # Timeout: its process lives; OSError: it is another user's
-        return True

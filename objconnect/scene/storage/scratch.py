@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from objconnect.scene.errors import WriteError
-from objconnect.scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
 from objconnect.scene.storage.files import require_disk_space
-from objconnect.scene.storage.leftovers import mark_in_use, remove_abandoned
+from objconnect.scene.storage.leftovers import make_folder_in_use, remove_abandoned
 
 
 @contextmanager
@@ -40,14 +39,14 @@ def scratch(parent: Path | None = None, needed: int = 0) -> Iterator[Path]:
     try:
         root.mkdir(parents=True, exist_ok=True)
         remove_abandoned(root)
-        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
+        folder, lock = make_folder_in_use(root)
     except OSError as error:
         raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
     try:
         require_disk_space(folder / "any", needed)
-        with mark_in_use(folder):
-            yield folder
+        yield folder
     finally:
+        lock.release()
         shutil.rmtree(folder, ignore_errors=True)
         for path in new_folders:
             try:

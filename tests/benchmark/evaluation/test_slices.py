@@ -120,7 +120,7 @@ def test_hlocs_list_of_test_images_is_enough(
 
 
 def test_jobs_are_images_at_a_time(tree: Path, tmp_path: Path) -> None:  # noqa: F811
-    met = threading.Barrier(2, timeout=20)
+    met = threading.Barrier(2, timeout=300)
 
     class Pairwise(FakeLocalizer):
         def localize(self, query: Query) -> Estimate:

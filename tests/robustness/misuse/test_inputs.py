@@ -381,7 +381,7 @@ def in_time() -> Iterator[None]:
         raise _WaitsError
 
     before = signal.signal(signal.SIGALRM, wake)
-    signal.alarm(20)
+    signal.alarm(300)
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)

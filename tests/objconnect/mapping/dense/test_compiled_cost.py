@@ -33,8 +33,10 @@ def narrow(view: StereoView) -> StereoView:
 
 # The last two photographs see a part of the reference; one of them has another size.
 VIEWS = [*SOURCES, photograph(14.0, 2.0), narrow(photograph(-3.0, 1.0))]
+_HOLES = torch.Generator().manual_seed(0)
 MAPS = [
-    torch.where(torch.rand(v.grey.shape) < 0.2, 0.0, inverse_depth_at(v).float()) for v in VIEWS
+    torch.where(torch.rand(v.grey.shape, generator=_HOLES) < 0.2, 0.0, inverse_depth_at(v).float())
+    for v in VIEWS
 ]
 
 
