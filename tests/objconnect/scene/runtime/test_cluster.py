@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,21 +17,20 @@ from tests.two_nodes import TwoNodes
 pytestmark = pytest.mark.thorough
 
 
-def slowly(unit: int) -> Iterator[tuple[int, int]]:
+def count_to_five(unit: int) -> Iterator[tuple[int, int]]:
     for k in range(5):
-        time.sleep(0.1)
         yield unit, k
 
 
 class Counting:
-    """Work that counts the units which its copy on a worker has done."""
+    """Work that counts the units which its copy in a process has done."""
 
     def __init__(self) -> None:
         self._done = 0
 
-    def __call__(self, unit: int) -> Iterator[int]:
+    def __call__(self, unit: int) -> Iterator[tuple[int, int]]:
         self._done += 1
-        yield self._done
+        yield os.getpid(), self._done
 
 
 class Failing:
@@ -52,11 +51,11 @@ class Failing:
 def test_alone_everything_is_done_in_order() -> None:
     with worker_pool(None, Counting()) as workers:
         assert workers.cores == 1
-        assert list(workers.map(range(3))) == [1, 2, 3]
+        assert list(workers.map(range(3))) == [(os.getpid(), done) for done in (1, 2, 3)]
 
 
 def test_a_killed_node_loses_and_doubles_nothing(two_nodes: TwoNodes) -> None:
-    with two_nodes.killed_at_work(), worker_pool(two_nodes.address, slowly) as workers:
+    with two_nodes.killed_at_work(), worker_pool(two_nodes.address, count_to_five) as workers:
         assert workers.cores == 2
         found = list(workers.map(range(12)))
     assert sorted(found) == [(unit, k) for unit in range(12) for k in range(5)]
@@ -69,9 +68,13 @@ def test_workers_keep_their_copy_of_the_work(two_nodes: TwoNodes) -> None:
     told_to_end = signal.getsignal(signal.SIGTERM)
     with worker_pool(two_nodes.address, Counting()) as workers:
         assert signal.getsignal(signal.SIGTERM) is told_to_end
-        counts = list(workers.map(range(6)))
-    # At most two workers: each keeps counting over the units it gets.
-    assert max(counts) >= 3
+        found = list(workers.map(range(24)))
+    # Each of the few processes keeps counting over the units it gets.
+    processes = {process for process, _ in found}
+    for each in processes:
+        counts = sorted(done for process, done in found if process == each)
+        assert counts == list(range(1, len(counts) + 1))
+    assert len(processes) < len(found) == 24
 
 
 def test_an_input_error_ends_the_run_and_is_not_tried_again(
@@ -124,7 +127,7 @@ def test_shares_are_large_first_and_complete(count: int, cores: int, sizes: list
 def test_what_is_no_address_is_one_line(address: str) -> None:
     with (
         pytest.raises(InputError, match="takes local, auto or HOST:PORT"),
-        worker_pool(address, slowly),
+        worker_pool(address, count_to_five),
     ):
         pass
 
@@ -133,7 +136,7 @@ def test_what_is_no_address_is_one_line(address: str) -> None:
 def test_where_no_cluster_is(address: str) -> None:
     with (
         pytest.raises(InputError, match=f"no Ray cluster answers at {address}") as caught,
-        worker_pool(address, slowly),
+        worker_pool(address, count_to_five),
     ):
         pass
     assert "\n" not in str(caught.value)
@@ -143,6 +146,6 @@ def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with (
         pytest.raises(InputError, match=r"pip install 'objconnect\[cluster\]'"),
-        worker_pool("local", slowly),
+        worker_pool("local", count_to_five),
     ):
         pass
