@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -24,7 +25,7 @@ from objconnect.scene.runtime.debian import check, require_packages
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # Without a font a browser draws no text at all.
 _FONTS = Path("/usr/share/fonts")
-_TIMEOUT_S = 120.0
+_TIMEOUT_S = 300.0
 # Chromium listens on descriptor 3 and answers on 4.
 _EXEC = (
     "import fcntl, os, sys\n"
@@ -66,7 +67,7 @@ class Browser:
         self.errors: list[str] = []
         self.requests: list[str] = []
         self._number = 0
-        self._loaded = False
+        self._loaded: set[str] = set()  # names that the browser gives to loads
         self._rest = b""
         self._session: str | None = None
 
@@ -93,6 +94,7 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
+        self.send("Page.setLifecycleEventsEnabled", enabled=True)
         return self
 
     def __exit__(
@@ -125,18 +127,19 @@ class Browser:
         self.send("Emulation.setEmulatedMedia", features=[scheme])
         self.errors.clear()
         self.requests.clear()
-        self._load("Page.navigate", url=path.resolve().as_uri())
+        load = self.send("Page.navigate", url=path.resolve().as_uri())["loaderId"]
+        self._wait_for_load(lambda: load in self._loaded)
 
     def reload(self) -> None:
         """Load the page again at the address it has now."""
-        self._load("Page.reload")
+        before = set(self._loaded)
+        self.send("Page.reload")
+        self._wait_for_load(lambda: self._loaded > before)
 
-    def _load(self, method: str, **params: Any) -> None:
-        self._loaded = False
-        self.send(method, **params)
+    def _wait_for_load(self, is_over: Callable[[], bool]) -> None:
         end = time.monotonic() + _TIMEOUT_S
-        while not self._loaded:
-            assert time.monotonic() < end, f"the page did not load: {params}"
+        while not is_over():
+            assert time.monotonic() < end, "the page did not load"
             self._note(self._read())
         self.settle()
 
@@ -227,8 +230,8 @@ class Browser:
 
     def _note(self, message: dict[str, Any]) -> None:
         event, params = message.get("method"), message.get("params", {})
-        if event == "Page.loadEventFired":
-            self._loaded = True
+        if event == "Page.lifecycleEvent" and params["name"] == "load":
+            self._loaded.add(params["loaderId"])
         elif event == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(params["exceptionDetails"]))
         elif event == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning"):

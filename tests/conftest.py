@@ -187,7 +187,10 @@ RENDERED = SimulateConfig.model_validate(
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Return a rendered scene with its map; tests that change it use ``rendered_copy``."""
+    """Return a rendered scene with its map, which other processes read at the same time.
+
+    Tests that write into it, even a lock or a picture, use ``rendered_copy``.
+    """
     require_blender()
     require_libraries()
 

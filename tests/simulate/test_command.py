@@ -189,10 +189,10 @@ def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path)
     assert find_finished(tmp_path / "new", RENDERED) is None, "it may be claimed"
 
 
-def test_finished_scene_is_left_alone(rendered: Scene) -> None:
-    before = {path: path.stat().st_mtime_ns for path in rendered.path.rglob("*")}
-    simulate(RENDERED, rendered.path)
-    assert before == {path: path.stat().st_mtime_ns for path in rendered.path.rglob("*")}
+def test_finished_scene_is_left_alone(rendered_copy: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in rendered_copy.rglob("*")}
+    simulate(RENDERED, rendered_copy)
+    assert before == {path: path.stat().st_mtime_ns for path in rendered_copy.rglob("*")}
 
 
 def test_scenes_from_before_there_was_a_choice_of_denoiser_stay_what_they_were(
@@ -205,9 +205,9 @@ def test_scenes_from_before_there_was_a_choice_of_denoiser_stay_what_they_were(
         find_finished(rendered.path, RENDERED.model_copy(update={"denoising": "fast"}))
 
 
-def test_another_configuration_is_refused(rendered: Scene) -> None:
+def test_another_configuration_is_refused(rendered_copy: Path) -> None:
     with pytest.raises(InputError, match="another configuration"):
-        simulate(RENDERED.model_copy(update={"seed": 12}), rendered.path)
+        simulate(RENDERED.model_copy(update={"seed": 12}), rendered_copy)
 
 
 def test_two_runs_do_not_write_one_scene(tmp_path: Path) -> None:

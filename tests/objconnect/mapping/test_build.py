@@ -94,9 +94,9 @@ def test_pairs_of_hundreds_of_frames_grow_with_their_number() -> None:
     assert {(k, k + 1) for k in range(399)} < set(pairs)
 
 
-def test_two_runs_do_not_write_one_map(rendered: Scene) -> None:
-    with write_lock(rendered.path), pytest.raises(InputError, match="another run is writing"):
-        build_map(rendered.path)
+def test_two_runs_do_not_write_one_map(rendered_copy: Path) -> None:
+    with write_lock(rendered_copy), pytest.raises(InputError, match="another run is writing"):
+        build_map(rendered_copy)
 
 
 def test_a_damaged_photograph_keeps_the_old_map(rendered_copy: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,8 +26,9 @@ SESSION = "summer-noon-nadir-map"
 
 
 @pytest.fixture(scope="module")
-def diagnosis(rendered: Scene) -> Diagnosis:
-    return diagnose(rendered.path)
+def diagnosis(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    folder = tmp_path_factory.mktemp("diagnosed")
+    return diagnose(Path(shutil.copytree(rendered.path, folder / "hamlet")))
 
 
 def test_objects_have_the_points_that_photographs_show_on_them(
@@ -150,11 +152,11 @@ def test_masks_stand_in_for_objects(rendered_copy: Path, tmp_path: Path) -> None
         diagnose(rendered_copy, folder)
 
 
-def test_the_command_line_says_the_same(rendered: Scene, diagnosis: Diagnosis) -> None:
-    answer = CliRunner().invoke(app, ["diagnose", str(rendered.path), "--json"])
+def test_the_command_line_says_the_same(rendered_copy: Path, diagnosis: Diagnosis) -> None:
+    answer = CliRunner().invoke(app, ["diagnose", str(rendered_copy), "--json"])
     assert answer.exit_code == 0
     said = json.loads(answer.stdout)
     assert said["map"]["objects"]["small"]["seen"] == diagnosis.map.objects["small"].seen
     assert Path(said["picture"]).is_file()
-    answer = CliRunner().invoke(app, ["diagnose", str(rendered.path / "map")])
+    answer = CliRunner().invoke(app, ["diagnose", str(rendered_copy / "map")])
     assert answer.exit_code == 2

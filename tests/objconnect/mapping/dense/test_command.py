@@ -241,9 +241,9 @@ def test_the_options_are_recorded(tmp_path: Path) -> None:
     assert not _resumable(tmp_path, key).is_same()
 
 
-def test_two_runs_do_not_write_one_cloud(rendered: Scene) -> None:
-    with write_lock(rendered.path), pytest.raises(InputError, match="another run is writing"):
-        dense(rendered.path)
+def test_two_runs_do_not_write_one_cloud(rendered_copy: Path) -> None:
+    with write_lock(rendered_copy), pytest.raises(InputError, match="another run is writing"):
+        dense(rendered_copy)
 
 
 def test_no_map_is_one_line(rendered_copy: Path) -> None:
