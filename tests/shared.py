@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,6 +37,7 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     with hold_lock(factory, name) as root:
         folder, done = root / name, root / f"{name}.done"
         if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of a process that failed to make it
             folder.mkdir()
             make(folder)
             done.touch()

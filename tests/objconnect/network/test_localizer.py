@@ -69,7 +69,7 @@ def test_a_query_leaves_no_tensor_behind(localizer: FeaturemetricLocalizer) -> N
     before = held()
     for _ in range(2):
         find_from(localizer, start)
-    assert held() == before
+    assert held() <= before  # what other tests left may go meanwhile
 
 
 def something_else() -> Query:

@@ -54,6 +54,8 @@ libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
 libc.malloc.argtypes = [ctypes.c_size_t]
 libc.free.argtypes = [ctypes.c_void_p]
+# Without huge pages, which the kernel gives or not: PR_SET_THP_DISABLE.
+libc.prctl(41, 1, 0, 0, 0)
 
 def one():
     # The maps of a picture: together more than twice the largest of them.
