@@ -47,12 +47,12 @@ class Comparison:
         track: track of the data set.
         dataset: name of the data set.
         condition: condition of the compared queries, or "all".
-        threshold: key of the threshold of recall, such as "0.5m_5deg", or what no answer should
-            be: "not_false_fix", "not_wrong_1m" or "not_worse_than_prior".
-        change: change of the share of queries that are correct, or not so, paired by query.
+        threshold: name of the figure: the key of a threshold of recall, such as "0.5m_5deg", or
+            "not_false_fix", "not_wrong_1m" or "not_worse_than_prior".
+        change: change of the share of queries that are good by this figure, paired by query.
         vanished: number of baseline queries that the results lack; they count as losses.
         dropped: whether the share fell by more than chance explains, or a query vanished.
-        can_drop: whether losing every such query would count as a drop.
+        can_drop: whether losing all good queries would count as a drop.
     """
 
     method: str
@@ -190,7 +190,7 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
 
 
 def _figures(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
-    """Return whether a query is good by the name of each figure of recall, then of integrity.
+    """Return functions that test whether a query is good, by figure: recall, then integrity.
 
     Figures that the reference poses do not judge, or whose prior is unknown, are left out.
     """

@@ -225,8 +225,8 @@ place allows. Each is shown from an orbit, from above and from the street.
 ## Conditions over {config.preset}
 
 No object moves between conditions. In seasons without leaves, broadleaved trees are bare, which
-sessions declare as a change. Every season, light and weather can be combined. The pictures show one
-part after another, with the other two of {shown_in}.
+sessions declare as a change. Every season, light and weather can be combined. Each figure varies
+one of the three; the other two are those of {shown_in}.
 
 ### Seasons
 

@@ -35,7 +35,7 @@ from objconnect.network.finder import allowed_poses
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
-from objconnect.network.object_matching import Connector
+from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.objects import centres, occupancy
 from objconnect.network.segmentation import at_level, segment
 from objconnect.scene.bundle.scene import Scene
@@ -123,7 +123,7 @@ def _rank_starts(
 ) -> Sequence[int]:
     """Return the rank of the first correct start of each query, 99 for none."""
     sparse_map = scene.sparse_map()
-    connect = Connector(graph, tested.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
+    connect = ObjectMatcher(graph, tested.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
     frames, ranks = scene.frames(session), []
     for row, name in enumerate(frames.names):

@@ -29,7 +29,7 @@ from objconnect.network.landmarks import merge, place_on_ground
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
-from objconnect.network.object_matching import Connector
+from objconnect.network.object_matching import ObjectMatcher
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
@@ -54,7 +54,7 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     rgb = read_rgb(scene.images_root / name)
     found = finder(rgb, camera)
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
-    connect = Connector(network.constellation, landmarks, ground)
+    connect = ObjectMatcher(network.constellation, landmarks, ground)
     candidate = connect(found, camera, *allowed_poses(None, heights))[0]
     true = Pose.from_matrix(frames.cam_from_world[row])
     error_m = float(torch.linalg.norm(candidate.pose.centre() - true.centre()))

@@ -40,7 +40,7 @@ from objconnect.network.finder import allowed_poses
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
-from objconnect.network.object_matching import Connector, describe_landmarks
+from objconnect.network.object_matching import ObjectMatcher, describe_landmarks
 from objconnect.network.segmentation import at_pixels, segment
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
@@ -310,7 +310,7 @@ def measure_starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str
         sparse_map = scene.sparse_map()
         landmarks = finder.landmarks(sparse_map, scene.images_root)
         ground = map_ground(sparse_map)
-        connect = Connector(network.constellation, landmarks, ground)
+        connect = ObjectMatcher(network.constellation, landmarks, ground)
         heights = [sparse_map.height_above(c) for c in sparse_map.centres]
         rows, columns = ground.shape
         megabytes = landmarks_bytes(landmarks) / 1e6

@@ -28,7 +28,7 @@ from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import parse_start
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
-from objconnect.localization.featuremetric.screening import screen_height
+from objconnect.localization.featuremetric.screening import rough_peak
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
@@ -44,12 +44,12 @@ class Screened(NamedTuple):
 
     Attributes:
         is_right: whether its full alignment is right.
-        heights: peak-to-sidelobe ratios of the rough alignments, by ``_COARSER``.
+        rough_peaks: peak-to-sidelobe ratios of the rough alignments, by ``_COARSER``.
         seconds: processor seconds of the rough alignments, and of the full one.
     """
 
     is_right: bool
-    heights: tuple[float, ...]
+    rough_peaks: tuple[float, ...]
     seconds: tuple[float, ...]
 
 
@@ -71,9 +71,9 @@ def _screen_query(search: GlobalSearch, query: Query, truth: Pose) -> list[Scree
     screened, clock = [], Stopwatch()
     for find in search.finders():
         for candidate in find(query, clock):
-            times, heights = [process_time()], []
+            times, rough_peaks = [process_time()], []
             for coarser in _COARSER:
-                heights.append(screen_height(search.refine, query, candidate, coarser))
+                rough_peaks.append(rough_peak(search.refine, query, candidate, coarser))
                 times.append(process_time())
             attempt = search.refine.align_near(query, candidate.pose, clock)
             times.append(process_time())
@@ -81,7 +81,7 @@ def _screen_query(search: GlobalSearch, query: Query, truth: Pose) -> list[Scree
             if not attempt.has_failed:
                 metres, degrees = attempt.pose.error_to(truth)
                 is_right = bool(metres < _RIGHT_M and degrees < _RIGHT_DEG)
-            screened.append(Screened(is_right, tuple(heights), tuple(np.diff(times))))
+            screened.append(Screened(is_right, tuple(rough_peaks), tuple(np.diff(times))))
     return screened
 
 
@@ -95,9 +95,9 @@ def _print_table(queries: list[list[Screened]]) -> None:
         peaks = defaultdict(list)
         for each in queries:
             for one in each:
-                peaks[one.is_right].append(one.heights[k])
-        first = sum(max(each, key=lambda one: one.heights[k]).is_right for each in findable)
-        least = min(max(one.heights[k] for one in each if one.is_right) for each in findable)
+                peaks[one.is_right].append(one.rough_peaks[k])
+        first = sum(max(each, key=lambda one: one.rough_peaks[k]).is_right for each in findable)
+        least = min(max(one.rough_peaks[k] for one in each if one.is_right) for each in findable)
         others = np.quantile(peaks[False], (0.5, 0.9, 0.99))
         shown = ", ".join(f"{value:.1f}" for value in others)
         print(f"| {coarser:g} | {first} | {least:.1f} | {shown} | {seconds[k]:.2f} |")

@@ -111,7 +111,8 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
         return localizer
     if missing := [member for member in _MEMBERS if not hasattr(localizer, member)]:
         raise InputError(
-            f"method {name!r} ({entry_point.value}) is no localizer: it lacks {', '.join(missing)}"
+            f"method {name!r} ({entry_point.value}) is not a localizer: "
+            f"it lacks {', '.join(missing)}"
         )
     return localizer
 

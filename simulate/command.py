@@ -309,8 +309,8 @@ def _make_session(
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
     frames = _frames(name, poses, config.photo_camera(session), session, config, plan.rng)
     sensor = config.sensor.adapt(condition(session.condition, config.origin).dimness)
-    seen = config.model_copy(update={"sensor": sensor})
-    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, seen))
+    adapted = config.model_copy(update={"sensor": sensor})
+    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, adapted))
     shutil.rmtree(rendered)
 
 

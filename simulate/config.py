@@ -213,15 +213,16 @@ class SimulateConfig(Config):
     courses: Literal["shared", "own"] = Field(
         "shared",
         description='"shared": flights are drawn by seed and session, so that all presets of one '
-        'seed are flown alike. "own", for new tracks: by preset too, with any heading, and '
-        "altitudes and radii within 15 % of those of the role, where a flight states none.",
+        'seed have the same flights. "own": they are drawn by preset too, with any heading. '
+        "Altitudes and radii that a flight does not state are then drawn within 15 % of those of "
+        "its role. Use it for new tracks.",
     )
     change_share: float = Field(
         1.0,
         ge=0,
         le=1,
         description="Probability that the ``change`` of a session happens, drawn by preset, seed "
-        "and session and not by condition, so that a track tells the two effects apart.",
+        "and session and not by condition, so that a track separates the two effects.",
     )
     position_jitter_m: float = Field(
         0.7, ge=0, description="Standard deviation of positions by wind, per axis, m."

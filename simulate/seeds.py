@@ -29,7 +29,7 @@ def course_generator(seed: int, index: int, preset: str) -> np.random.Generator:
     Args:
         seed: seed of the scene.
         index: number of the session in the configuration.
-        preset: preset of the place; empty if all presets of one seed are flown alike.
+        preset: preset of the place; empty if all presets of one seed have the same flights.
     """
     return _generator(seed, index, *preset.encode())
 

@@ -39,8 +39,8 @@ class D2NetConfig(StructureConfig):
 
     weights: Path | None = Field(
         None,
-        description="File of weights, ours or a checkpoint of the authors, or published weights: a "
-        "folder or hf://OWNER/NAME@COMMIT; None for the shipped ones.",
+        description="File of weights (safetensors, or a checkpoint of the authors), or published "
+        "weights: a folder or hf://OWNER/NAME@COMMIT; None for the shipped ones.",
     )
     device: Device = AUTO
     scales: tuple[float, ...] = Field(

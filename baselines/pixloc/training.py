@@ -1,4 +1,4 @@
-"""Training of PixLoc: a contrastive loss first, then the pose loss, too.
+"""Training of PixLoc: by a contrastive loss alone at first, then by the pose loss too.
 
 The authors train by the pose loss alone, from weights of ImageNet. From random weights, this leaves
 the coarse level weak. The contrastive loss remains when the pose loss is added.

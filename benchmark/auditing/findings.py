@@ -13,7 +13,7 @@ class Verdict(StrEnum):
 
     RIGHT = "right"
     WRONG = "wrong"
-    UNKNOWN = "cannot be told"
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Finding:
         check: the checked property.
         verdict: the verdict.
         detail: one line: what was measured and, if wrong, what the fault looks like, or why it
-            cannot be told.
+            is unknown.
         fault: short name of the fault for programs, such as ``poses-inverted``; empty unless the
             verdict is wrong.
         figures: the measured numbers.
@@ -48,7 +48,7 @@ def wrong(check: str, fault: str, detail: str, **figures: float) -> Finding:
 
 
 def unknown(check: str, why: str, **figures: float) -> Finding:
-    """Return the finding that a property cannot be told."""
+    """Return the finding that a property could not be checked."""
     return Finding(check, Verdict.UNKNOWN, why, figures=figures)
 
 
@@ -73,7 +73,7 @@ class Audit:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong; a property that cannot be told is not wrong."""
+        """Whether nothing is wrong; a property that could not be checked is not wrong."""
         return not self.faults
 
     @property
@@ -94,7 +94,7 @@ class Audit:
         """Return the number of checks with each verdict, in words."""
         count = {v: sum(f.verdict is v for f in self.findings) for v in Verdict}
         parts = [f"{count[Verdict.WRONG]} wrong", f"{count[Verdict.RIGHT]} right"]
-        return ", ".join([*parts, f"{count[Verdict.UNKNOWN]} cannot be told"])
+        return ", ".join([*parts, f"{count[Verdict.UNKNOWN]} unknown"])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the audit as plain data for a program."""

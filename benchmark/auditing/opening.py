@@ -1,4 +1,4 @@
-"""Readers of the statements of a data set, for every known format."""
+"""Read the cameras, poses and positions that a data set states, in every known format."""
 
 from __future__ import annotations
 

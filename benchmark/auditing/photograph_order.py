@@ -1,7 +1,7 @@
 """Detection of poses that belong to other photographs: shifted, swapped, shuffled, or single ones.
 
-It runs for poses that agree in no convention, and for poses that agree on the whole, among which
-single ones may be wrong.
+It runs if the poses agree with the photographs in no convention. It also runs if most poses agree,
+because single ones may still be wrong.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def find_order(
         if shifted[best] > max(2 * as_stated, RIGHT_SHARE - 0.15):
             when = "earlier" if best > 0 else "later"
             detail = (
-                f"poses are those of photographs {_count(abs(best))} {when}: so read, "
+                f"each pose belongs to the photograph {_count(abs(best))} {when}: with this shift "
                 f"{shifted[best]:.0%} of the matches agree, as stated {as_stated:.0%}"
             )
             finding = wrong(CHECK, "poses-shifted", detail, agreeing=as_stated, photographs=-best)

@@ -1,6 +1,6 @@
 """Check of stated positions against the GPS positions in the photographs' EXIF.
 
-Poses in a world of their own are compared up to a similarity, whose scale shows whether the world
+Poses in an arbitrary world are compared up to a similarity, whose scale shows whether the world
 is in metres. Positions on earth are compared directly.
 """
 
@@ -31,7 +31,7 @@ HEIGHTS = "heights are those of the photographs"
 MIN_POSITIONS = 3
 # Positions follow GPS if the residual is below this share of the flight's extent.
 _FOLLOWS = 0.3
-# Another reading of positions explains GPS if the residual shrinks to this share.
+# A mistake is found if the residual shrinks to this share once it is corrected.
 _SHRINKS = 0.2
 # A world is metric if the logarithm of its scale is below this; errors of GPS positions and of
 # their times change the scale by a few per cent.
@@ -122,7 +122,7 @@ def check_positions(
     has_gps = np.array([fix is not None for fix in measured])
     has_height = np.array([fix is not None and not np.isnan(fix.altitude) for fix in measured])
     if stated.geodetic is None:
-        has_gps = has_height  # poses in a world of their own are compared in three dimensions
+        has_gps = has_height  # poses in an arbitrary world are compared in three dimensions
     if has_gps.sum() >= MIN_POSITIONS:
         stated_geodetic = stated.geodetic
         fixes = _fill_heights(measured, has_gps, stated_geodetic)
@@ -211,7 +211,7 @@ def _check_latlon(stated_geodetic: Array, fixes: Sequence[Geodetic]) -> tuple[Fi
     )
     if best < _SHRINKS * as_stated and as_stated > _MISTAKE_M:
         detail = (
-            f"{mistake.description}: so read they are {best:.0f} m from GPS, as stated "
+            f"{mistake.description}: corrected they are {best:.0f} m from GPS, as stated "
             f"{as_stated:.4g} m"
         )
         finding = wrong(LATLON, mistake.fault, detail, metres=as_stated, explained_metres=best)
@@ -292,7 +292,7 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
         if shifted[k] < _SHRINKS * residual:
             when = "earlier" if k > 0 else "later"
             detail = (
-                f"positions are those of photographs {abs(k)} {when}: so read they are "
+                f"positions belong to the photographs {abs(k)} {when}: with this shift they are "
                 f"{shifted[k]:.1f} m from GPS, as stated {residual:.1f} m"
             )
             return wrong(FOLLOW, "positions-shifted", detail, **figures, photographs=float(-k))

@@ -64,7 +64,7 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
         # null switches an option off; an empty value is an error.
         if settings[key] is None and not value.strip():
             raise InputError(
-                f"--set {key}: {value!r} is no value: leave --set {key} out for the default"
+                f"--set {key}: {value!r} is not valid: leave --set {key} out for the default"
             )
     return settings
 

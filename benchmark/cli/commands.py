@@ -20,7 +20,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "scenes": {
         "ingest": "Turn a folder of photographs with GPS positions into a scene.",
         "export": "Write the poses and cameras of a scene in the format of another program.",
-        "publish": "Write scenes as a data set that a hub takes, with a card and metadata.",
+        "publish": "Write scenes as a data set for a data hub, with a card and metadata.",
         "validate": "Check the conventions and the exactness of a scene or a flight.",
         "audit": "Check the poses of any data set against its photographs, without ground truth.",
     },
@@ -44,7 +44,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "methods": {
         "options": "List the options of a localizer with their defaults.",
         "train": "Train a method on rendered scenes, or resume its training.",
-        "publish-weights": "Write weights as a model that a hub takes, with a card and results.",
+        "publish-weights": "Write weights as a model for a hub, with a card and results.",
     },
     "planning": {
         "forecast": "Forecast where along a flight a method finds a fix, by season and light.",

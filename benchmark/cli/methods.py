@@ -150,9 +150,9 @@ def publish_weights(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write weights as a model that a hub takes, with a card and results.
+    """Write weights as a model for a hub, with a card and results.
 
-    DIR holds the file of weights as it is, the calibration files beside it, a model card, the
+    DIR holds the file of weights unchanged, the calibration files beside it, a model card, the
     results and checksums. It appears when it is complete. --set weights=DIR uses it.
     """
     from benchmark.publishing.description import Release

@@ -105,7 +105,7 @@ def gate_scene(
 ) -> None:
     """Write a small flight data set that comes with the package.
 
-    The rendered photographs of a town in summer, of 256 x 192 pixels (3 to 4 MB). Use it for a
+    It holds rendered photographs of a town, 256 x 192 pixels each, in 3 to 4 MB. Use it for a
     first evaluation, or in continuous integration before you have data of your own.
     """
     from benchmark.gate.scene import gate_scene as run

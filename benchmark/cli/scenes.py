@@ -69,7 +69,7 @@ MapperOption = Annotated[
     typer.Option(help="Structure from motion: one photograph after another, or all at once."),
 ]
 SplitUnit = Annotated[
-    SplitBy, typer.Option(help="What becomes queries: photographs, flight lines or nothing.")
+    SplitBy, typer.Option(help="Queries are single photographs, whole flight lines, or none.")
 ]
 EveryNth = Annotated[
     int,
@@ -87,7 +87,7 @@ GivenPoses = Annotated[
 PosesFrame = Annotated[
     FrameName | None,
     typer.Option(
-        help="Frame of a reconstruction.json that neither it nor the files beside it state: "
+        help="Frame of the poses in a reconstruction.json, if no file states it: "
         "'topocentric', metres east and north, as OpenSfM writes, or 'projected', as ODM writes, "
         "which needs odm_georeferencing/coords.txt.",
     ),
@@ -316,7 +316,7 @@ def publish(
     sealed: Sealed = False,
     as_json: Json = False,
 ) -> None:
-    """Write scenes as a data set that a hub takes, with a card and metadata.
+    """Write scenes as a data set for a data hub, with a card and metadata.
 
     DIR holds Parquet files of the photographs with their poses, cameras, priors and difficulty,
     the maps, a data card, metadata in Croissant 1.1, preview pictures and checksums. It appears
@@ -377,8 +377,8 @@ def audit(
 ) -> None:
     """Check the poses of any data set against its photographs, without ground truth.
 
-    Reports for each property whether it is right, wrong (and what the fault looks like) or cannot
-    be told (and why): conventions of poses, focal length, principal point, names, times, scale,
+    Reports for each property whether it is right, wrong (and what the fault looks like) or unknown
+    (and why): conventions of poses, focal length, principal point, names, times, scale,
     positions, heights, and the files themselves. The evidence is matches between photographs, their
     EXIF, and the map's points. Exits with 2 if something is wrong.
     """

@@ -19,7 +19,7 @@ Pairs = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Of Extended CMU Seasons: pair list of hloc, lines 'query reference' for every test "
+        help="For Extended CMU Seasons: pair list of hloc, lines 'query reference' for every test "
         "image. By default the method retrieves map photographs itself, for all query images.",
     ),
 ]
@@ -27,12 +27,12 @@ DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Of Extended CMU Seasons: write nothing, and list the files that are missing.",
+        help="For Extended CMU Seasons: write nothing, and list the files that are missing.",
     ),
 ]
 
 # Options that only Extended CMU Seasons takes, and what to do on other data sets.
-_OF_CMU: Final = {
+_FOR_CMU: Final = {
     "--pairs": "give --start pairs=FILE",
     "--jobs": "leave it out",
     "--dry-run": "leave it out",
@@ -87,9 +87,9 @@ def submit(
     given = list_given(context)
     reader = reader_of(path)
     if reader is not None and reader.name != "cmu":
-        for option in (option for option in given if option in _OF_CMU):
+        for option in (option for option in given if option in _FOR_CMU):
             raise InputError(
-                f"{option} is for Extended CMU Seasons, and {path} is not: {_OF_CMU[option]}"
+                f"{option} is for Extended CMU Seasons, and {path} is not: {_FOR_CMU[option]}"
             )
         emit(write_answers(path, localizer, out, parse_start(start), cache), as_json)
         return

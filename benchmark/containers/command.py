@@ -159,7 +159,7 @@ def _read_poses(path: Path, dataset: Dataset) -> dict[str, Pose]:
     known = {query.name for query in dataset.queries}
     if unknown := [name for name in poses if name not in known]:
         raise InputError(
-            f"/output/{POSES} of the container has a pose of {unknown[0]}, which is no query of "
+            f"/output/{POSES} of the container has a pose of {unknown[0]}, which is not a query of "
             f"{dataset.name}: names are those in /data/queries.txt"
         )
     return poses

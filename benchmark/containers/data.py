@@ -1,4 +1,4 @@
-"""The folder that a container reads: a map, photographs, and what is told of each query.
+"""The folder that a container reads: a map, photographs, and each query's starting information.
 
 It holds no reference pose. Photographs of queries are written again as PNG files of the same
 pixels, because the metadata of their files may hold positions.
@@ -46,7 +46,7 @@ def write_data(task: Task, start: Start, folder: Path) -> None:
 
     Args:
         task: data set.
-        start: what is told of each query besides its photograph.
+        start: starting information of each query besides its photograph.
         folder: folder to fill.
 
     Raises:

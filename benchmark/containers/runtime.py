@@ -23,22 +23,22 @@ OUTPUT: Final = "/output"
 """Folder in the container for ``poses.txt``."""
 
 _DOCKER: Final = "docker"
-# The beginning is no dash, so that an image is never taken for an option.
+# It does not begin with a dash, so that an image is never taken for an option.
 _IMAGE: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,254}")
 # Docker's own exit status, when it could not start the container, and that of a killed container.
 _NOT_STARTED: Final = 125
 _KILLED: Final = 137
-# Bytes of the end of what a program prints that are kept, and characters of a message.
+# Number of last bytes of a program's output that are kept, and of characters of a message.
 _TAIL_BYTES: Final = 4096
 _REASON_CHARACTERS: Final = 300
-# Seconds until a command that only asks or stops counts as hanging.
+# Timeout of the commands that inspect an image or kill a container, seconds.
 _PATIENCE_S: Final = 60.0
 # Most processes and threads in a container.
 _MOST_PROCESSES: Final = 4096
 
 
 class Limits(Record):
-    """What a container may use; no option of the method in it."""
+    """Limits on the resources of a container; they are not options of the method in it."""
 
     memory_gb: float = Field(16.0, ge=0.1, le=4096, description="Memory, 1e9 bytes.")
     cpus: float = Field(4.0, ge=0.1, le=1024, description="Number of processors.")
@@ -48,14 +48,14 @@ class Limits(Record):
 
 
 def require_image_name(image: str) -> None:
-    """Refuse a word that is no name of an image, such as an option of Docker.
+    """Refuse a word that is not the name of an image, such as an option of Docker.
 
     Raises:
-        InputError: the word is no name of an image.
+        InputError: the word is not the name of an image.
     """
     if not _IMAGE.fullmatch(image):
         raise InputError(
-            f"--container {image!r} is no name of an image, such as example/method:1.0"
+            f"--container {image!r} is not the name of an image, such as example/method:1.0"
         )
 
 
@@ -179,7 +179,7 @@ class _Tail:
 
 
 def _reason(printed: bytes) -> str:
-    """Return the last line that a program printed and that says something."""
+    """Return the last line of a program's output that is not empty or Docker's advice."""
     lines = [line.strip() for line in printed.decode(errors="replace").splitlines()]
-    told = [line for line in lines if line and not line.startswith("Run 'docker")]
-    return for_terminal(told[-1][:_REASON_CHARACTERS]) if told else "it printed no reason"
+    useful = [line for line in lines if line and not line.startswith("Run 'docker")]
+    return for_terminal(useful[-1][:_REASON_CHARACTERS]) if useful else "it printed no reason"

@@ -37,7 +37,8 @@ _PRIORS: Final = "pose.txt"
 _CAMERAS: Final = "intrinsic.txt"
 _PHOTOGRAPHS: Final = "rgb"
 _MAP: Final = "map"
-# Large coordinates multiply the rounding of a quaternion: at most this error of a camera, metres.
+# Largest error of a camera centre (m) from the rounding of its quaternion. The error grows with the
+# coordinates.
 _MOST_UNCLEAR_M: Final = 0.01
 
 
@@ -56,7 +57,7 @@ class AerialExtreMatchReader:
 
         Raises:
             InputError: no quality has a map, a file is missing or wrong, a query has no camera or
-                no photograph, or a pose is not as exact as its coordinates need.
+                no photograph, or a quaternion is rounded too coarsely for the coordinates.
         """
         maps = [path / quality / _MAP for quality in QUALITIES]
         found = [each for each in maps if is_scene(each)]

@@ -1,6 +1,6 @@
 """Reader of Extended CMU Seasons: the slices whose query poses are public.
 
-The reader takes the download as it is, which differs from its README and from what public loaders
+The reader takes the unchanged download, which differs from its README and from what public loaders
 expect: pose files hold the camera's centre, not a translation; the name of each image states its
 camera, c0 or c1; pose files may be empty; images are distorted, although an example calls them
 "rect"; the reference traversal is that of April 21, 2011, as its timestamps show.
@@ -114,7 +114,7 @@ class Slice:
         return self.cameras[ImageName.parse(name).camera]
 
     def restrict(self, names: Collection[str]) -> Slice:
-        """Return the slice with those query images alone that are among some names."""
+        """Return the slice with only the query images that have these names."""
         return replace(self, queries=tuple(name for name in self.queries if name in names))
 
 
@@ -149,7 +149,7 @@ def _find_slices(path: Path) -> tuple[list[Path], dict[str, Camera]]:
 
 
 def list_queries(folder: Path) -> tuple[str, ...]:
-    """Return the names of the query images of a slice, sorted; of no image without a folder."""
+    """Return the names of the query images of a slice, sorted; empty without their folder."""
     photographs = folder / "query"
     images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
     return tuple(image.name for image in images)
@@ -164,7 +164,7 @@ def read_test_list(folder: Path) -> set[str]:
     """Read the names in the list of a slice's test images, one on each line.
 
     Raises:
-        InputError: the file is missing or no text.
+        InputError: the file is missing or not a text file.
     """
     text = read_text(path_of_test_list(folder), "list of test images")
     return {line.strip() for line in text.splitlines()} - {""}

@@ -40,10 +40,10 @@ def check_files(path: Path) -> Iterator[Check]:
         path: folder of the data set, or of one of its slices.
 
     Raises:
-        InputError: the path is no folder, or there is neither ``intrinsics.txt`` nor a slice.
+        InputError: the path is not a folder, or there is neither ``intrinsics.txt`` nor a slice.
     """
     if not path.is_dir():
-        raise InputError(f"{path} is not Extended CMU Seasons: it is no folder; check the path")
+        raise InputError(f"{path} is not Extended CMU Seasons: it is not a folder; check the path")
     root = root_of(path)
     folders = slice_folders(path)
     archives = sorted(root.glob("slice*.tar"))

@@ -1,4 +1,4 @@
-"""Courses: flights along the same path, whose queries are no independent samples.
+"""Courses: flights along the same path, whose queries are not independent samples.
 
 A flight is repeated under another condition, with a second camera, or over another rendered place
 of the same seed. Both flights then have the same heights, tilts and overlaps, and often show the
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 SAME_M: Final = 10.0
 """Two flights are on one course if the median distance of their cameras of the same number is below
-this, metres. Of independent random flights over a square of 220 m it is 40 m or more, of drives
-along one street up to 14 m, of repeated surveys 1 m.
+this, metres. The median is 40 m or more between independent random flights over a square of 220 m,
+up to 14 m between drives along one street, and 1 m between repeated surveys.
 """
 
 

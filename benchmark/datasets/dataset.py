@@ -81,7 +81,7 @@ class BenchmarkQuery(TaskQuery):
 
 @dataclass(frozen=True)
 class Task:
-    """A map and queries. A method can localize them; nothing here says whether it is right.
+    """A map and queries, which a method can localize, without the reference poses.
 
     Attributes:
         name: name of the data set and of the folder of its results.
@@ -128,7 +128,7 @@ class Dataset(Task):
 
     Attributes:
         unjudged: thresholds, as ``0.25 m 2°``, and ``1 m`` for the bound of wrong answers, that the
-            reference poses are too inexact for.
+            reference poses are too inexact to judge.
     """
 
     queries: tuple[BenchmarkQuery, ...]

@@ -94,7 +94,7 @@ READER: Final = FlightReader()
 
 
 def _without_suffix(path: Path) -> Path:
-    """Return the folder of the flight whose hard split a path names."""
+    """Return a path without the ending "-sparse" that names the hard split."""
     return path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
 
 
@@ -164,7 +164,7 @@ def _open_split(path: Path, name: str, model: Path, ending: str) -> Dataset:
 
 
 def _list_unjudged(path: Path) -> tuple[str, ...]:
-    """Return the thresholds that the reference poses of a flight are too inexact for."""
+    """Return the thresholds for which the reference poses of a flight are too inexact."""
     error = read_reference_error(path)
     return () if error is None else list_unjudged(error)
 

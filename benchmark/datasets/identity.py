@@ -52,7 +52,7 @@ def sealed_sha256(dataset: Dataset) -> str:
     It covers no reference pose, and the photographs of the queries without their metadata.
 
     Raises:
-        InputError: a photograph of a query is no JPEG file, or cannot be read.
+        InputError: a photograph of a query is not a JPEG file, or cannot be read.
     """
     parts = {part: digest for part, digest in dataset.parts.items() if part.startswith("map ")}
     for query in dataset.queries:

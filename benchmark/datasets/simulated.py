@@ -80,7 +80,7 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
     for name in scene.splits.queries[session]:
         if name not in row_of:
             raise InputError(
-                f"scene {scene.path}: query {name} is no frame of session {session}: remove it "
+                f"scene {scene.path}: query {name} is not a frame of session {session}: remove it "
                 "from splits.json"
             )
         condition = scene.sessions[session].condition

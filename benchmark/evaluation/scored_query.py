@@ -18,7 +18,7 @@ from objconnect.scene.storage.answers import pose_of
 
 
 class QueryFacts(NamedTuple):
-    """What results say of a query whatever a method answers; see ``QueryResult``."""
+    """The fields of ``QueryResult`` that do not depend on the method's answer."""
 
     name: str
     condition: str
@@ -63,7 +63,7 @@ def score_estimate(
     """Compare an estimate with a reference pose.
 
     Args:
-        facts: what is known of the query without an answer.
+        facts: the fields of the result that do not depend on the answer.
         reference: reference cam_from_world.
         estimate: answer of a method.
         seconds: wall-clock time of the method's call; None where it was not measured.

@@ -1,4 +1,4 @@
-"""Pair lists of hloc for slices of Extended CMU Seasons: reading, and checks of their names."""
+"""Pair lists of hloc for slices of Extended CMU Seasons: reading and validation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Pairs = Mapping[str, tuple[str, ...]]
 """Names of map photographs by the name of a query image."""
 
 
-def read_slice_pairs(path: Path, mapped: Mapping[Slice, Collection[str]]) -> Pairs:
+def read_slice_pairs(path: Path, map_names: Mapping[Slice, Collection[str]]) -> Pairs:
     """Read the pairs of the query images of some slices.
 
     Every image in the list of test images of a slice needs a pair, and where there is no such list,
@@ -22,35 +22,35 @@ def read_slice_pairs(path: Path, mapped: Mapping[Slice, Collection[str]]) -> Pai
 
     Args:
         path: pair list with lines ``query reference``.
-        mapped: names of the map photographs of each slice.
+        map_names: names of the map photographs of each slice.
 
     Raises:
         InputError: the file cannot be read, or ``describe_faults`` finds a fault.
     """
     pairs = read_pairs(path)
-    for fault in describe_faults(path, pairs, mapped):
+    for fault in describe_faults(path, pairs, map_names):
         raise InputError(fault)
     return pairs
 
 
 def describe_faults(
-    path: Path, pairs: Pairs, mapped: Mapping[Slice, Collection[str]]
+    path: Path, pairs: Pairs, map_names: Mapping[Slice, Collection[str]]
 ) -> Iterator[str]:
     """Yield a sentence about each kind of name in a pair list that does not fit the slices.
 
     Args:
         path: pair list, for messages.
         pairs: its pairs.
-        mapped: names of the map photographs of each slice.
+        map_names: names of the map photographs of each slice.
     """
-    queries = {name for each in mapped for name in each.queries}
+    queries = {name for each in map_names for name in each.queries}
     if unknown := [name for name in pairs if name not in queries]:
-        folders = ", ".join(each.folder.name for each in mapped)
+        folders = ", ".join(each.folder.name for each in map_names)
         yield (
             f"{path}: {name_some(unknown)}: not among the query images of {folders}; remove the "
-            "lines, or submit the slices that they are of"
+            "lines, or submit their slices too"
         )
-    for each, names in mapped.items():
+    for each, names in map_names.items():
         needed = _list_images_to_pair(each)
         if missing := [name for name in needed if name not in pairs]:
             yield (

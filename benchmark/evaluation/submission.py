@@ -40,7 +40,7 @@ class _Answer(NamedRecord):
 
     @staticmethod
     def of(name: str, estimate: Estimate) -> _Answer:
-        """Return the entry of an estimate; a fallback is no localized image."""
+        """Return the entry of an estimate; a fallback is not a localized image."""
         pose = estimate.cam_from_world
         if estimate.status is not Status.OK or pose is None:
             return _Answer(name=name, cam_from_world=None)
@@ -70,7 +70,7 @@ def submit(
         localizer: method to run.
         out: folder of the submission.
         pairs: pair list of hloc, with map photographs for every test image. Query images without a
-            pair, which are no test images, are left out. None leaves retrieval to the method.
+            pair, which are not test images, are left out. None leaves retrieval to the method.
         cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
         jobs: number of images at a time, in threads.
 
@@ -84,10 +84,10 @@ def submit(
     slices = open_slices(path)
     finished = _check_outputs(out, path, slices)
     _require_unique_names(slices)
-    mapped = {each: _map_names(each) for each in slices}
+    map_names = {each: _map_names(each) for each in slices}
     listed = None
     if pairs is not None:
-        listed = read_slice_pairs(pairs, mapped)
+        listed = read_slice_pairs(pairs, map_names)
         slices = [each.restrict(listed) for each in slices]
     lines: list[str] = []
     for each, file in zip(slices, finished, strict=True):
@@ -124,8 +124,8 @@ def _check_pairs(path: Path, pairs: Path, faults: Sequence[str]) -> list[Check]:
         return [Check("pairs", False, f"not checked: mend {', '.join(unread or faults)} first")]
     try:
         listed = read_pairs(pairs)
-        mapped = {each: _map_names(each) for each in open_slices(path)}
-        sentences = list(describe_faults(pairs, listed, mapped))
+        map_names = {each: _map_names(each) for each in open_slices(path)}
+        sentences = list(describe_faults(pairs, listed, map_names))
     except InputError as error:
         sentences = [str(error)]
     if sentences:

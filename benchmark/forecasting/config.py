@@ -17,7 +17,7 @@ SEASONS = ("summer-noon", "winter-noon", "snow-dusk")
 
 
 class ForecastConfig(Config):
-    """What a forecast renders, and how it computes probabilities."""
+    """Options of a forecast: the views that it renders, and its computation of probabilities."""
 
     seasons: tuple[str, ...] = Field(
         SEASONS,

@@ -121,7 +121,7 @@ class Season(Record):
     stretches: tuple[Stretch, ...]
 
 
-class Request(Record):
+class PhotographRequest(Record):
     """A part of the flight where more map photographs would help.
 
     Attributes:
@@ -175,7 +175,7 @@ class Forecast(Record):
     notes: tuple[str, ...]
     seasons: tuple[Season, ...]
     waypoints: tuple[Waypoint, ...]
-    photographs: tuple[Request, ...]
+    photographs: tuple[PhotographRequest, ...]
     views: tuple[dict[str, Any], ...]
 
     def text(self) -> str:
@@ -226,7 +226,7 @@ def weak_stretches(
 
 def request_photographs(
     waypoints: Sequence[Waypoint], config: ForecastConfig
-) -> tuple[Request, ...]:
+) -> tuple[PhotographRequest, ...]:
     """Return where few map points are in view and a fix is unlikely in some season."""
 
     def is_wanted(waypoint: Waypoint) -> bool:
@@ -239,7 +239,7 @@ def request_photographs(
         middle = part[len(part) // 2]
         lost = sum(1 - o.probability for w in part for o in w.seasons.values())
         requests.append(
-            Request(
+            PhotographRequest(
                 first=first + 1,
                 last=last + 1,
                 points=round(sum(w.points for w in part) / len(part), 1),

@@ -1,1 +1,1 @@
-"""Publication of scenes as a folder that a data hub takes, and the reader of such folders."""
+"""Publication of scenes as a folder for a data hub, and the reader of such folders."""

@@ -74,7 +74,7 @@ def write_card(
 
 
 def _front_matter(name: str, published: Published) -> dict[str, Any]:
-    """Return what the hub reads: the licence, and which files are which split."""
+    """Return the metadata that the hub reads: the licence, and the files of each split."""
     count = sum(sum(scene.photographs.values()) for scene in published.scenes)
     configs = [_config("default", "*", default=True)]
     if len(published.scenes) > 1:

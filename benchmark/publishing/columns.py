@@ -37,7 +37,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "session": Column("text", "flight that took the photograph, unique within its scene"),
     "condition": Column("text", "season, light and weather"),
     "flight": Column("text", "kind of the session's flight, such as nadir or oblique"),
-    "image": Column("picture", "the photograph, as its file was written"),
+    "image": Column("picture", "the photograph's file, unchanged"),
     "sha256": Column("text", "SHA-256 of the photograph's file"),
     "camera_model": Column("text", "COLMAP's name of the camera model"),
     "width": Column("integer", "width of the photograph, pixels"),
@@ -63,14 +63,18 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "overlap": Column(
         "float",
         "of a query: share of its pixels whose surface the best map photograph sees too; null if "
-        "not measured, as are the next three",
+        "not measured",
     ),
     "scale": Column(
-        "float", "of a query: ground size of its pixels over that of the map photograph's"
+        "float",
+        "of a query: ground size of its pixels relative to that photograph's; null if not measured",
     ),
-    "angle_deg": Column("float", "of a query: angle between the lines of sight, degrees"),
+    "angle_deg": Column(
+        "float", "of a query: angle between both lines of sight, degrees; null if not measured"
+    ),
     "days": Column(
-        "integer", "of a query: days of the year between it and the map photograph, 0 to 182"
+        "integer",
+        "of a query: days of the year between it and that photograph, 0 to 182; null if unknown",
     ),
 }
 """The columns that every published data set has, in their order."""

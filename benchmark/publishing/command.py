@@ -1,4 +1,4 @@
-"""The command ``publish``, which writes scenes as a folder that a data hub takes."""
+"""The command ``publish``, which writes scenes as a folder for a data hub."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def publish(
     dry_run: bool = False,
     sealed: bool = False,
 ) -> PublishReport:
-    """Write scenes as a folder that a data hub takes.
+    """Write scenes as a folder for a data hub.
 
     The folder holds Parquet files of the photographs with poses, cameras, priors and difficulty,
     the maps, a data card, metadata in Croissant 1.1, preview pictures and checksums. It appears
@@ -50,15 +50,15 @@ def publish(
         paths: scenes, flights, or folders of them, such as those that ``track`` renders.
         out: folder, new or empty; its name is the name of the data set.
         layers: dense layers to publish with the photographs, keys of ``LAYERS``.
-        release: what only the publisher knows.
+        release: the publisher's statements on the data set.
         dry_run: whether to write nothing and to report the bytes.
-        sealed: whether to leave out the poses of the queries and all that they follow from.
+        sealed: whether to leave out the poses of the queries and all that reveals them.
 
     Raises:
-        InputError: a path is no scene and no flight, one lacks a map, a query or a layer, a prior
-            cannot be stored, two have the same name, a licence must be stated, one cannot be
-            sealed, or ``out`` is not empty, cannot be written or lies in a scene or a published
-            data set.
+        InputError: a path is neither a scene nor a flight, one lacks a map, a query or a layer, a
+            prior cannot be stored, two have the same name, a licence must be stated, one cannot
+            be sealed, or ``out`` is not empty, cannot be written or lies in a scene or a
+            published data set.
     """
     release = release or Release()
     require_parquet()

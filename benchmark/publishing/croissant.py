@@ -84,7 +84,7 @@ def write_croissant(
         "keywords": ["UAV", "visual localization", "camera pose", "COLMAP"],
         "inLanguage": "en",
         **_publication(release),
-        **_responsible(description),
+        **_responsible_ai(description),
         "distribution": [*distribution, _FILE_SET],
         "recordSet": [_record_set(columns)],
     }
@@ -108,12 +108,12 @@ def _citation(name: str, release: Release) -> str:
     return ", ".join(part for part in parts if part is not None)
 
 
-def _responsible(description: Description) -> dict[str, Any]:
+def _responsible_ai(description: Description) -> dict[str, Any]:
     """Return the fields of the Responsible-AI vocabulary."""
     return {
         "rai:dataCollection": description.making,
         "rai:dataAnnotationProtocol": description.annotation,
-        "rai:dataPreprocessingProtocol": "None: photographs are as their files were written.",
+        "rai:dataPreprocessingProtocol": "None: files of photographs are published unchanged.",
         "rai:dataLimitations": list(description.limitations),
         "rai:dataBiases": list(description.biases),
         "rai:dataUseCases": list(description.uses),

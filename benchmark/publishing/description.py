@@ -1,4 +1,4 @@
-"""What is said of a published data set in its card and in its metadata."""
+"""The description of a published data set, for its card and its metadata."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from objconnect.scene.errors import InputError
 RENDERS_LICENSE: Final = "CC-BY-4.0"
 """SPDX identifier of the licence of renders."""
 
-# How scenes were made and where their poses come from, by ``Provenance.reference``.
+# How scenes were made, and the origin of their poses, by ``Provenance.reference``.
 _MAKING: Final = {
     "exact": "ObjConnect planned the sites and flights, and Blender rendered them. COLMAP built "
     "the maps.",
@@ -32,14 +32,16 @@ _URLS: Final = {RENDERS_LICENSE: "https://creativecommons.org/licenses/by/4.0/"}
 _SPDX: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
 _DATE: Final = re.compile(r"\d{4}-\d\d-\d\d")
 _VERSION: Final = re.compile(r"\d+\.\d+\.\d+")
-# What a summary says of queries whose poses are left out.
-_SEALED: Final = " and are sealed: they are not in these files, and the organiser scores poses"
+# Part of the summary of a data set without query poses.
+_SEALED: Final = (
+    ". The query poses are sealed: these files lack them, and the organiser scores answers"
+)
 _URL: Final = re.compile(r"https?://[^\s\"<>]+")
 
 
 @dataclass(frozen=True)
 class Release:
-    """What only the publisher knows.
+    """The publisher's statements on a data set.
 
     Attributes:
         license: SPDX identifier; None for that of renders.
@@ -60,11 +62,15 @@ class Release:
 
     def __post_init__(self) -> None:
         if self.license is not None and not _SPDX.fullmatch(self.license):
-            raise InputError(f"license {self.license!r} is no SPDX identifier, such as CC-BY-4.0")
+            raise InputError(
+                f"license {self.license!r} is not an SPDX identifier, such as CC-BY-4.0"
+            )
         if self.creator is not None and not (self.creator.strip() and self.creator.isprintable()):
             raise InputError(f"creator {self.creator!r} is not a name: give printable characters")
         if self.url is not None and not _URL.fullmatch(self.url):
-            raise InputError(f"url {self.url!r} is no address, such as https://example.org/data")
+            raise InputError(
+                f"url {self.url!r} is not an address, such as https://example.org/data"
+            )
         if self.date is not None and not _is_day(self.date):
             raise InputError(f"date {self.date!r} is not a day, such as 2026-05-17")
         if not _VERSION.fullmatch(self.version):
@@ -97,7 +103,7 @@ def is_invented(scene: Provenance) -> bool:
 
 @dataclass(frozen=True)
 class Description:
-    """What is said of a data set.
+    """The description of a data set.
 
     Attributes:
         summary: what it is.
@@ -105,7 +111,7 @@ class Description:
         cost: what it cost to make, and takes to store.
         annotation: where poses, cameras and priors come from.
         limitations: what it cannot show.
-        biases: how it differs from what it stands for.
+        biases: how it differs from the real world.
         uses: what it is meant for.
         personal: what it shows of people.
     """
@@ -153,8 +159,8 @@ def describe(published: Published, total_bytes: int) -> Description:
         + (", both simulated." if exact else "."),
         limitations=_limitations(scenes, exact, invented),
         biases=(
-            "Sites, seasons, weather and flights were chosen by the makers; they are no sample of "
-            "the world.",
+            "Sites, seasons, weather and flights were chosen by the makers; they are not a random "
+            "sample of the world.",
         ),
         uses=(
             "Measuring and comparing methods that localize a camera in a map.",

@@ -35,9 +35,9 @@ class FlightSession:
     """The map's photographs or the queries of a flight.
 
     Attributes:
-        condition: condition of the photographs, as far as it is not that of each.
-        flight: kind of flight, which the files do not tell.
-        readout_s: seconds of the readout, which the files do not tell.
+        condition: condition of the photographs that have no condition of their own.
+        flight: kind of flight; the files do not state it.
+        readout_s: seconds of the readout; the files do not state it.
     """
 
     condition: str
@@ -47,7 +47,7 @@ class FlightSession:
 
 @dataclass(frozen=True)
 class Flight:
-    """A flight with the attributes of a scene; see ``benchmark.publishing.rows.Photographed``.
+    """A flight with the attributes of a scene; see ``benchmark.publishing.rows.SceneOrFlight``.
 
     Its sessions are the map's photographs and the queries.
     """

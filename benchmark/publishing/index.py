@@ -42,8 +42,8 @@ class Provenance(Record):
     """How a scene was made.
 
     Attributes:
-        reference: source of the poses: "exact" of a renderer, "sfm" of structure from motion, or
-            "stated" by the files of a flight.
+        reference: source of the poses: "exact" if rendered, "sfm" if from structure from motion, or
+            "stated" if from the files of a flight.
         origin: geodetic coordinates of the world's origin; None if unknown.
         preset: kind of site; None for a real one and for a flight.
         seed: random seed of the site; None for a real one and for a flight.
@@ -67,7 +67,7 @@ class PublishedScene(Provenance):
         track: track of its data set, see ``benchmark.datasets.dataset.Dataset``.
         sha256: digest of its data set.
         map_conditions: conditions of the map's photographs.
-        unjudged: thresholds that its reference poses are too inexact for.
+        unjudged: thresholds that its reference poses are too inexact to judge.
         sessions: flights by name.
         photographs: number of photographs by split.
         left_out: number of photographs in neither split, which are not published.

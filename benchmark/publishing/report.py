@@ -1,4 +1,4 @@
-"""What ``publish`` reports: scenes, photographs and bytes."""
+"""The report of ``publish``: scenes, photographs and bytes."""
 
 from __future__ import annotations
 

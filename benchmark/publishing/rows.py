@@ -33,7 +33,7 @@ _MEASURED: Final = ("time", "gps_prior", "gps_sigma", "attitude_prior", "attitud
 
 @dataclass(frozen=True)
 class FrameRow:
-    """Where a photograph stands in its scene.
+    """The position of a photograph in its scene.
 
     Attributes:
         name: name of the photograph.
@@ -47,7 +47,7 @@ class FrameRow:
 
 
 class SessionFacts(Protocol):
-    """What rows tell of a session."""
+    """The properties of a session that rows contain."""
 
     @property
     def condition(self) -> str:
@@ -65,8 +65,8 @@ class SessionFacts(Protocol):
         ...
 
 
-class Photographed(Protocol):
-    """A scene or a flight: what rows are made of."""
+class SceneOrFlight(Protocol):
+    """A scene or a flight, the source of rows."""
 
     @property
     def name(self) -> str:
@@ -111,7 +111,7 @@ class SceneRows:
         sealed: whether rows of queries lack the pose, the time and the metadata of the photograph.
     """
 
-    scene: Photographed
+    scene: SceneOrFlight
     frames: Mapping[str, Frames]
     layers: Sequence[Layer] = ()
     conditions: Mapping[str, str] = field(default_factory=dict)
@@ -126,7 +126,7 @@ class SceneRows:
         """Return the photographs of a split, in the order of the scene's list.
 
         Raises:
-            InputError: a listed name is no frame of the scene, or of the session that lists it.
+            InputError: a listed name is not a frame of the scene, or of the session that lists it.
         """
         row_of = {
             name: FrameRow(name, session, row)
@@ -217,7 +217,7 @@ class SceneRows:
 
 
 def _read(path: Path, camera: Camera, bare: bool) -> bytes:
-    """Return the bytes of a photograph, of a bare one without its metadata.
+    """Return the bytes of a photograph; if ``bare``, without its metadata.
 
     Raises:
         InputError: the file is missing, damaged, or not of the camera's size.

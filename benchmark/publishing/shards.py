@@ -1,7 +1,7 @@
 """Parquet files that hold rows; the only module that imports pyarrow.
 
 The schema carries the features of Hugging Face's ``datasets``, so that the library and the hub's
-viewer take the column of photographs for photographs.
+viewer show the column of photographs as images.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from objconnect.scene.flights.origin import read_origin
 from objconnect.scene.storage.files import require_distinct
 
 OBJECTS: Final = "objects.json"
-# Options of a sealed scene that its description needs, and that tell nothing of flights.
+# Options of a sealed scene that its description needs. The flights cannot be computed from them.
 _PUBLIC_OPTIONS: Final = ("size", "spp", "site")
 _NO_KEY: Final = (
     "no key made its poses: 'objconnect track --sealed KEYFILE' renders scenes that can be sealed"
@@ -116,18 +116,22 @@ class Source:
 
 
 def open_sources(folders: Sequence[Path], layers: Sequence[Layer], sealed: bool) -> list[Source]:
-    """Open the scenes and flights to publish, with the poses of their queries or sealed.
+    """Open the scenes and flights to publish; ``sealed`` leaves out the poses of their queries.
 
     Raises:
-        InputError: one lacks a map, a query or a layer, a file of it is damaged, two have the same
-            name, or one cannot be sealed.
+        InputError: a scene or flight lacks a map, a query or a layer, has a damaged file, has the
+            name of another, or cannot be sealed.
     """
     sources: list[Source] = []
     for folder in folders:
-        is_one = is_flight(folder) and not is_scene(folder)
-        if is_one and sealed:
+        is_flight_only = is_flight(folder) and not is_scene(folder)
+        if is_flight_only and sealed:
             raise InputError(f"flight {folder} cannot be sealed, because {_NO_KEY}")
-        opened = _open_flight(folder, layers) if is_one else [_open_scene(folder, layers, sealed)]
+        opened = (
+            _open_flight(folder, layers)
+            if is_flight_only
+            else [_open_scene(folder, layers, sealed)]
+        )
         for source in opened:
             if source.dataset.name in (other.dataset.name for other in sources):
                 raise InputError(
@@ -148,14 +152,14 @@ def _open_scene(folder: Path, layers: Sequence[Layer], sealed: bool) -> Source:
     if os.path.lexists(folder / OBJECTS):
         _ = scene.objects  # raises InputError if the list is damaged
         if not sealed:
-            # The exact positions of objects tell of the seed.
+            # The seed could be found from the exact positions of objects.
             files.append((OBJECTS, folder / OBJECTS))
     rows = SceneRows(scene, frames, layers, sealed=sealed)
     return Source(rows, dataset, _provenance(scene.manifest, sealed), tuple(files))
 
 
 def _require_secret(scene: Scene) -> None:
-    """Refuse to seal a scene whose poses anyone can find, because no key made its seed."""
+    """Refuse to seal a scene whose poses anyone can compute, because its seed is not from a key."""
     seed = scene.manifest.seed
     if seed is None:
         raise InputError(f"scene {scene.path} cannot be sealed, because {_NO_KEY}")
@@ -167,7 +171,7 @@ def _require_secret(scene: Scene) -> None:
 
 
 def _provenance(manifest: Manifest, sealed: bool) -> Provenance:
-    """Return how a scene was made; of a sealed one, nothing from which its flights follow."""
+    """Return how a scene was made, without what would reveal the flights of a sealed one."""
     config = manifest.config
     if sealed:
         config = {key: config[key] for key in _PUBLIC_OPTIONS if key in config}
@@ -200,7 +204,7 @@ def _map_files(model: Path) -> list[tuple[str, Path]]:
 
 
 def find_scenes(paths: Sequence[Path]) -> list[Path]:
-    """Return the folders of scenes and flights; another path stands for those in it.
+    """Return the given folders of scenes and flights, and those inside of any other given folder.
 
     Raises:
         InputError: a path is published already, or a scene is given twice.

@@ -34,7 +34,7 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
         The Markdown text.
 
     Raises:
-        InputError: there are no results, a file is no results file or its figures do not follow
+        InputError: there are no results, a file is not a results file or its figures do not follow
             from its queries, two files of one run differ, an album or basin beside it is damaged,
             or ``out`` cannot be written.
     """

@@ -25,10 +25,10 @@ BY_COURSE: Final = (
 )
 """Explanation of the intervals below a table."""
 INTEGRITY: Final = (
-    "False fixes are poses of status ok that are wrong by more than 5 m or 10°. Poses of status ok "
-    f"also count where their position is wrong by more than {WRONG_M:g} m, and where it is farther "
-    "off than the position that the query was started from; – says that it was given none, or that "
-    "the reference poses are too inexact to judge the figure."
+    "False fixes are poses of status ok that are wrong by more than 5 m or 10°. Two further "
+    f"columns count poses of status ok whose position is wrong by more than {WRONG_M:g} m, or "
+    "farther off than the prior's position; – means that there is no such position, or that the "
+    "reference poses are too inexact to judge the figure."
 )
 """Explanation of the columns of ``INTEGRITY_COLUMNS``."""
 INTEGRITY_COLUMNS: Final = ("false fixes (%)", f"> {WRONG_M:g} m (%)", "worse than prior (%)")

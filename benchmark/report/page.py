@@ -73,7 +73,7 @@ def page(groups: Sequence[Group]) -> str:
 
 
 def paper_of(columns: Sequence[str], note: str, lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the paper's table beside our figures as a page shows it."""
+    """Return the object-connect paper's table, beside the figures of this project, for a page."""
     return {
         "title": TITLE,
         "note": note,
@@ -94,7 +94,7 @@ def paper_of(columns: Sequence[str], note: str, lines: Sequence[Line]) -> dict[s
 
 
 def _group_data(group: Group, album: Album | None, photographs: _PagePhotographs) -> dict[str, Any]:
-    """Return what the page shows of a group of runs."""
+    """Return the data of the page for a group of runs."""
     names = list(dict.fromkeys(q.name for run in group.runs for q in run.results.queries))
     condition_of = {q.name: q.condition for run in group.runs for q in run.results.queries}
     conditions = sorted(set(condition_of.values()))
@@ -123,7 +123,7 @@ def _group_data(group: Group, album: Album | None, photographs: _PagePhotographs
 
 
 def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[str, Any]:
-    """Return what the page shows of a run; queries are in the order of ``names``."""
+    """Return the data of the page for a run; queries are in the order of ``names``."""
     results = run.results
     by_name = {query.name: query for query in results.queries}
     return {
@@ -180,7 +180,7 @@ def figures_of(summary: Summary) -> dict[str, Any]:
 
 
 def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
-    """Return what the page shows of the answer to a query."""
+    """Return the data of the page for the answer to a query."""
     points: list[int | None] = []
     if entry is not None and query.cam_from_world is not None:
         numbers = query.cam_from_world
@@ -304,7 +304,9 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
         return None
     basin: Basin = load_basin(path)
     if (basin.dataset.sha256, basin.method) != (run.results.dataset.sha256, run.results.method):
-        log.warning("%s is left out: it is not of the method and data beside it", path)
+        log.warning(
+            "%s is left out: it is of another method or data set than the results beside it", path
+        )
         return None
     return [
         {

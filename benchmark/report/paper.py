@@ -72,7 +72,7 @@ def columns() -> tuple[str, ...]:
 
 
 def note() -> str:
-    """Return what a reader has to know before comparing."""
+    """Return the note below the table: which of its figures may be compared."""
     return (
         f"Recall in % at {_THRESHOLD}. The upper lines are the paper's own figures for all of its "
         "methods; this project has not measured them. The lower lines pool all queries of the "

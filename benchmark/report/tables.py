@@ -63,7 +63,7 @@ class Group:
 
     @property
     def unjudged(self) -> tuple[str, ...]:
-        """Return the thresholds that the reference poses are too inexact for."""
+        """Return the thresholds for which the reference poses are too inexact."""
         return self.runs[0].results.dataset.unjudged
 
 
@@ -81,7 +81,7 @@ class Table:
     """The table of a group.
 
     ``declared`` are the methods whose start a user declared to ``score``, which nothing verifies.
-    ``unjudged`` are the thresholds that the reference poses are too inexact for.
+    ``unjudged`` are the thresholds for which the reference poses are too inexact.
     """
 
     track: str
@@ -114,7 +114,7 @@ def groups(results: Sequence[Path]) -> list[Group]:
         results: results files, or folders of them.
 
     Raises:
-        InputError: there are no results, a file is no results file or its figures do not follow
+        InputError: there are no results, a file is not a results file or its figures do not follow
             from its queries, or two files of one run differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
@@ -246,7 +246,7 @@ def _rows(run: Run) -> Iterator[Row]:
 
 
 def _judge_alike(members: Sequence[tuple[Path, Results]]) -> list[tuple[Path, Results]]:
-    """Return results that show no threshold that one of them calls unjudged.
+    """Return results without figures at thresholds that one of them lists as unjudged.
 
     The error of the reference poses may be stated after some results were written.
     """

@@ -50,9 +50,9 @@ LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
 MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "landmarks": 20_000, "dense": 250_000}
-"""Largest number of points of each kind on a page; of more, a random subset is shown."""
+"""Largest number of points of each kind on a page; if there are more, a random subset is shown."""
 MOST_PHOTOGRAPHS: Final = 300
-"""Largest number of photographs on a page; of more, evenly spaced ones are shown."""
+"""Largest number of photographs on a page; if there are more, evenly spaced ones are shown."""
 
 log = logging.getLogger(__name__)
 

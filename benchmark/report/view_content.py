@@ -58,7 +58,7 @@ class QueryEstimate:
         error: distance between the two, metres; None without a pose.
         angle: rotation error, degrees; None without a pose.
         status: value of ``objconnect.scene.localizer.Status``.
-        found: whether the status is ok and the pose is no false fix.
+        found: whether the status is ok and the pose is not a false fix.
     """
 
     name: str

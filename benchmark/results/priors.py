@@ -20,12 +20,13 @@ def with_prior_errors(queries: Sequence[QueryResult], start: str) -> tuple[Query
 
     Args:
         queries: results of queries; an error that they hold is kept.
-        start: name of the starting information. Only "error" and "gps" tell the error.
+        start: name of the starting information. Only "error" and "gps" determine the error.
     """
     match = _EXACT.fullmatch(start)
     if match is None:
         return tuple(queries)
-    told = {"prior_t_m": float(match.group(1))}
+    error = {"prior_t_m": float(match.group(1))}
     return tuple(
-        query if query.prior_t_m is not None else query.model_copy(update=told) for query in queries
+        query if query.prior_t_m is not None else query.model_copy(update=error)
+        for query in queries
     )

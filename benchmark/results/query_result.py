@@ -48,9 +48,8 @@ class QueryResult(NamedRecord):
         seconds: wall-clock seconds by stage.
         by: what the pose was computed from, such as matches; None if unknown.
         probability: probability that the method's best pose is right; None if unknown.
-        prior_t_m: distance between the position that the query was started from and the reference
-            position, metres; None if it was given none, and in files of earlier versions from the
-            start "prior".
+        prior_t_m: position error of the query's prior, metres; None without a prior position, and
+            in files of earlier versions with the start "prior".
     """
 
     condition: Condition

@@ -25,7 +25,7 @@ class DatasetId(Record):
         track: see ``benchmark.datasets.dataset.Dataset``.
         sha256: digest of all its parts.
         map_conditions: conditions of the map's photographs.
-        unjudged: thresholds that its reference poses are too inexact for, see ``Dataset``.
+        unjudged: thresholds that its reference poses are too inexact to judge, see ``Dataset``.
     """
 
     name: str
@@ -36,7 +36,7 @@ class DatasetId(Record):
 
     @staticmethod
     def of(dataset: Dataset) -> DatasetId:
-        """Return what results record of a data set."""
+        """Return the identity of a data set, as results record it."""
         return DatasetId(
             name=dataset.name,
             track=dataset.track,

@@ -40,9 +40,9 @@ _ADDED: Final = {
     "nees_low",
     "nees_high",
 }
-# Figures that files of earlier versions hold although their reference poses do not judge them.
+# Figures in files of earlier versions that the reference poses may be too inexact to judge.
 _UNJUDGED: Final = {"false_fixes", *(threshold.key for threshold in THRESHOLDS)}
-# Ends of intervals. Files without courses hold those of independent queries, which are replaced.
+# Bounds of intervals. In files without courses they assume independent queries and are replaced.
 _ENDS: Final = {"low", "high"}
 
 

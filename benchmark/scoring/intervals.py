@@ -23,7 +23,8 @@ Z_95: Final = 1.959963984540054
 class Interval(NamedTuple):
     """A share of queries with its 95 % interval, all in percent.
 
-    The ends are None where all queries are of one course: nothing then says how courses differ.
+    The ends are None where all queries are of one course: the spread between courses
+    is then unknown.
     """
 
     value: float
@@ -124,8 +125,8 @@ def wilson(successes: float, trials: float) -> tuple[float, float]:
     p, z2 = successes / trials, Z_95 * Z_95
     centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
     half = Z_95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
-    # Without a success the lower end is exactly 0, and with successes only the upper end is 1;
-    # rounding errors would prevent this.
+    # Without a success the lower end is exactly 0, and with only successes the upper end is exactly
+    # 1; rounding errors would prevent this.
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == trials else centre + half
     return low, high

@@ -33,17 +33,17 @@ FALSE_FIX: Final = THRESHOLDS[-1]
 """A pose of status ``ok`` with a larger position or rotation error is a false fix."""
 
 WRONG_M: Final = 1.0
-"""An answer with a larger position error, metres, is wrong although it may be no false fix."""
+"""An answer with a larger position error, metres, is a wrong answer."""
 
 WRONG_TEXT: Final = f"{WRONG_M:g} m"
-"""The bound of a wrong answer among the thresholds that reference poses may be too inexact for."""
+"""The name of this bound in lists of thresholds, see ``list_unjudged``."""
 
 # An answer that repeats its prior differs from it by rounding alone, metres.
 _ROUNDING_M: Final = 1e-6
 
 
 def list_unjudged(error: ReferencePoseError) -> tuple[str, ...]:
-    """Return the thresholds, finest first, that reference poses with this error do not judge."""
+    """Return the thresholds, finest first, for which reference poses are too inexact."""
     bounds = {str(each): each.metres for each in THRESHOLDS} | {WRONG_TEXT: WRONG_M}
     ranked = sorted(bounds.items(), key=lambda bound: bound[1])
     return tuple(text for text, metres in ranked if not error.can_judge(metres))
@@ -60,22 +60,22 @@ class Outcome(Protocol):
     def r_err_deg(self) -> float | None: ...
 
 
-class ToldOutcome(Outcome, Protocol):
-    """A scored query with the error of the position that it was given."""
+class OutcomeWithPrior(Outcome, Protocol):
+    """A scored query with the error of its prior's position, None without a position."""
 
     @property
     def prior_t_m(self) -> float | None: ...
 
 
 class ClusteredOutcome(Outcome, Protocol):
-    """A scored query with its course, within which queries fail together."""
+    """A scored query with its course; errors of queries of one course are correlated."""
 
     @property
     def cluster(self) -> str: ...
 
 
-class ClusteredToldOutcome(ClusteredOutcome, ToldOutcome, Protocol):
-    """A scored query with its course and the error of the position that it was given."""
+class ClusteredOutcomeWithPrior(ClusteredOutcome, OutcomeWithPrior, Protocol):
+    """A scored query with its course and the error of its prior's position."""
 
 
 def is_correct(outcome: Outcome, threshold: Threshold) -> bool:
@@ -104,7 +104,7 @@ def is_wrong(outcome: Outcome) -> bool:
     return outcome.status is Status.OK and (outcome.t_err_m or 0.0) > WRONG_M
 
 
-def is_worse_than_prior(outcome: ToldOutcome) -> bool:
+def is_worse_than_prior(outcome: OutcomeWithPrior) -> bool:
     """Return whether an answer, a pose of status ``ok``, is farther off than its prior's position.
 
     It is False for a query that was given no position.
@@ -129,11 +129,13 @@ def wrong_answers(outcomes: Sequence[ClusteredOutcome]) -> Interval:
     return _share(outcomes, [is_wrong(outcome) for outcome in outcomes])
 
 
-def worse_than_prior(outcomes: Sequence[ClusteredToldOutcome]) -> Interval | None:
-    """Return the percentage of answers that are farther off than the prior, of all queries with
-    the position of a prior, with its interval by course; None without such a query."""
-    told = [outcome for outcome in outcomes if outcome.prior_t_m is not None]
-    return _share(told, [is_worse_than_prior(outcome) for outcome in told]) if told else None
+def worse_than_prior(outcomes: Sequence[ClusteredOutcomeWithPrior]) -> Interval | None:
+    """Return the percentage of queries whose answer is farther off than the prior's position.
+
+    Only queries with such a position count. The interval is by course. None without such a query.
+    """
+    known = [outcome for outcome in outcomes if outcome.prior_t_m is not None]
+    return _share(known, [is_worse_than_prior(outcome) for outcome in known]) if known else None
 
 
 def _share(outcomes: Sequence[ClusteredOutcome], counted: Sequence[bool]) -> Interval:

@@ -28,7 +28,7 @@ from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.outputs import OutputFile, check_output_folder, check_outputs
 from objconnect.scene.storage.scratch import cache_or_scratch
 
-# Of quaternion and translation (metres).
+# Decimals of the quaternion and of the translation (metres).
 _DECIMALS: Final = 9
 # First bytes of a file of poses that this command wrote.
 _HEADER: Final = "# written by objconnect submit: "

@@ -53,7 +53,7 @@ def read_submissions(track: Track, tracks_folder: Path) -> tuple[list[Scored], l
 
     Returns:
         The submissions, and a sentence for each folder that is left out because it is damaged, for
-        another track, or twice there.
+        another track, or a duplicate.
     """
     scored: list[Scored] = []
     left_out = []
@@ -88,7 +88,7 @@ def score_submission(folder: Path, tracks_folder: Path) -> dict[str, Results]:
     others = []
     for other in find_submissions(tracks_folder / track.name):
         if other.resolve() != folder.resolve():
-            # Another folder that is damaged is no fault of this one.
+            # Damage of another folder is not a fault of this one.
             with suppress(InputError):
                 others.append(_read(other, track, tracks_folder))
     _refuse_duplicates(submission, others)
@@ -168,7 +168,7 @@ def _score(
     for name in poses:
         if name not in known:
             raise InputError(
-                f"{submission.folder}: {name} is no query of {dataset}; names are those of the "
+                f"{submission.folder}: {name} is not a query of {dataset}; names are those of the "
                 "photographs in the scene, such as " + min(known)
             )
     queries = [
@@ -181,8 +181,11 @@ def _score(
 
 
 def _score_query(query: QueryResult, reference: Pose, pose: Pose | None) -> QueryResult:
-    """Return the result of a query: what another method's result says of the query, and the errors
-    of this pose. That result may be from another start, so its prior is left out."""
+    """Return the result of a query for a pose of a submission.
+
+    The facts of the query come from the result of another method. Its prior is left out, because
+    that result may be from another start.
+    """
     facts = QueryFacts(*(getattr(query, name) for name in QueryFacts._fields))
     facts = facts._replace(prior_t_m=None)
     if pose is None:
@@ -193,7 +196,7 @@ def _score_query(query: QueryResult, reference: Pose, pose: Pose | None) -> Quer
 
 
 def _any_results(track_folder: Path, dataset: str) -> Results:
-    """Return results of a data set that the track keeps, for what they say of its queries."""
+    """Return any stored results of a data set, which hold the facts of its queries."""
     files = sorted((track_folder / RESULTS).glob(f"*/{dataset}/*.json*"))
     if not files:
         raise InputError(

@@ -32,7 +32,7 @@ _POSES: Final = "poses"
 _SUFFIX: Final = ".txt"
 # Decimals of poses that count as the same.
 _DIGEST_DECIMALS: Final = 5
-# Most bytes of a card; and of a file of poses for each query, and for its comments.
+# Most bytes of a card; of a line of the pose file, which has one for each query; of its comments.
 _CARD_BYTES: Final = 1 << 16
 _LINE_BYTES: Final = 1000
 _COMMENT_BYTES: Final = 1 << 16
@@ -69,7 +69,7 @@ _Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class Card(Record):
-    """What the people who submit state; nothing of it can be verified but the digests.
+    """The statements of a submission's authors; only the digests can be verified.
 
     Attributes:
         track: name of the track.
@@ -173,7 +173,7 @@ def _list_files(folder: Path, card: Card) -> dict[str, Path]:
     for name in found:
         if name not in (CARD, *expected):
             raise InputError(
-                f"{folder / name} is no file of this submission: it holds {CARD} and "
+                f"{folder / name} is not a file of this submission: it holds {CARD} and "
                 f"{', '.join(expected)}"
             )
     for name in expected:

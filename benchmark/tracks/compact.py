@@ -128,7 +128,7 @@ def _require_results(track: Track, run: Results, file: Path) -> None:
 
 
 def _round_query(query: QueryResult) -> QueryResult:
-    """Return a query with rounded numbers that count the same as the exact ones."""
+    """Return a query with rounded numbers; scores stay exact if rounding changes an outcome."""
     pose = query.cam_from_world
     unscored: dict[str, Any] = {
         "seconds": {stage: _round_digits(s, _TIME_DIGITS) for stage, s in query.seconds.items()},
@@ -144,13 +144,13 @@ def _round_query(query: QueryResult) -> QueryResult:
     }
     scored["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
     rounded = query.model_copy(update=unscored | scored)
-    if _verdicts(rounded) == _verdicts(query):
+    if _outcomes(rounded) == _outcomes(query):
         return rounded
     return query.model_copy(update=unscored)
 
 
-def _verdicts(query: QueryResult) -> tuple[object, ...]:
-    """Return everything that figures count of a query, and the name of its altitude band."""
+def _outcomes(query: QueryResult) -> tuple[object, ...]:
+    """Return whether each figure counts a query, and the name of its altitude band."""
     figures = summarize([query])
     inside = figures.uncertainty and figures.uncertainty.within_95.value
     bands = tuple(summarize_parts([query])["altitude"])

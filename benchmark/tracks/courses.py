@@ -17,7 +17,7 @@ def track_courses(folder: Path, track: Track) -> dict[str, str]:
     """Return the course of each flight, ``DATASET/FLIGHT``, as the name of the first flight on it.
 
     Flights over different places are compared in local coordinates, because places of one seed may
-    be flown alike. A place without a record of its render is left out.
+    have the same flights. A place without a record of its render is left out.
 
     Args:
         folder: folder of the track.

@@ -196,7 +196,7 @@ def load_track(name: str, tracks_folder: Path = TRACKS_FOLDER) -> Track:
 
 
 def held_out(tracks_folder: Path = TRACKS_FOLDER) -> dict[str, HeldOut]:
-    """Return what the tracks of a folder hold out, by their names.
+    """Return the held-out data of each track of a folder, by the name of the track.
 
     Raises:
         InputError: a description is wrong.

@@ -14,10 +14,12 @@ from benchmark.tracks.description import Track, TrackPlace
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import require_readable
 
-# Bytes of a key: at least 128 random bits, and no photograph or archive by mistake.
+# Least and most bytes of a key. They exclude keys of fewer than 128 bits, and most photographs and
+# archives that are given by mistake.
 _LEAST_BYTES: Final = 16
 _MOST_BYTES: Final = 4096
-# Of 16 random bytes or hexadecimal digits, fewer are different in less than one of 10,000 keys.
+# Least number of different bytes. Fewer than one in 10,000 keys of 16 random bytes or hexadecimal
+# digits have less.
 _LEAST_DIFFERENT: Final = 6
 
 

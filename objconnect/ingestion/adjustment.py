@@ -71,7 +71,7 @@ def adjust(
     times: Mapping[str, float],
     work: Path,
 ) -> AdjustedModel:
-    """Georegister a model by GPS and adjust it to pixels and GPS.
+    """Georegister a model by GPS and adjust it to keypoints and GPS.
 
     Args:
         model_path: Folder of the model.
@@ -152,7 +152,7 @@ def _place(
     """Georegister a model by its fixes, and remove their delay if they have one.
 
     Args:
-        raw: The model, in a frame of its own.
+        raw: The model, in its own frame.
         order: Names of its photographs in the order they were taken.
         fixes: Measured positions (3,) by name, world metres.
         times: Time stamps in seconds, by name.

@@ -37,7 +37,7 @@ def find_upside_down(
     mirrored.
 
     Args:
-        model: The model, in a frame of its own.
+        model: The model, in its own frame.
         placed: Where the model is in the world.
         images: Photographs of the model; there may be others.
         agreeing: Number of other photographs whose gimbals are known to agree.

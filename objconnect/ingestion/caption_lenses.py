@@ -104,7 +104,7 @@ def _parse_focals(
         millimetres = None if unit.value is None else plausible_focal(unit.value * number)
         doubts = unit.doubts
         if unit.is_known and millimetres is None:
-            doubts = (*doubts, f"{_FOCAL} {text} is no 35 mm equivalent focal length")
+            doubts = (*doubts, f"{_FOCAL} {text} is not a 35 mm equivalent focal length")
         readings.append(Reading(millimetres, _FOCAL, doubts))
     return readings
 

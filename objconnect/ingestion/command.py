@@ -70,7 +70,7 @@ class _Source:
     """The inputs of a run.
 
     Attributes:
-        taken: the photographs with cameras, as structure from motion reads them.
+        taken: the photographs with their cameras, the input of structure from motion.
         origin: geodetic coordinates of the world's origin.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
@@ -318,7 +318,7 @@ def _match(
 
 
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
-    """Return the model of most photographs, and the reasons why others are not in it."""
+    """Return the model with the most photographs, and the reasons why others are not in it."""
     models = out / WORK / "models"
     with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
         models_by_size = map_photographs(

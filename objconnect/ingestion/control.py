@@ -130,7 +130,7 @@ def fit_to_control(
 ) -> tuple[AdjustedModel, tuple[ControlResidual, ...]]:
     """Adjust a georegistered model to the control points, and measure all points.
 
-    Three or more points that are not on a line are adjusted together with the pixels, and replace
+    Three or more points that are not on a line are adjusted together with the keypoints and replace
     GPS. Fewer points shift the model. Check points are measured and not used.
 
     Args:

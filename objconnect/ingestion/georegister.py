@@ -24,7 +24,7 @@ BLUNDER_SIGMAS: Final = 5.0
 usual error. The factor is large because drift makes the tails of a receiver's errors long."""
 
 USUAL_ERROR_M: Final = 5.0
-"""Usual error (m) of receivers without corrections. Fixes within it are no outliers."""
+"""Usual error (m) of receivers without corrections. Fixes within it are not outliers."""
 
 MIN_SIGMA_M: Final = 0.02
 """Lower bound (m) of standard deviations of positions, that of a receiver with corrections."""
@@ -78,7 +78,7 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
     mistaken for a tilt, because the cameras over it look straight down.
 
     Args:
-        model: The model, in a frame of its own.
+        model: The model, in its own frame.
         fixes: Measured camera centres (3,) by name, east, north, up in metres.
 
     Raises:

@@ -26,7 +26,7 @@ class IngestOptions(Config):
         3.3,
         ge=0,
         description="Standard deviation to the east, and to the north, of the GPS error that all "
-        "positions of a flight share, m. It counts where the receiver states none. The default "
+        "positions of a flight share, m. It is used where the receiver states none. The default "
         "corresponds to 8 m for 95 % of positions (GPS SPS Performance Standard, 2020).",
     )
     receiver_height_sigma_m: float = Field(

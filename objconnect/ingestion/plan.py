@@ -1,4 +1,4 @@
-"""The request of a run of ``ingest``, by which an unfinished scene folder is resumed."""
+"""The plan of a run of ``ingest``: its inputs and options, by which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PLAN = "plan.json"
 
 
 class Plan(BaseModel):
-    """The request of a run. A folder with another request is refused.
+    """The inputs and options of a run. A folder with another plan is refused.
 
     ``gps``, ``poses`` and ``gcp`` are digests of files, ``photographs`` holds digests by file.
     ``base`` is the digest of the scene that photographs are added to, and ``known`` holds the
@@ -66,8 +66,8 @@ def resumable(out: Path, plan: Plan) -> ResumableFolder:
         recorded = read_json(record, Plan, "plan of the unfinished scene")
         return None if recorded == plan else "photographs or options"
 
-    request = plan.model_dump_json(indent=1, by_alias=True) + "\n"
-    return ResumableFolder(out, out / WORK / _PLAN, request, difference)
+    text = plan.model_dump_json(indent=1, by_alias=True) + "\n"
+    return ResumableFolder(out, out / WORK / _PLAN, text, difference)
 
 
 def is_finished(out: Path, plan: Plan) -> bool:
@@ -116,7 +116,7 @@ def make_scene(
 
     Args:
         out: Folder of the scene.
-        plan: The request.
+        plan: The inputs and options.
         build: Writes everything of the scene but its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
         manifest: The manifest without digests and georeference, which the report adds.

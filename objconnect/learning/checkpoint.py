@@ -99,9 +99,9 @@ def read_weights(path: Path, group: str = "model") -> Weights:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 config = parse_json((file.metadata() or {}).get("config", "{}"))
         except (SafetensorError, ValueError, OSError) as error:
-            raise InputError(f"{path} is no safetensors file of weights: {error}") from error
+            raise InputError(f"{path} is not a safetensors file of weights: {error}") from error
         if not isinstance(config, dict):
-            raise InputError(f"{path} is no safetensors file of weights: its config is damaged")
+            raise InputError(f"{path} is not a safetensors file of weights: its config is damaged")
         return Weights(tensors, config, digest)
     try:
         with torch.serialization.safe_globals(_ALLOWED_TYPES):

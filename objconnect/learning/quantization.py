@@ -167,11 +167,11 @@ def _heads_type() -> torch.dtype:
 
 
 class _QuantizedPixels(nn.Module):
-    """Quantizes a normalised picture to 8 bits, in steps of about its original bytes.
+    """Quantizes a normalised picture to 8 bits; a step is about one level of the original picture.
 
     Attributes:
         scale: quantization step.
-        zero: the integer that stands for 0.
+        zero: the zero point, the integer that represents 0.
     """
 
     def __init__(self) -> None:
@@ -194,7 +194,7 @@ class _QuantizedConvReLU(nn.Module):
         convolution: the convolution in floating point.
         into: (C_in,) quantization steps of the input.
         out: (C_out,) quantization steps of the output.
-        zero: the integer of the input that stands for 0.
+        zero: the zero point of the input.
         rounded: whether the output is an integer; else it has the type of the heads.
     """
 

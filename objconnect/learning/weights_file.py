@@ -19,7 +19,7 @@ def find_weights(path: Path) -> Path:
     """Return the file of weights that a path names.
 
     Args:
-        path: a file, which is returned as it is; a folder that ``publish-weights`` wrote; or the
+        path: a file, whose path is returned; a folder that ``publish-weights`` wrote; or the
             address of one on the hub, ``hf://OWNER/NAME@COMMIT``.
 
     Raises:

@@ -17,8 +17,8 @@ _POSES = "poses"
 class Method(Record):
     """A method; ``config`` holds every option that changes its result, as it was in effect.
 
-    ``objects`` are those in effect of a method that has objects: "none", or "learned" with the file
-    of their weights and its digest.
+    ``objects`` states which objects a method uses: "none", or "learned" with the file of their
+    weights and its digest; None for a method that has no objects.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Configuration of the object-connect network. Equation numbers are those of its paper."""
+"""Configuration of the object-connect network. Equations are numbered as in the paper."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from objconnect.localization.featuremetric.priors import region
 from objconnect.localization.featuremetric.references import ReferenceSource
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
-from objconnect.network.object_matching import Connector
+from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.object_pairs import Bounds
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import so3_exp
@@ -62,7 +62,7 @@ class ObjectSearch:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector)
-        self._connect: Connector | None = None
+        self._connect: ObjectMatcher | None = None
         self._observer: MapObjects | None = None
         self.is_first = True
 
@@ -86,7 +86,7 @@ class ObjectSearch:
         # A map of street-level photographs has no objects seen from above.
         self._connect = None
         if len(landmarks):
-            self._connect = Connector(self._graph, landmarks, ground, self._options.candidates)
+            self._connect = ObjectMatcher(self._graph, landmarks, ground, self._options.candidates)
         self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
         self.is_first = len(landmarks) <= self._options.most_landmarks
 

@@ -39,7 +39,7 @@ _RADIUS_M: Final = 1.0
 _RADIUS_SHARE: Final = 0.35
 # Least cosine between vectors of one landmark.
 _LEAST_COSINE: Final = 0.4
-# Number of the objects nearest to a landmark, of all photographs, that may join it.
+# Maximum number of objects, of all photographs, that are compared with the best one of a landmark.
 _NEAREST: Final = 64
 # A landmark must be detected in at least this number, and this share, of the photographs that have
 # it in view.
@@ -97,7 +97,7 @@ class Landmarks:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Landmarks:
-        """Return the landmarks whose ``arrays`` these are.
+        """Return landmarks from what ``arrays`` returned.
 
         Raises:
             ValueError: the shapes of the arrays are not those of landmarks.

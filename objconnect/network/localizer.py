@@ -42,7 +42,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     """The localizer ``objconnect``.
 
     Attributes:
-        objects: objects in effect, for the results: "none", or "learned" with their file and its
+        objects: the objects in use, for the results: "none", or "learned" with their file and its
             digest.
 
     Raises:
@@ -79,5 +79,7 @@ def _with_available_objects(
             f"option objects needs learned objects, which the weights {path} do not have: give "
             "objects=null, or other weights"
         )
-    log.warning("%s has no learned objects: images without a prior are searched without", path)
+    log.warning(
+        "%s has no learned objects: images without a prior are localized without them", path
+    )
     return config.model_copy(update={"objects": None})

@@ -1,4 +1,4 @@
-"""Training losses: equations (6) to (8) of the paper, with a contrastive loss in addition.
+"""Training losses: equations (6) to (8) of the object-connect paper, and a contrastive loss.
 
 Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
 Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and

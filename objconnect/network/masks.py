@@ -24,7 +24,7 @@ _ONE_CHANNEL = ("1", "L", "P", "I", "I;16")
 
 
 def read_label_png(path: Path, count: int) -> Labels:
-    """Read the labels of a picture of one channel, in which 0 is no object.
+    """Read the labels of a picture of one channel, in which 0 means no object.
 
     Args:
         path: PNG of 8 or 16 bits. For a palette, the labels are the indices and not the colours.

@@ -138,7 +138,7 @@ class MapObjects:
         self._map_views = MapViews(source)
         self._found: dict[str, Detections] = {}
 
-    def lacks(self, image: MapImage, key: str) -> bool:
+    def needs(self, image: MapImage, key: str) -> bool:
         """Return whether a photograph looks down and its objects are unknown."""
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
@@ -152,7 +152,7 @@ class MapObjects:
         self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
     ) -> None:
         """Find the objects of a photograph from its view and feature maps."""
-        if self.lacks(image, key):
+        if self.needs(image, key):
             self._found[image.name] = self._find.find_in_view(view, maps)
 
     def views(self) -> Iterator[View]:
@@ -167,7 +167,7 @@ class MapObjects:
         with progress_bar("objects of the map", len(down)) as advance:
             for done, image in enumerate(down, 1):
                 key = self._map_views.key(image)
-                if self.lacks(image, key):
+                if self.needs(image, key):
                     self(image, key, *self._map_views(image))
                     trim_heap()
                 found = self._found[image.name]
@@ -176,7 +176,7 @@ class MapObjects:
                 advance(done)
 
     def write(self) -> None:
-        """Write the objects of each photograph to the cache, so that a grown map can use them.
+        """Write the objects of each photograph to the cache, for maps with added photographs.
 
         Raises:
             InputError: a photograph changed meanwhile.

@@ -57,7 +57,7 @@ class _Hypotheses(NamedTuple):
     scores: NDArray[np.float64]
 
 
-class Connector:
+class ObjectMatcher:
     """Matches the objects of photographs with the landmarks of a map.
 
     Args:

@@ -43,9 +43,10 @@ _REFINED_NEAR_M: Final = 2.0
 _ROUNDS: Final = 2
 # Largest change in one round of the refinement: heading (rad) and logarithm of the height.
 _MOST_CHANGE: Final = 0.3
-# Hypotheses scored at once; and the number of the best ones among which distinct ones are kept.
+# Number of hypotheses that are scored at once.
 _BATCH: Final = 4096
-_LOOKED: Final = 4000
+# Number of the best hypotheses, among which distinct ones are chosen.
+_BEST: Final = 4000
 # Least differences of distinct hypotheses: metres or, at one position, rad.
 _APART_M: Final = 4.0
 _APART_RAD: Final = 0.2
@@ -111,8 +112,8 @@ class Likeness(NamedTuple):
     """How alike N objects and M landmarks are.
 
     Attributes:
-        ratio: (N, M) logarithm of the likelihood that they are one, over that of any landmark; 0 if
-            it is less.
+        ratio: (N, M) log-likelihood ratio of an object being this landmark rather than any one;
+            negative values are 0.
         rows: (T, N, K) rows of the most similar landmarks of each tile of the map.
     """
 
@@ -280,7 +281,7 @@ def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[n
 
 def _distinct(poses: GroundPoses, scores: _Real, count: int) -> NDArray[np.int64]:
     """Return the rows of the best poses that differ, best first."""
-    left = np.argsort(-scores, kind="stable")[:_LOOKED]
+    left = np.argsort(-scores, kind="stable")[:_BEST]
     kept: list[int] = []
     while len(left) and len(kept) < count:
         best = int(left[0])

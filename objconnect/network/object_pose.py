@@ -1,7 +1,7 @@
 """The pose of a camera from objects matched with landmarks, by least squares in six dimensions.
 
-A pose above level ground, of one of a few attitudes, is off by some degrees of tilt. Objects at
-known places determine the tilt, too.
+The first pose assumes level ground and one of a few attitudes, so its tilt is off by some degrees.
+The matched objects determine the tilt too.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from objconnect.scene.geometry.pose import Pose, so3_exp
 
 _Vector = NDArray[np.float64]
 # Standard deviations: of an object's ray (rad), and of the tilt and roll of the first pose (rad).
-_RAY: Final = 0.06
-_TILT: Final = math.radians(4)
+_RAY_SIGMA: Final = 0.06
+_TILT_SIGMA: Final = math.radians(4)
 # Steps of Gauss-Newton.
 _STEPS: Final = 4
 # Least number of matches for a change of the pose.
-_FEWEST: Final = 6
+_MIN_MATCHES: Final = 6
 
 
 def refine_pose(pose: Pose, rays: _Vector, xyz: _Vector, weights: _Vector) -> Pose:
@@ -39,7 +39,7 @@ def refine_pose(pose: Pose, rays: _Vector, xyz: _Vector, weights: _Vector) -> Po
     """
     used = weights > 0
     rays, xyz, weights = rays[used], xyz[used], weights[used] / max(weights.max(), 1e-12)
-    if len(rays) < _FEWEST:
+    if len(rays) < _MIN_MATCHES:
         return pose
     first, best, least = pose, pose, math.inf
     for step in range(_STEPS + 1):
@@ -74,14 +74,14 @@ def _linearise(
     by_point = np.stack([1 / depth, zero, -x / depth, zero, 1 / depth, -y / depth], -1)
     by_point = by_point.reshape(-1, 2, 3)
     by_turn = np.stack([-x * y, 1 + x**2, -y, -(1 + y**2), x * y, x], -1).reshape(-1, 2, 3)
-    jacobian = np.concatenate([by_turn, -by_point @ rotation], -1) / _RAY
-    residual = residual / _RAY
+    jacobian = np.concatenate([by_turn, -by_point @ rotation], -1) / _RAY_SIGMA
+    residual = residual / _RAY_SIGMA
     hessian = np.einsum("n,nki,nkj->ij", weights, jacobian, jacobian)
     gradient = np.einsum("n,nki,nk->i", weights, jacobian, residual)
     # The change of the vertical in the camera's axes: the prior of tilt and roll.
     up, up_first = rotation[:, 2], first.rotation.numpy()[:, 2]
-    turned = np.cross(up_first, up) / _TILT
-    across = (np.eye(3) - np.outer(up, up)) / _TILT
+    turned = np.cross(up_first, up) / _TILT_SIGMA
+    across = (np.eye(3) - np.outer(up, up)) / _TILT_SIGMA
     hessian[:3, :3] += across.T @ across
     gradient[:3] += across.T @ turned
     # Keeps the matrix invertible where matches lie on a line.

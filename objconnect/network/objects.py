@@ -55,7 +55,7 @@ def occupancy(labels: Tensor, count: int) -> Occupancy:
     """Return F_D = S(H(I_l); N) of equation (1): the occupancies of a level's labels.
 
     Args:
-        labels: labels (B, h, w) int64; ``NOTHING`` and labels of ``count`` or more are no object.
+        labels: labels (B, h, w) int64; ``NOTHING`` and labels of ``count`` or more mean no object.
         count: number N of objects.
     """
     index = labels.flatten(1)
@@ -131,8 +131,10 @@ def init_small(layer: nn.Linear) -> nn.Linear:
 
 
 def _flat(index: Tensor, count: int) -> Tensor:
-    """Return indices (B h w,) that count the objects of the whole batch, and one per image for
-    cells without an object."""
+    """Return the row (B h w,) of each cell's object in a table of all objects of the batch.
+
+    Each image has one more row, for cells without an object.
+    """
     first = torch.arange(len(index), device=index.device) * (count + 1)
     return (index + first[:, None]).flatten()
 

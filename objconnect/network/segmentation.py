@@ -19,8 +19,9 @@ from objconnect.scene.runtime.tuning import worker_threads
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
-# Largest longer side (px) of the picture that is segmented. For an image of 512 pixels its pixels
-# are finer than the cells of the levels with objects. At 256, SLIC takes twice the time.
+# Largest longer side (px) of the picture that is segmented. For an image of 512 pixels, the pixels
+# of this picture are finer than the cells of the levels with objects. At 256, SLIC takes twice the
+# time.
 _LONG_SIDE: Final = 192
 # SLIC converges within 5 iterations; 10 take twice the time.
 _SLIC_ITERATIONS: Final = 5

@@ -34,7 +34,7 @@ from objconnect.scene.errors import InputError
 
 
 class ObjConnectTraining:
-    """Trains the network like PixLoc, with equation (7) in addition.
+    """Trains the network like PixLoc, with the distance of features (equation 7) in addition.
 
     Implements ``objconnect.learning.training.loop.Trainable``.
 

@@ -108,8 +108,8 @@ def expose(
     # The order of the draws is fixed, and the noise comes last.
     stops, red, blue = rng.standard_normal(3)
     direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
-    unseen = {"readout_s": 0.0, "follows_light": False}
-    if sensor.model_copy(update=unseen) == SensorConfig():
+    applied_elsewhere = {"readout_s": 0.0, "follows_light": False}
+    if sensor.model_copy(update=applied_elsewhere) == SensorConfig():
         return rgb
     light = _linear(rgb)
     height, width = light.shape[:2]

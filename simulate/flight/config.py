@@ -305,7 +305,7 @@ def scene_digest(scene: Path) -> str:
     """Return the SHA-256 of a scene's manifest, which holds the digests of its other files.
 
     Raises:
-        InputError: The folder is no finished scene.
+        InputError: The folder is not a finished scene.
     """
     return sha256_of(scene / "scene.json")
 

@@ -1,4 +1,4 @@
-"""What flight planners know besides the flight itself: place, camera, wind and defaults."""
+"""The inputs of flight planners besides the flight itself: place, camera, wind and defaults."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _is_free_everywhere(centres: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class FlightContext:
-    """What a flight planner knows besides the flight: the place, the camera, wind and defaults.
+    """The inputs of a flight planner besides the flight: place, camera, wind and defaults.
 
     Attributes:
         area_m: Side of the square place around the origin, metres.

@@ -171,8 +171,8 @@ class Aircraft:
         elif mode == ROI_NONE:
             if self._gimbal.cancel():
                 self.warnings.append(
-                    f"{command.title} returns the camera to its initial pitch, not to the one "
-                    "before the region"
+                    f"{command.title} returns the camera to its initial pitch, not to its pitch "
+                    "before the region of interest"
                 )
         else:
             raise command.error(f"has mode {mode} (params[0]), which is not supported", "set 3")
@@ -251,8 +251,8 @@ class Aircraft:
         if not flies_on:
             if self._triggers.command is not None:
                 self.warnings.append(
-                    f"{goal.title} ends the photographs: the path that follows is unknown, though "
-                    f"{self._triggers.command.title} continues on it"
+                    f"no photographs are taken from {goal.title} on, although "
+                    f"{self._triggers.command.title} continues: the path is unknown"
                 )
             if any(c.command in (*CAPTURES, *FLY_TO) for c in rest):
                 self.warnings.append(f"commands after {goal.title} are ignored")

@@ -205,7 +205,7 @@ def _parse_structure_scan(item: _ComplexItem, where: str) -> StructureScan:
 
 
 def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
-    """Yield the commands of a landing pattern, which ends the photographs."""
+    """Yield the commands of a landing pattern; it may stop the camera first."""
     nothing = (0.0,) * 7
     if item.stops_photographs:
         for stop in (Mav.TRIGGER_DISTANCE, Mav.STOP_CAPTURE):

@@ -25,7 +25,7 @@ class Repeater:
     Attributes:
         every: Metres or seconds between photographs.
         left: Metres or seconds to the next photograph.
-        timed: Whether these are seconds.
+        timed: Whether ``every`` and ``left`` are seconds.
         count: Number of photographs left; None is unlimited.
         command: The command that started the trigger.
         since_m: Distance since its last photograph, metres.
@@ -116,7 +116,7 @@ class Triggers:
         return max(min(times, default=float("inf")), 0.0)
 
     def require_few_photographs(self, distance_m: float, time_s: float) -> None:
-        """Require that a distance and time do not need too many photographs."""
+        """Require that the number of photographs over a distance and time is not too large."""
         for repeater in self.running.values():
             passed = time_s if repeater.timed else distance_m
             endless = repeater.count is None or repeater.count > MAX_PHOTOGRAPHS

@@ -1,7 +1,7 @@
-"""What covers the ground of a place beside its class: floods, shelter of thawing snow, and leaves.
+"""Cover of the ground of a place: standing water, leaves, and how fast snow thaws.
 
 All images have the raster of the place's ground, with row 0 in the south. They change colours and
-mirrors, and no geometry.
+reflections, but not the geometry.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _FLOODED: Final = ("grass", "field", "path")  # classes of ground that a flood r
 _SHORE_M: Final = 0.06  # depth at which standing water hides the ground
 _LOWEST_SUN_DEG: Final = 10.0  # limits the shadows in which snow stays
 _TALL_M: Final = 1.0  # height of objects in whose shadow snow stays
-_LITTER_REACH: Final = 1.7  # radius of fallen leaves by that of the crown
+_LITTER_REACH: Final = 1.7  # radius of fallen leaves, relative to the crown's
 
 
 class Cover(NamedTuple):
-    """What covers the ground, each an image (n, n); None where there is nothing of it.
+    """Cover of the ground, each an image (n, n); None if the place has none of it.
 
     Attributes:
         flood: Share of standing water, 0 to 1.
@@ -46,7 +46,7 @@ NO_COVER: Final = Cover()
 
 
 def cover(world: World, condition: Condition) -> Cover:
-    """Return what covers the ground of a place under a condition."""
+    """Return the cover of the ground of a place under a condition."""
     return Cover(
         flood=_flood(world, condition),
         shelter=_shelter(world, condition),
@@ -57,7 +57,7 @@ def cover(world: World, condition: Condition) -> Cover:
 def _flood(world: World, condition: Condition) -> Float | None:
     """Return the share (n, n), 0 to 1, of standing water; None without a flood.
 
-    One level surface covers the lowest part of the open ground, which the weather states.
+    One level surface covers the lowest part of the open ground, as large as the weather states.
     """
     if condition.weather.flood == 0:
         return None
@@ -76,7 +76,7 @@ def _flood(world: World, condition: Condition) -> Float | None:
 def _shelter(world: World, condition: Condition) -> Float | None:
     """Return how well snow is sheltered from thaw, (n, n) from about -1 to 1; None without thaw.
 
-    Snow stays in the shadows of the noon, in hollows, and on slopes that face away from the sun.
+    Snow stays in the shadows at noon, in hollows, and on slopes that face away from the sun.
     """
     if condition.season.thaw == 0 or condition.season.snow == 0:
         return None
@@ -97,8 +97,8 @@ def _shelter(world: World, condition: Condition) -> Float | None:
     north, east = np.gradient(height, cell)
     facing = east * away[0] + north * away[1]  # negative where the ground falls away from the sun
     low = (height.mean() - height) / max(float(height.std()), 0.1)
-    lie = 0.9 * soft + 0.15 * np.clip(low, -2, 2) - 4.0 * np.clip(facing, -0.1, 0.1)
-    return _resize(lie, len(world.ground.labels))
+    shelter = 0.9 * soft + 0.15 * np.clip(low, -2, 2) - 4.0 * np.clip(facing, -0.1, 0.1)
+    return _resize(shelter, len(world.ground.labels))
 
 
 def _litter(world: World, condition: Condition) -> Float | None:

@@ -120,9 +120,9 @@ def _mix_worn(labels: NDArray[np.uint8], season: Season, worn: Float) -> Float:
 def _plough(
     albedo: Float, value: Float, ground: Ground, colours: tuple[Rgb, Rgb], worn: Float
 ) -> None:
-    """Turn the fields of even tones into ploughed earth with deep furrows.
+    """Turn the fields whose tone is an even number into ploughed earth with deep furrows.
 
-    The others become stubble, with rows and the swaths of a combine harvester.
+    The other fields become stubble, with rows and the swaths of a combine harvester.
     """
     fields = ground.labels == CLASSES["field"]
     ploughed = fields & (ground.tone % 2 == 0)
@@ -137,7 +137,7 @@ def _plough(
 def _strew_leaves(
     albedo: Float, litter: Float, labels: NDArray[np.uint8], season: Season, fine: Float
 ) -> None:
-    """Cover the ground with fallen leaves, of which traffic leaves few."""
+    """Cover the ground with fallen leaves. Roads and water keep less than half of them."""
     kept = np.ones(_LABELS, np.float32)
     kept[CLASSES["road"]], kept[CLASSES["water"]] = 0.45, 0.25
     share = np.clip(1.5 * litter * kept[labels] - 0.35 + 0.45 * fine, 0, 0.95) * (litter > 0.02)

@@ -22,7 +22,7 @@ _HEADLIGHTS_W: Final = 10000.0
 _STREET_CONE_DEG: Final = 150.0
 _HEADLIGHTS_CONE_DEG: Final = 44.0
 _DIP: Final = 0.07  # downward slope of headlights
-_FLAT: Final = 0.4  # height of the beam of headlights by its width
+_FLAT: Final = 0.4  # height of the beam of headlights, relative to its width
 
 
 class Beam(NamedTuple):
@@ -32,7 +32,7 @@ class Beam(NamedTuple):
         at: Position (3,), world metres.
         towards: Unit vector (3,) along the middle of the beam.
         cone_deg: Angle of the cone, degrees.
-        flat: Height of the beam by its width.
+        flat: Height of the beam, relative to its width.
         watts: Power, on Blender's scale.
         rgb: Linear colour.
         reach_m: Distance beyond which its light is left out, metres.
@@ -48,7 +48,7 @@ class Beam(NamedTuple):
 
 
 def beams(world: World) -> Iterator[Beam]:
-    """Yield the light of every lamp of a place at night. The colour of street lamps is its own."""
+    """Yield the light of every lamp of a place at night. All its street lamps have one colour."""
     rng = np.random.default_rng([world.seed, 4])
     street = _LED if rng.random() < _LED_SHARE else _SODIUM
     for item in world.objects:

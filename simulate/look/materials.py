@@ -42,7 +42,7 @@ def build_materials(
 
     The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
     colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects. At night,
-    windows and lamps shine. They are seen and mirrored; ``simulate.look.lamps`` lights the scene.
+    windows and lamps shine, but ``simulate.look.lamps`` illuminates the scene.
 
     Args:
         data: ``bpy.data``.
@@ -100,9 +100,9 @@ def _add_fog(material: Any, condition: Condition) -> None:
 
 
 def _add_glow(graph: _Graph, colour: Any, strength: Any) -> None:
-    """Add a glow to a finished material that is seen and mirrored, but lights nothing.
+    """Add a glow to a finished material: visible, also in mirrors, but no light on other surfaces.
 
-    Rays of diffuse light would meet the small bright surfaces too rarely, which is noise.
+    Diffuse rays would hit these small surfaces so rarely that the picture became noisy.
     """
     diffuse = graph.node("ShaderNodeLightPath").outputs["Is Diffuse Ray"]
     seen = graph.math("MULTIPLY", strength, graph.math("SUBTRACT", 1.0, diffuse))
@@ -185,7 +185,7 @@ class _Builder:
         _add_glow(graph, colour, strength)
 
     def switch_on(self, material: Any, rgb: Rgb, *, only_driven: bool) -> None:
-        """Let the lamps of a finished material shine; ``only_driven`` those of traffic alone."""
+        """Let the lamps of a finished material shine; if ``only_driven``, only those of traffic."""
         graph = _Graph.of(material)
         on = graph.node("ShaderNodeObjectInfo").outputs["Alpha"] if only_driven else 1.0
         _add_glow(graph, graph.rgb(rgb), graph.math("MULTIPLY", on, _LAMP_GLOW))

@@ -1,8 +1,8 @@
 """Draw images of walls and roofs with numpy.
 
 Each image is (rows, columns, 4) uint8 with row 0 at the bottom. The first three channels are an
-sRGB colour. Alpha is the share by which the polygon's tint multiplies it: 255 for a wall or tile of
-that tint, 0 for a colour of its own.
+sRGB colour. Alpha says how far the polygon's tint changes it: at 255 the colour is multiplied by
+the tint, as for walls and tiles; at 0 it stays as it is, as for windows.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def facade(style: Facade) -> Image:
 
 
 def panes(style: Facade) -> Image:
-    """Draw the share of the light of a lit room that each pixel of a facade lets out, as a grey.
+    """Draw the share of a room's light that passes through each pixel of a facade, as a grey level.
 
     The image fits that of ``facade``. Curtains and blinds dim the light.
     """

@@ -104,7 +104,7 @@ class PlaceBuilder:
         return bool(self.rng.random() < probability)
 
     def once(self, draw: Callable[[PlaceBuilder], T]) -> T:
-        """Return what ``draw`` draws at its first call: a property of the whole place."""
+        """Return the result of the first call of ``draw``: a property of the whole place."""
         if draw not in self._drawn:
             self._drawn[draw] = draw(self)
         drawn: T = self._drawn[draw]

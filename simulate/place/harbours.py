@@ -43,7 +43,7 @@ def _basin(builder: PlaceBuilder, block: Block, front_m: float) -> tuple[float, 
 
 
 def quay(builder: PlaceBuilder, block: Block) -> None:
-    """Place ships along a quay with a crane, sheds, crates and lorries."""
+    """Place ships along a quay with a crane, sheds, pallets and trucks."""
     rng, frame = builder.rng, block.front(1)
     front_m = min(36.0, 0.42 * block.depth)
     basin = _basin(builder, block, front_m)
@@ -112,7 +112,7 @@ def marina(builder: PlaceBuilder, block: Block) -> None:
 def _yacht(
     builder: PlaceBuilder, frame: StreetFrame, spot: tuple[float, float], side: int, berth: float
 ) -> None:
-    """Place a yacht on one side of a pontoon at ``spot``, with its stern to it."""
+    """Place a yacht on one side of a pontoon at ``spot``, with its stern to the pontoon."""
     long = builder.rng.uniform(0.7, 0.97) * berth
     shape, high = ("yacht", 1.25 * long) if builder.chance(0.7) else ("cruiser", 0.32 * long)
     colour = vary(builder, builder.choose(_YACHTS))

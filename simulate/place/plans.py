@@ -12,6 +12,7 @@ from simulate.place.estates import estate
 from simulate.place.farms import farm, hayfield, pasture
 from simulate.place.greens import field, meadow, park, woods
 from simulate.place.harbours import marina, quay
+from simulate.place.industry import factory, halls, tank_farm
 from simulate.place.orchards import orchard
 from simulate.place.plan import Plan, Quarter
 from simulate.place.power import power_lines
@@ -19,7 +20,6 @@ from simulate.place.relief import valley
 from simulate.place.roadside import avenues, deliveries, street_furniture, street_lamps, traffic
 from simulate.place.solar import solar
 from simulate.place.streets import StreetKind
-from simulate.place.trade import factory, tank_farm, trade
 from simulate.place.urban import fronts, square
 from simulate.place.water import dock, lake
 
@@ -71,8 +71,8 @@ INDUSTRIAL = Plan(
     block_m=110.0,
     quarters=(
         Quarter(
-            first=(factory, trade, tank_farm, dock),
-            uses={factory: 0.42, trade: 0.30, tank_farm: 0.13, dock: 0.15},
+            first=(factory, halls, tank_farm, dock),
+            uses={factory: 0.42, halls: 0.30, tank_farm: 0.13, dock: 0.15},
             open_land=meadow,
             open_share=0.06,
         ),
@@ -162,9 +162,9 @@ CONTAINERS = Plan(
     block_m=105.0,
     quarters=(
         Quarter(
-            first=(container_yard, container_yard, container_yard, trade),
-            uses={container_yard: 0.9, trade: 0.1},
-            open_land=trade,
+            first=(container_yard, container_yard, container_yard, halls),
+            uses={container_yard: 0.9, halls: 0.1},
+            open_land=halls,
             open_share=0.05,
         ),
     ),
@@ -205,9 +205,9 @@ HARBOUR = Plan(
     block_m=115.0,
     quarters=(
         Quarter(
-            first=(quay, marina, quay, trade),
-            uses={quay: 0.48, marina: 0.42, trade: 0.1},
-            open_land=trade,
+            first=(quay, marina, quay, halls),
+            uses={quay: 0.48, marina: 0.42, halls: 0.1},
+            open_land=halls,
             open_share=0.04,
         ),
     ),

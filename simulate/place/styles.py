@@ -156,7 +156,7 @@ def chalet_style(builder: PlaceBuilder, depth: float) -> BuildingStyle:
 
 
 def chapel_style(builder: PlaceBuilder, *, tower: bool) -> BuildingStyle:
-    """Draw the style of a chapel, or of its tower. Those of a place have the same stone."""
+    """Draw the style of a chapel, or of its tower. All chapels of a place have the same stone."""
     stone, slate = builder.once(_chapel_colours)
     return BuildingStyle(
         floors=2,

@@ -1,19 +1,19 @@
-"""The plan of a town: housing, flats, trade and parks, with fields between them."""
+"""The plan of a town: housing, flats, halls and parks, with fields between them."""
 
 from __future__ import annotations
 
 from simulate.place.dwellings import flats, housing
 from simulate.place.greens import field, park
+from simulate.place.industry import halls
 from simulate.place.plan import Plan, Quarter
 from simulate.place.roadside import deliveries, street_furniture, street_lamps, traffic
-from simulate.place.trade import trade
 
 TOWN = Plan(
     block_m=80.0,
     quarters=(
         Quarter(
-            first=(housing, flats, trade, park),
-            uses={housing: 0.60, flats: 0.14, trade: 0.13, park: 0.13},
+            first=(housing, flats, halls, park),
+            uses={housing: 0.60, flats: 0.14, halls: 0.13, park: 0.13},
             open_land=field,
             open_share=0.12,
         ),

@@ -24,7 +24,7 @@ _NIGHT_EXPOSURE_S: Final = 1 / 30
 _DRIFT_MS: Final = 3.0  # standard deviation of the camera's horizontal speed in the air, per axis
 _SHIFT: Final = 3  # fractional bits of OpenCV's sub-pixel drawing
 _FOCUS_M: Final = 0.6  # particles nearer than this are out of focus
-_NIGHT_LIGHT: Final = 0.35  # light of particles at night by that of the sky, from lamps
+_NIGHT_LIGHT: Final = 0.35  # brightness of lamplit particles at night, relative to the sky
 
 
 class _Kind(NamedTuple):
@@ -36,7 +36,8 @@ class _Kind(NamedTuple):
         diameter_m: Median diameter.
         spread: Standard deviation of the diameter's logarithm.
         fall_ms: Speed of fall.
-        light: Light of a particle by that of the sky. Drops refract it; flakes scatter it.
+        light: Brightness of a particle relative to the sky's. Drops refract its light; flakes
+            scatter it.
     """
 
     per_m3: float

@@ -16,13 +16,13 @@ class SiteReport(BaseModel):
     Attributes:
         texel_m: side of a pixel of the texture, metres.
         spacing_m: distance between the nodes of the surface, metres.
-        margin_m: width of the margin around the place with data, metres.
+        margin_m: width of the strip around the place in which the sources have data, metres.
         closed: share of the place without heights, which were interpolated.
         holes: share of the place without colours, which were interpolated.
         classes: share of the place by class.
         sun: azimuth and elevation of the sun in the orthophoto, degrees; None if unknown.
         shade: share of the place in the shade.
-        gain: mean gain of shadows.
+        gain: mean factor by which shadows were brightened.
         notes: remarks for the user, a line each.
     """
 

@@ -28,7 +28,7 @@ _PATH_M, _LOT_M = 4.0, 14.0  # maximum width of paths, minimum width of car park
 # Light ground has an albedo between these multiples of that of roads; painted lines are lighter.
 _LIGHT, _TOO_LIGHT = 1.8, 3.3
 _PAINT_M = 0.7  # blur of the albedo, against painted lines
-_RIM_M = 2.0  # minimum width of crowns; narrower ones are misclassified edges of roofs
+_MIN_CROWN_M = 2.0  # minimum width of crowns; narrower ones are misclassified edges of roofs
 # Minimum height of cars and other objects, and share of the snow that stays on them.
 _MIN_OBJECT_M, _ON_OBJECTS = 0.6, 0.9
 _SPLASH_M = 0.5  # distance over which wheels throw snow to the edges
@@ -61,7 +61,7 @@ def snow_share(
     share = cv2.GaussianBlur(share, (0, 0), _SPLASH_M / texel_m)
     share[classes == WATER] = 0.0
     share[paved & (above_ground > _MIN_OBJECT_M)] = _ON_OBJECTS
-    crown = _open_mask(classes == CROWN, _RIM_M, texel_m)
+    crown = _open_mask(classes == CROWN, _MIN_CROWN_M, texel_m)
     share[crown] = _KEPT_SHARE[CROWN]
     return np.asarray(share * np.where(crown, np.float32(1), by_slope), np.float32)
 

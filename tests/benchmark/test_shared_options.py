@@ -162,7 +162,7 @@ def test_a_method_is_given_once(command: str) -> None:
 
 
 def test_arguments_may_be_called_as_they_like() -> None:
-    """An argument of click has a name, too, and a path of that name is no option."""
+    """An argument of click has a name, too, and a path of that name is not an option."""
     for command in COMMANDS.values():
         words = [part.name for part in command.params]
         refuse_taken_options(command, [*words, "--out", "out", "--json", "--", "--out", "--out"])

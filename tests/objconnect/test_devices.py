@@ -24,7 +24,7 @@ from objconnect.mapping.dense.command import dense
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.methods import create, trainable
 from objconnect.network.landmarks import merge
-from objconnect.network.object_matching import Connector
+from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.scene_landmarks import find_landmarks
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
@@ -165,7 +165,7 @@ def test_objects_connect_as_on_the_processor() -> None:
 
     def run_connector(device: str) -> list[torch.Tensor]:
         graph = test_object_matching.graph(layers=1).to(device)
-        connect = Connector(graph, landmarks, test_landmarks.GROUND)
+        connect = ObjectMatcher(graph, landmarks, test_landmarks.GROUND)
         camera, attitudes = test_landmarks.CAMERA, [test_landmarks.DOWN]
         candidates = connect(view.found, camera, attitudes, test_object_matching.ANY)
         return [candidate.pose.matrix() for candidate in candidates]

@@ -48,7 +48,7 @@ def open_benchmark(address: Path) -> Benchmark:
     """Read which scenes a published data set on the hub has; nothing else is downloaded.
 
     Raises:
-        InputError: the address names no commit or cannot be read, or is no published data set.
+        InputError: the address names no commit or cannot be read, or is not a published data set.
     """
     if not is_address(address):
         raise InputError(
@@ -65,7 +65,7 @@ def scores(
     """Return the scores on a published data set by the name of their file.
 
     A score is the recall within 0.5 m and 5° in percent over all scenes of the data set. Scenes
-    whose reference poses are too inexact for it give no score.
+    whose reference poses are too inexact to judge it give no score.
 
     Raises:
         InputError: no method has results of all scenes from one start.

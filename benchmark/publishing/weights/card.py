@@ -20,7 +20,7 @@ from objconnect.scene.storage.atomic import write_text
 _TAGS: Final = ("uav", "visual-localization", "camera-pose", "colmap")
 _LIMITS: Final = (
     "Recall on data unlike the training data is unknown until it is measured.",
-    "Photographs are to be calibrated, and the map to be of the ground that they show.",
+    "Photographs must be calibrated, and the map must cover the ground that they show.",
 )
 
 

@@ -62,7 +62,7 @@ def publish_weights(
     release: Release | None = None,
     dry_run: bool = False,
 ) -> WeightsReport:
-    """Write weights as a model repository: the file as it is, a card, results and checksums.
+    """Write weights as a model repository: the unchanged file, a card, results and checksums.
 
     Args:
         weights: name of weights that come with the project, or a ``.safetensors`` file with its

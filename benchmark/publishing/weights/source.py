@@ -37,8 +37,8 @@ class Source:
         file: the file.
         sha256: its digest.
         method: method that it belongs to.
-        facts: what its card tells of data, training and licences.
-        limits: what its card tells of its limits.
+        facts: what its card says about data, training and licences.
+        limits: what its card says about its limits.
         calibration: calibration files beside it.
         license: SPDX identifier of its licence.
     """

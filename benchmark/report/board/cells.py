@@ -4,8 +4,8 @@ A cell is one season and one part of the track. The seasons are:
 
 - "same": queries under the map's own condition, where nothing moved;
 - "changed": all other queries;
-- of a track that holds conditions or presets out of training, the changed queries that are "seen",
-  of an "unseen-condition", of an "unseen-place" or "unseen-both";
+- "seen", "unseen-condition", "unseen-place" and "unseen-both": the changed queries by what their
+  track holds out of training, if it holds out conditions or presets;
 - each condition.
 
 The parts are "all" and each part of the track, such as a kind of place. Only the seasons "same" and

@@ -1,4 +1,4 @@
-"""The figures of the page of all tracks; the page shows them without computing any."""
+"""All numbers that the leaderboard page of the tracks shows; the page computes none itself."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _STATUS: Final = {Status.OK: 0, Status.FALLBACK: 1, Status.FAILED: 2}
 
 
 def track_figures(board: TrackBoard) -> dict[str, Any]:
-    """Return what the page shows of a track."""
+    """Return the numbers of a track that the page shows."""
     return {
         "name": board.track.name,
         "title": board.track.title,

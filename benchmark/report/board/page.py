@@ -1,4 +1,4 @@
-"""The page of all tracks, in one HTML file: ``templates/board.html``, ``.css`` and ``.js``."""
+"""The leaderboard of all tracks in one HTML file, from ``templates/board.*``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from objconnect.scene.runtime.progress import progress_bar
 
 
 def board_page(boards: Sequence[TrackBoard]) -> str:
-    """Return the page of all tracks.
+    """Return the leaderboard of all tracks as HTML.
 
     Raises:
         InputError: an album of a track is damaged.

@@ -25,7 +25,7 @@ def columns() -> tuple[str, ...]:
 
 
 def note() -> str:
-    """Return what a reader has to know before comparing."""
+    """Return the note below the table: which of its figures may be compared."""
     return (
         "Recall in % at 0.5 m 5°. The upper lines are the paper's own figures on its own data; "
         "this project has not measured them. The lower lines are ours on simulated places of the "

@@ -44,7 +44,7 @@ class BoardQuery:
 
     Attributes:
         dataset: name of its data set.
-        row: what the track says of it.
+        row: its row in the track's list of queries.
         course: course that it was flown on, see ``benchmark.tracks.courses``.
         same: whether its results say that its condition is the map's. Sessions of a track in which
             something moved are under other conditions.

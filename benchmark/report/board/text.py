@@ -1,4 +1,4 @@
-"""The headline cells of all tracks as Markdown."""
+"""The tables of the leaderboard of all tracks, as Markdown."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class HeadlineRow:
         season: season of the cell, see ``Cell``.
         part: "all" or a part of the track.
         method: label of the method.
-        cell_queries: number of queries of the cell; the method may have results of only a part.
+        cell_queries: number of queries of the cell; a method may lack results of some of them.
         surest: recall at 0.5 m 5° at bounded risk, see ``cells.recall_at_risk``; None if no answer
             has a probability or a sigma, or the reference poses do not judge 0.5 m.
         summary: figures of the queries.
@@ -88,8 +88,8 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
         f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
         f"{INTEGRITY} Surest: "
-        "answers are accepted from the most certain on, by their predicted probability or else "
-        f"their sigma, as long as fewer than {RISK:.0%} of those accepted are wrong at 0.5 m 5°; "
+        "answers are accepted in the order of their predicted probability (without one: of their "
+        f"sigma) while fewer than {RISK:.0%} of the accepted answers are wrong at 0.5 m 5°; "
         "the column is the share of all queries that are accepted and right.",
     ]
     for board, figures in zip(boards, rows, strict=True):
@@ -108,7 +108,7 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
 
 
 def _card_line(card: Card) -> str:
-    """Return what the authors of a submission state of it."""
+    """Return the description of a submission by its authors, one line."""
     sentences = [
         f"{card.method} (submitted by {card.authors}), start {card.start}: {card.description}",
         f"Trained on: {card.trained_on}",
@@ -131,7 +131,7 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
                 escape(row.season),
                 escape(row.part),
                 escape(row.method),
-                _count_asked(summary.queries, row.cell_queries),
+                _format_count(summary.queries, row.cell_queries),
                 str(summary.courses),
                 *(share_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 share_text(row.surest),
@@ -144,9 +144,9 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
         )
 
 
-def _count_asked(asked: int, listed: int) -> str:
-    """Return how many of the listed queries a method was asked.
+def _format_count(queries: int, listed: int) -> str:
+    """Return the number of a method's queries, and of all listed queries if these are more.
 
-    Methods that were asked different queries cannot be compared.
+    Methods that were run on different queries cannot be compared.
     """
-    return str(asked) if asked == listed else f"{asked} of {listed}"
+    return str(queries) if queries == listed else f"{queries} of {listed}"

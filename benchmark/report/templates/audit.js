@@ -1,7 +1,7 @@
 "use strict";
 /* Verdicts of audits. Everything from the data is shown as text, never as markup. */
 const data = JSON.parse(document.getElementById("data").textContent);
-const WORDS = { right: "right", wrong: "wrong", unknown: "cannot be told" };
+const WORDS = { right: "right", wrong: "wrong", unknown: "unknown" };
 const SVG = "http://www.w3.org/2000/svg";
 
 function make(tag, attributes, ...children) {

@@ -188,7 +188,7 @@ def fill(
     """Cut or pad arrays to ``size`` rows; padding repeats the first row.
 
     Returns:
-        Which rows are no padding, (size,) bool, and the arrays.
+        Which rows are not padding, (size,) bool, and the arrays.
     """
     count = min(len(points), size)
     rows = np.concatenate([np.arange(count), np.zeros(size - count, np.int64)])

@@ -33,10 +33,10 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.views import looks_down, north_angle, rotate_north_up
 from objconnect.scene.storage.images import read_rgb
 
-# Offset between the object ids of two scenes, which is more than a scene has objects.
+# Offset between the object ids of two scenes, larger than the number of objects of a scene.
 _IDS_PER_SCENE: Final = 1 << 17
-# Largest relative difference between the depth of a point and the depth layer of the other frame,
-# if the point is visible there.
+# A point is visible in the other frame if its depth differs from the depth layer there by at most
+# this share.
 _SAME_DEPTH: Final = 0.01
 
 _Pairs = list[tuple[int, int]]
@@ -66,7 +66,7 @@ class _Frame:
 class RenderedPairs:
     """Draws pairs from finished scenes with depth. Implements ``PairSource``.
 
-    Files are opened with the first pair, so that the object can be pickled for workers.
+    Files are opened when the first pair is drawn, so that the object can be pickled for workers.
 
     Args:
         scenes: the scenes.
@@ -175,7 +175,7 @@ class RenderedPairs:
             depth_ratio = float(in_b[shown][anchor, 2] / points[anchor, 2])
             relative_scale *= np.clip(depth_ratio * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
         # Frames from above are both rotated by a random multiple of 90 degrees, because light comes
-        # from the north south of the equator. Along a street the sky is always up.
+        # from the north if the place is south of the equator. Along a street the sky is always up.
         look_down = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
         common_angle = np.pi / 2 * rng.integers(4) if look_down else 0.0
         angle_a = common_angle + north_angle(a.cam_from_world[:3, :3])

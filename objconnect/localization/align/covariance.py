@@ -103,7 +103,7 @@ class Spread:
             as a share of their mean cost; 1 where the points do not determine a pose.
         scatter_level: (B,) mean over six directions of the scatter of the patches' gradients, as a
             share of the Gauss-Newton Hessian; 0 where the points do not determine a pose.
-        equal_patches: (B,) effective number of patches for ``scatter_level``.
+        effective_patches: (B,) effective number of patches for ``scatter_level``.
     """
 
     covariance: Tensor
@@ -113,7 +113,7 @@ class Spread:
     view_cosine: Tensor
     informative_cost: Tensor
     scatter_level: Tensor
-    equal_patches: Tensor
+    effective_patches: Tensor
 
 
 def measure_spread(problem: Problem, aligned: Pose) -> Spread:
@@ -162,7 +162,7 @@ def measure_spread(problem: Problem, aligned: Pose) -> Spread:
         _view_cosine(problem, aligned, linearisation.seen),
         torch.where(determined, _informative_cost(cost, local.start, linearisation, axes), 1),
         torch.where(determined, scatter_level, 0),
-        torch.where(determined, _equal_patches(grids, axes), 0),
+        torch.where(determined, _effective_patches(grids, axes), 0),
     )
 
 
@@ -224,8 +224,8 @@ def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
     return scatters.mean(0), torch.stack([count for _, count in grids]).double().mean(0)
 
 
-def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
-    """Return ``Spread.equal_patches`` (M,): Kish's effective sample size, a mean over the grids.
+def _effective_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
+    """Return ``Spread.effective_patches`` (M,): Kish's effective sample size, the grids' mean.
 
     See Kish, "Survey Sampling", 1965.
 

@@ -18,8 +18,9 @@ class Options:
         border_cells: cells at the edge of a feature map in which points do not count; at least 1.
         robust_scale: norm of a residual above which it loses weight.
         min_points: minimum number of points in view; with fewer the alignment fails.
-        converged_m: a level ends at a step that translates by less than this (m) and
-        converged_deg: rotates by less than this (degrees).
+        converged_m: metres; a level ends at a step that translates by less than this and rotates
+            by less than ``converged_deg``.
+        converged_deg: degrees; see ``converged_m``.
     """
 
     iterations: int = 15

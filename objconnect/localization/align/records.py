@@ -143,8 +143,9 @@ class DescentOptions(NamedTuple):
         min_factor: least factor on the damping.
         max_factor: largest factor on the damping.
         min_added: least value that is added to the diagonal.
-        converged_rad: a level ends at a step that rotates by less, and
-        converged_m: translates by less, metres.
+        converged_rad: radians; a level ends at a step that rotates by less than this and
+            translates by less than ``converged_m``.
+        converged_m: metres; see ``converged_rad``.
         max_steps: maximum number of steps.
         min_points: minimum number of points in view.
     """

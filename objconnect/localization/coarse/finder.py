@@ -49,7 +49,8 @@ _CELL_PX: Final = 16
 # Number of principal components to which features are reduced. It bounds time and memory.
 _CHANNELS: Final = 32
 LONGER_SIDE_PX: Final = 256
-"""Photographs are resized to about this longer side (px), so that a cell shows large things."""
+"""Photographs are resized to about this longer side (px), so that the features of
+a cell describe a large patch of ground."""
 # A query of a larger tilt (radians) is warped to this one, because nearly all photographs of a map
 # look down.
 _MAX_TILT: Final = math.radians(45)

@@ -48,7 +48,7 @@ class NeighbourOptions(Config):
         0.2,
         gt=0,
         description="Least share of a photograph's scene that a neighbour has in view, if too few "
-        "photographs share enough map points; above 1 for no such neighbours.",
+        "photographs share enough map points. A value above 1 excludes such neighbours.",
     )
     least_depths: int = Field(
         100,

@@ -97,7 +97,7 @@ def best_probability(
     """Return the index of the likeliest pose, and the probability that it is right.
 
     At most one position is right, so two equally likely ones have a probability of at most a half
-    each. Of poses for which ``is_same_pose`` is true only the likeliest counts.
+    each. If ``is_same_pose`` is true for several poses, only the likeliest of them counts.
 
     Args:
         poses: poses with their log odds; at least one.

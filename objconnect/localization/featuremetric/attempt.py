@@ -86,16 +86,14 @@ def likeliest(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt
     return attempts[best], probability
 
 
-def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+def is_probable(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
     """Return whether the likeliest attempt is right with a probability of at least 1 - risk."""
     best, probability = likeliest(attempts, rivals)
     return not best.has_failed and probability >= 1 - options.risk
 
 
-def is_believed_and_exact(
-    attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()
-) -> bool:
-    """Return whether the likeliest attempt is believed and exact enough for an answer."""
+def is_accepted(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+    """Return whether the likeliest attempt is an answer: probable, with a small enough sigma."""
     best, probability = likeliest(attempts, rivals)
     return not _rejection_reason(best, probability, len(attempts), options)
 

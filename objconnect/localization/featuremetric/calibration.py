@@ -38,7 +38,7 @@ class CovarianceModel(CalibrationFile):
     )
     level_patches: float = Field(
         ge=0,
-        description="Weight of the prior scatter, in equivalent patches.",
+        description="Weight of the prior scatter, in effective patches.",
     )
     floor: float = Field(
         ge=0,
@@ -84,7 +84,7 @@ def compute_scales(
     - ``(100 / patches)**patches_power``: clustered estimates from few clusters are too small
       (Cameron and Miller, Journal of Human Resources 2015);
     - a factor that shrinks the scatter of the patches towards ``level``, as the posterior mean of a
-      variance whose prior counts ``level_patches`` equal patches (Smyth, Statistical Applications
+      variance whose prior counts ``level_patches`` patches (Smyth, Statistical Applications
       in Genetics and Molecular Biology 2004).
 
     Errors that move all points alike, such as shadows when the sun moves, do not show in residuals.
@@ -100,16 +100,16 @@ def compute_scales(
         The factors, and the variances of rotation (rad^2), equal about all axes, and translation
         (m^2), which are larger by the square of the depth of the points.
     """
-    patches, scatter_level, equal_patches = _arrays(
-        spread.patches, spread.scatter_level, spread.equal_patches
+    patches, scatter_level, effective_patches = _arrays(
+        spread.patches, spread.scatter_level, spread.effective_patches
     )
     depth, view_cosine, cost = _arrays(spread.depth, spread.view_cosine, spread.informative_cost)
     ratio = fit * cost / (model.unchanged_fit + model.view_fit * (1 - view_cosine))
     factor = model.factor * ratio * (patches / 100) ** -model.patches_power
     known = scatter_level > 0
     prior_share = np.where(known, model.level / np.where(known, scatter_level, 1.0), 1.0)
-    factor *= (equal_patches + model.level_patches * prior_share) / (
-        equal_patches + model.level_patches
+    factor *= (effective_patches + model.level_patches * prior_share) / (
+        effective_patches + model.level_patches
     )
     change = np.clip((ratio - 1) / model.changed_fit, 0, 1)
     deviation = model.floor * np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)

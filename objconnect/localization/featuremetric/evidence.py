@@ -24,7 +24,7 @@ from objconnect.localization.align.sampling import per_axis
 from objconnect.scene.geometry.pose import Pose
 
 # Bounds of the fields of ``Evidence``, beyond which the odds do not change.
-_MIN_HEIGHT: Final = 0.1
+_MIN_PEAK: Final = 0.1
 _MIN_CURVATURE: Final = 0.03
 _MIN_HALVES_CELLS: Final = 0.02
 _MAX_HALVES_CELLS: Final = 20.0
@@ -50,14 +50,14 @@ class Evidence:
     """Figures of an aligned pose.
 
     Attributes:
-        height: peak-to-sidelobe ratio: (gain over chance at the pose - mean gain at the shifts) /
+        peak: peak-to-sidelobe ratio: (gain over chance at the pose - mean gain at the shifts) /
             standard deviation of the gain at the shifts.
         halves: median distance between the points projected by the poses of two halves of the
             picture, cells of the finest level; infinite if a half has no pose.
         curvature: curvature of the cost around the pose, as a share of Gauss-Newton's (``Spread``).
     """
 
-    height: float
+    peak: float
     halves: float
     curvature: float
 
@@ -69,7 +69,7 @@ class Evidence:
         halves = _MAX_HALVES_CELLS if math.isnan(self.halves) else self.halves
         # With the bound as first argument, ``max`` returns it for NaN.
         return (
-            math.log(max(_MIN_HEIGHT, self.height)),
+            math.log(max(_MIN_PEAK, self.peak)),
             math.log(min(max(halves, _MIN_HALVES_CELLS), _MAX_HALVES_CELLS)),
             math.log(max(_MIN_CURVATURE, self.curvature)),
         )
@@ -83,11 +83,11 @@ def measure_evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence
         pose: ``cam_from_world``, batched (1).
         curvature: curvature of the cost around the pose.
     """
-    return Evidence(peak_height(problem, pose), _halves_distance(problem, pose), curvature)
+    return Evidence(peak_to_sidelobe(problem, pose), _halves_distance(problem, pose), curvature)
 
 
-def peak_height(problem: Problem, pose: Pose) -> float:
-    """Return the peak-to-sidelobe ratio ``Evidence.height`` on the middle level.
+def peak_to_sidelobe(problem: Problem, pose: Pose) -> float:
+    """Return the peak-to-sidelobe ratio ``Evidence.peak`` on the middle level.
 
     Args:
         problem: the alignment problem of one image.

@@ -1,8 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
 Matches, known objects and the coarse search give candidates. The best of each is refined, then
-those of the others whose screening gives a high peak. The first refined pose that is believed ends
-the search.
+those of the others whose screening gives a high peak. The first probable refined pose ends the
+search.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from objconnect.localization.featuremetric.acceptance import (
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
     Rivals,
-    is_believed,
-    is_believed_and_exact,
+    is_accepted,
+    is_probable,
     likeliest,
     select_estimate,
 )
@@ -59,8 +59,8 @@ class CandidateFinder(Protocol):
     is_first: bool
 
     def observer(self, source: ReferenceSource) -> FeatureObserver | None:
-        """Return what receives the feature maps of the map's photographs while they are computed;
-        None if the finder needs no feature maps."""
+        """Return a consumer of the map photographs' feature maps, which are computed one by one;
+        None if the finder needs none."""
         ...
 
     def prepare(self, source: ReferenceSource) -> None:
@@ -80,7 +80,7 @@ class GlobalSearch:
         refine: refines a start.
         sparse_map: the map.
         coarse: the coarse search; if None, only matches and ``extra_finder`` give candidates, and
-            the localizer starts from similar photographs if no candidate is believed.
+            the localizer starts from similar photographs if no candidate gives a probable pose.
         extra_finder: finds candidates in addition to the coarse search; None for none.
     """
 
@@ -92,7 +92,8 @@ class GlobalSearch:
     def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
         """Return the best estimate.
 
-        It is None if there is no candidate, or if none is believed and there is no coarse search.
+        It is None without a candidate, or if none gives a probable pose and there is no coarse
+        search.
 
         Args:
             query: the image.
@@ -112,7 +113,7 @@ class GlobalSearch:
             for candidate in self._promising(query, find(query, clock), clock):
                 attempts.append(self.refine.align_near(query, candidate.pose, clock))
                 tried.append(candidate)
-                if is_believed(attempts, options, rivals):
+                if is_probable(attempts, options, rivals):
                     # Warped from the new pose, the image is rotated and scaled better.
                     best, _ = likeliest(attempts)
                     attempts.append(self.refine.align_near(query, best.pose, clock))
@@ -131,7 +132,7 @@ class GlobalSearch:
         yield from candidates[:1]
         screened = screen_candidates(self.refine, query, candidates[1:], clock)
         least = self.refine.config.search.least_peak
-        promising = [each.candidate for each in screened if each.height >= least]
+        promising = [each.candidate for each in screened if each.peak >= least]
         with progress_within("candidates aligned", len(promising)) as advance:
             for done, candidate in enumerate(promising, 1):
                 yield candidate
@@ -156,8 +157,8 @@ class GlobalSearch:
         """Refine the pose by matches, the first of ``rivals``.
 
         The aligned pose is the answer if it agrees with the matched pose or is likelier, and is
-        believed and exact enough. Otherwise the matched pose is the answer if it agrees with the
-        aligned pose or is likelier, and is believed.
+        accepted. Otherwise the matched pose is the answer if it agrees with the aligned pose or is
+        likelier, and is probable.
 
         Returns:
             The answer and no attempt, or None and the attempt that gave no answer.
@@ -167,7 +168,7 @@ class GlobalSearch:
         attempt = self.refine.align_near(query, start, clock, _MATCHES_RADIUS)
         best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
         same = is_same_pose(attempt.pose, start)
-        if (same or best == 0) and is_believed_and_exact([attempt], options, rivals):
+        if (same or best == 0) and is_accepted([attempt], options, rivals):
             return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals), []
         if (best == 0 and not same) or probability < 1 - options.risk:
             return None, [attempt]

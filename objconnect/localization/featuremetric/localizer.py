@@ -27,8 +27,8 @@ from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.localization.featuremetric.attempt import (
     Attempt,
-    is_believed,
-    is_believed_and_exact,
+    is_accepted,
+    is_probable,
     likeliest,
     select_estimate,
 )
@@ -112,7 +112,7 @@ class FeaturemetricLocalizer:
 
     @property
     def map_state(self) -> MapState:
-        """Return what alignment needs of the map; prepare it now if that was deferred."""
+        """Return the map's data for alignment; prepare them now if that was deferred."""
         return self._preparation()
 
     def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
@@ -284,7 +284,7 @@ class FeaturemetricLocalizer:
         options = self.config.search
         attempts = self._try_starts(refine, query, chosen, poses, clock)
         is_single_search = not self.config.multistart or options.again == 1
-        if is_single_search or is_believed_and_exact(attempts, options):
+        if is_single_search or is_accepted(attempts, options):
             return attempts
         thorough = refine.wider(options.again)
         if has_pose(query.prior):
@@ -313,7 +313,7 @@ class FeaturemetricLocalizer:
         poses: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts position by position, until a pose is believed.
+        """Try starts position by position, until a pose is probable.
 
         If there are several starts or the position is unknown, the image is then aligned once more
         from the likeliest pose. Warped from that pose, it is rotated and scaled better.
@@ -326,7 +326,7 @@ class FeaturemetricLocalizer:
                 for start in at_position:
                     attempts.append(refine(query, chosen, start, clock, radius))
                     advance(len(attempts))
-                if is_believed(attempts, options):
+                if is_probable(attempts, options):
                     if len(poses) > 1 or self._searches_position(query):
                         best, _ = likeliest(attempts)
                         attempts.append(

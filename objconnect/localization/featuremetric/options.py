@@ -33,7 +33,7 @@ class SearchOptions(Config):
         1.0,
         gt=0,
         description="Largest predicted standard deviation of the position of an aligned pose, m; "
-        "a pose with a larger one is no answer.",
+        "a pose with a larger one is not an answer.",
     )
     least_peak: float = Field(
         3.5,

@@ -273,9 +273,9 @@ def fit(problem: Problem, pose: Pose) -> float:
     seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
     if not bool(seen.any()):
         return math.inf
-    # For the cost by chance, points get the reference features of points that are far from them in
-    # the list; neighbours in the list are far apart in the picture. Where the picture looks the
-    # same everywhere, these features fit as well.
+    # For the cost by chance, each point gets the reference features of the point half the list
+    # away, which is rarely near it in the picture. Where the picture looks the same everywhere,
+    # these features fit as well.
     order = torch.nonzero(seen)[:, 0]
     swapped = torch.roll(order, len(order) // 2)
     local = LocalProblem.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))

@@ -34,7 +34,8 @@ def quantize_extractor(source: ReferenceSource) -> MapExtractor:
         source: the map, its photographs, and the extractor in floating point.
 
     Raises:
-        InputError: a photograph is missing or broken, or the network cannot be quantized here.
+        InputError: a photograph is missing or broken, or the network cannot be quantized on this
+            processor.
     """
     sparse_map, extract, views = source.map_cache.sparse_map, source.extract, MapViews(source)
     names = sparse_map.names

@@ -44,7 +44,7 @@ GRID: Final = 16
 class FeatureObserver(Protocol):
     """Receives the feature maps of a map's photographs while they are computed."""
 
-    def lacks(self, image: MapImage, key: str) -> bool:
+    def needs(self, image: MapImage, key: str) -> bool:
         """Return whether the observer still needs a photograph, which has this ``MapViews.key``."""
         ...
 
@@ -214,7 +214,7 @@ def _compute_rows(
             view_key = views.key(image)
             key = digest_of(_FORMAT, view_key, image.cam_from_world, points, source.points)
             arrays = earlier(key, source.array_names)
-            if arrays is None or (observer is not None and observer.lacks(image, view_key)):
+            if arrays is None or (observer is not None and observer.needs(image, view_key)):
                 view, maps = views(image)
                 if observer is not None:
                     observer(image, view_key, view, maps)

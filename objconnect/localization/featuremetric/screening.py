@@ -13,7 +13,7 @@ from typing import Final
 
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.coarse.search import Candidate
-from objconnect.localization.featuremetric.evidence import peak_height
+from objconnect.localization.featuremetric.evidence import peak_to_sidelobe
 from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_prior
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.localizer import Query, Stopwatch
@@ -25,10 +25,10 @@ and 2 it ranks right candidates best (``python -m experiments.screening``)."""
 
 @dataclass(frozen=True)
 class ScreenedCandidate:
-    """A candidate and the peak-to-sidelobe ratio (``Evidence.height``) of its rough alignment."""
+    """A candidate and the peak-to-sidelobe ratio (``Evidence.peak``) of its rough alignment."""
 
     candidate: Candidate
-    height: float
+    peak: float
 
 
 def screen_candidates(
@@ -39,17 +39,15 @@ def screen_candidates(
     Args:
         refine: the refiner that will align them in full.
         query: the image.
-        candidates: starts of the alignments. Candidates of equal height keep their order.
+        candidates: starts of the alignments. Candidates with equal peaks keep their order.
         clock: the stage ``screening`` receives the seconds.
     """
     with clock.stage("screening"):
-        screened = [
-            ScreenedCandidate(each, screen_height(refine, query, each)) for each in candidates
-        ]
-    return sorted(screened, key=lambda each: -each.height)
+        screened = [ScreenedCandidate(each, rough_peak(refine, query, each)) for each in candidates]
+    return sorted(screened, key=lambda each: -each.peak)
 
 
-def screen_height(
+def rough_peak(
     refine: Refiner, query: Query, candidate: Candidate, coarser: float = COARSER
 ) -> float:
     """Return the peak-to-sidelobe ratio after an alignment on the coarsest level; 0 if it fails.
@@ -66,4 +64,4 @@ def screen_height(
     maps = builder.features(view, levels=1)
     problem = builder.build(view, maps, chosen, candidate.pose, width.coarse_points).coarsest()
     aligned = align_from_many(problem, DEFAULT_RADIUS, width)
-    return 0.0 if aligned.has_failed[0] else peak_height(problem, aligned.pose)
+    return 0.0 if aligned.has_failed[0] else peak_to_sidelobe(problem, aligned.pose)

@@ -20,7 +20,7 @@ from objconnect.localization.featuremetric.attempt import (
     AlignedView,
     Attempt,
     evaluate_alignment,
-    is_believed_and_exact,
+    is_accepted,
 )
 from objconnect.localization.featuremetric.options import SearchOptions, TrackingOptions
 from objconnect.localization.featuremetric.priors import pose_of
@@ -71,7 +71,7 @@ class Tracking:
                 return None
             aligned = AlignedView(view, problem, _align(problem, first))
             attempt = evaluate_alignment(aligned, self.search)
-        return attempt if is_believed_and_exact([attempt], self.search) else None
+        return attempt if is_accepted([attempt], self.search) else None
 
 
 def _prior_sigma_px(problem: Problem, prior: Prior) -> float:

@@ -54,7 +54,7 @@ def contrastive_and_confidence_loss(
     values to log.
 
     The confidence is trained to predict, from one image, the probability that a point is matched.
-    Points whose look snow or another hour of the day changes then have small weights. If the
+    Points that look different in snow or at another hour of the day then have small weights. If the
     confidence is trained by the pose loss alone, as in PixLoc, it stays uniform for a long time.
 
     Args:

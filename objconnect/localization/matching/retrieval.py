@@ -228,7 +228,7 @@ def _smallest(values: NDArray[Any], k: int) -> Rows:
 
 
 def _view_centres(centres: Vector, rotations: Matrix, ground: float) -> Vector:
-    """Return where optical axes meet level ground, (N, 2); for flat views, a point ahead of it.
+    """Return where optical axes meet level ground, (N, 2); near the horizon, a nearer point.
 
     Args:
         centres: (N, 3) camera centres, world metres.

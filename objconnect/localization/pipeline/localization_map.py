@@ -94,7 +94,7 @@ def open_map(path: Path) -> LocalizationMap:
         )
     require_folder(path, "map folder")
     raise InputError(
-        f"{path} is no map: give a scene (a folder with scene.json) or a folder with sparse/map"
+        f"{path} is not a map: give a scene (a folder with scene.json) or a folder with sparse/map"
     )
 
 

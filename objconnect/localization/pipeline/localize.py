@@ -256,7 +256,7 @@ class _ImageLocalizer:
     def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
         self._job, self._journal, self._prepare = job, journal, prepare
         self._tracker = None if job.sequence is None else Tracker(job.localizer, job.sequence)
-        self._asked = ""  # ``Answer.asked`` of the current image
+        self._inputs = ""  # ``Answer.inputs`` of the current image
 
     def localize(self, query: Query) -> Estimate:
         """Localize a single query.
@@ -273,8 +273,8 @@ class _ImageLocalizer:
         """Return the estimate of the next image."""
         self._prepare()
         # In a sequence an estimate depends on all earlier images.
-        earlier = "" if self._tracker is None else self._asked
-        self._asked = digest_of(earlier, image.seconds, *_digest_inputs(image))
+        earlier = "" if self._tracker is None else self._inputs
+        self._inputs = digest_of(earlier, image.seconds, *_digest_inputs(image))
         estimate = self._estimate(image)
         if self._tracker is not None and image.seconds is not None:
             self._tracker.take(estimate, image.seconds)
@@ -285,12 +285,12 @@ class _ImageLocalizer:
         if image.query is None:
             return Estimate(Status.FAILED, reason=image.reason)
         answer = self._journal.done.get(quote_name(image.name))
-        if answer is None or answer.asked != self._asked:
+        if answer is None or answer.inputs != self._inputs:
             if self._tracker is None or image.seconds is None:
                 estimate = self.localize(image.query)
             else:
                 estimate = self._tracker.localize(image.query, image.seconds)
-            answer = Answer.of(image.name, self._asked, estimate)
+            answer = Answer.of(image.name, self._inputs, estimate)
             self._journal.add(answer)
         return answer.estimate()
 
@@ -302,13 +302,13 @@ class Answer(NamedRecord):
 
     Attributes:
         name: file name, escaped by ``quote_name`` because JSON cannot hold every file name.
-        asked: digest of the image, its camera and its prior; in a sequence also of all earlier
+        inputs: digest of the image, its camera and its prior; in a sequence also of all earlier
             images.
         cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
         covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
     """
 
-    asked: str
+    inputs: str
     status: Status
     reason: str
     cam_from_world: PoseNumbers | None
@@ -318,13 +318,13 @@ class Answer(NamedRecord):
     probability: float | None = None
 
     @staticmethod
-    def of(name: str, asked: str, estimate: Estimate) -> Answer:
+    def of(name: str, inputs: str, estimate: Estimate) -> Answer:
         """Return the entry of an estimate."""
         pose, covariance = estimate.cam_from_world, estimate.covariance
         is_finite = covariance is not None and np.isfinite(covariance).all()
         return Answer(
             name=quote_name(name),
-            asked=asked,
+            inputs=inputs,
             status=estimate.status,
             reason=for_terminal(estimate.reason),
             cam_from_world=None

@@ -41,7 +41,7 @@ _FAST_MPS: Final = 5.0
 _MAX_PHOTOGRAPHS: Final = 5
 
 Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
-"""What photographs of one lens share: maker, model, 35 mm equivalent focal length (mm), focal
+"""Key of the photographs of one lens: maker, model, 35 mm equivalent focal length (mm), focal
 ratios of fields that contradict each other, and size in pixels."""
 
 

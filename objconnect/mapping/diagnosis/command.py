@@ -1,7 +1,7 @@
-"""The command ``diagnose``: measure coverage, drift and uniformity of a map's points.
+"""The command ``diagnose``: measure coverage, accuracy and uniformity of a map's points.
 
 The object-connect paper claims that structure from motion misses small objects, covers the ground
-unevenly and has points that drift. These figures test the claim on a map.
+unevenly and has points that drift off the surfaces. These figures test the claim on a map.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.mapping.diagnosis.drift import Drift, Truth, read_truth
 from objconnect.mapping.diagnosis.mask_coverage import check_size, mask_coverage, points_by_label
 from objconnect.mapping.diagnosis.picture import Panel, draw
+from objconnect.mapping.diagnosis.surface_distances import SurfaceDistances, Truth, read_truth
 from objconnect.mapping.diagnosis.uniformity import Uniformity, uniformity, visible_cells
 from objconnect.network.masks import read_masks
 from objconnect.network.segmentation import NOTHING, Labels
@@ -37,8 +37,8 @@ class Figures:
         objects: coverage of the objects in the map's photographs, by size class.
         small_objects: coverage of the small objects, by class.
         masks: coverage of the user's masks, by the size class of the objects.
-        drift: distances from the true surface of all points, of points on the ground, and of points
-            on objects by size class; empty without truth.
+        surface_distances: distances from the true surface of all points, of points on the ground,
+            and of points on objects by size class; empty without truth.
         uniformity: how evenly the points cover the ground; None where no ground is seen twice.
     """
 
@@ -46,7 +46,7 @@ class Figures:
     objects: Mapping[str, ObjectCoverage]
     small_objects: Mapping[str, ObjectCoverage]
     masks: Mapping[str, ObjectCoverage]
-    drift: Mapping[str, Drift]
+    surface_distances: Mapping[str, SurfaceDistances]
     uniformity: Uniformity | None
 
     def text(self) -> str:
@@ -55,7 +55,10 @@ class Figures:
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
         lines += [f"masks of {name} objects: {c.text()}" for name, c in self.masks.items()]
-        lines += [f"off the true surface, {name}: {d.text()}" for name, d in self.drift.items()]
+        lines += [
+            f"off the true surface, {name}: {d.text()}"
+            for name, d in self.surface_distances.items()
+        ]
         if self.uniformity is not None:
             lines.append(f"ground: {self.uniformity.text()}")
         return "\n".join(lines)
@@ -79,7 +82,7 @@ class Diagnosis:
     track_length: float
     map: Figures
     before: Figures | None
-    added: Drift | None
+    added: SurfaceDistances | None
     picture: Path
 
     def as_dict(self) -> dict[str, Any]:
@@ -132,13 +135,14 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
             points=int(kept.sum()),
             **_object_coverage(scene, truth, kept),
             masks=mask_coverage(sparse_map, user_masks, kept),
-            drift={} if truth is None else _drift(scene, truth, kept),
+            surface_distances={} if truth is None else _surface_distances(scene, truth, kept),
             uniformity=uniformity(sparse_map.xyz[kept], cells, cell_m),
         )
 
-    drift = None
+    added_distances = None
     if added.any() and truth is not None:
-        drift = Drift.of(np.where(truth.owners > 0, truth.drift, np.inf)[added])
+        distances = np.where(truth.owners > 0, truth.distance_m, np.inf)[added]
+        added_distances = SurfaceDistances.of(distances)
     states = {"map": np.ones(len(added), bool)}
     if added.any():
         states = {"before": ~added, "after": states["map"]}
@@ -150,7 +154,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
         track_length=float(sparse_map.track_length.mean()),
         map=measured[-1],
         before=measured[0] if len(measured) > 1 else None,
-        added=drift,
+        added=added_distances,
         picture=picture,
     )
 
@@ -170,13 +174,17 @@ def _object_coverage(
     }
 
 
-def _drift(scene: Scene, truth: Truth, kept: NDArray[np.bool_]) -> dict[str, Drift]:
-    owners, drift = truth.owners[kept], truth.drift[kept]
+def _surface_distances(
+    scene: Scene, truth: Truth, kept: NDArray[np.bool_]
+) -> dict[str, SurfaceDistances]:
+    owners, distances = truth.owners[kept], truth.distance_m[kept]
     groups = {"all": np.ones(len(owners), bool), "ground": owners == 0}
     for size in ("small", "medium", "large"):
         ids = [item.id for item in scene.objects.objects if item.size_class == size]
         groups[f"{size} objects"] = np.isin(owners, ids)
-    return {name: Drift.of(drift[group]) for name, group in groups.items() if group.any()}
+    return {
+        name: SurfaceDistances.of(distances[group]) for name, group in groups.items() if group.any()
+    }
 
 
 def _draw(
@@ -210,7 +218,7 @@ def _draw(
             labels_with_points = set(truth.owners[kept].tolist())
         panels.append(Panel(title, kept, {label: label in labels_with_points for label in shown}))
     photograph = read_rgb(scene.images_root / name, image.camera)
-    draw(photograph, image, labels, None if truth is None else truth.drift, panels, path)
+    draw(photograph, image, labels, None if truth is None else truth.distance_m, panels, path)
 
 
 def _true_labels(scene: Scene, sparse_map: SparseMap, name: str) -> Labels:

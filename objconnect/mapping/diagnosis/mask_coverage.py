@@ -1,4 +1,4 @@
-"""Measure the coverage of masks by points, for scenes without true objects."""
+"""Measure the coverage of masks by points, for scenes without ground truth of objects."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ _DPI = 110
 _PANEL_WIDTH = 7.5
 # Colours of outlines of objects with a point and without one.
 _WITH, _WITHOUT = "#37e05b", "#ff3b30"
-# End of the colour scale of drift.
-_MAX_DRIFT_M = 1.0
+# End of the colour scale of distances.
+_MAX_DISTANCE_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,17 @@ def draw(
     photograph: NDArray[np.uint8],
     image: MapImage,
     labels: Labels,
-    drift: NDArray[np.float64] | None,
+    distance_m: NDArray[np.float64] | None,
     panels: list[Panel],
     path: Path,
 ) -> None:
-    """Draw a panel for each state: outlines of objects, and observations coloured by drift.
+    """Draw a panel for each state: outlines of objects, and observations coloured by distance.
 
     Args:
         photograph: the photograph (H, W, 3).
         image: the photograph's image in the map.
         labels: label map (H, W) of the objects to outline.
-        drift: distance (M,) of each point from the true surface, metres; None if unknown.
+        distance_m: distance (M,) of each point from the true surface, metres; None if unknown.
         panels: states of the map, drawn side by side.
         path: file of the picture.
 
@@ -72,19 +72,20 @@ def draw(
         is_observed = image.point_rows >= 0
         is_observed[is_observed] = panel.kept[image.point_rows[is_observed]]
         x, y = image.xy[is_observed].T
-        if drift is None:
+        if distance_m is None:
             ax.scatter(x, y, s=9, c="#ffd60a", edgecolors="black", linewidths=0.3)
         else:
-            shown_drift = drift[image.point_rows[is_observed]].clip(0, _MAX_DRIFT_M)
-            shown = ax.scatter(x, y, s=9, c=shown_drift, cmap="plasma", vmin=0, vmax=_MAX_DRIFT_M,
-                               edgecolors="black", linewidths=0.3)  # fmt: skip
+            shown_distance = distance_m[image.point_rows[is_observed]].clip(0, _MAX_DISTANCE_M)
+            shown = ax.scatter(x, y, s=9, c=shown_distance, cmap="plasma", vmin=0,
+                               vmax=_MAX_DISTANCE_M, edgecolors="black",
+                               linewidths=0.3)  # fmt: skip
         without_points = sum(not has for has in panel.has_points.values())
         counted = (f": {len(panel.has_points) - without_points} small objects have a point "
                    f"(green), {without_points} none (red)" if panel.has_points else "")  # fmt: skip
         ax.set_title(f"{panel.title}{counted}", fontsize=10)
         ax.set(xlim=(0, width), ylim=(height, 0))
         ax.set_axis_off()
-    if drift is not None:
+    if distance_m is not None:
         figure.colorbar(shown, ax=list(row), shrink=0.7, label="distance from the true surface (m)")
     with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI)

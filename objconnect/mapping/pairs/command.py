@@ -122,7 +122,8 @@ class PairReport:
         lines = [f"{self.queries} queries from {low:.0f} to {high:.0f} m above the ground"]
         if any(self.moved_m):
             east, north = self.moved_m
-            lines.append(f"moved the other date by {east:+.2f} m east and {north:+.2f} m north")
+            move = f"{east:+.2f} m east and {north:+.2f} m north"
+            lines.append(f"moved the orthophoto of the queries by {move}")
         advice = _ADVICE if self.error.source == "unknown" else ""
         lines += [self.registration.text() + advice, self.error.text(), *self.notes]
         return "\n".join((*lines, self.virtual.text(), self.map_report.text()))

@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 
 # Range of the ratio of a query's pixel on the ground to the orthophoto's, if no height is given.
 _PIXEL_RATIOS: Final = (0.8, 1.6)
-# Minimum share of a query that each date fills, and side (px) of the renders that measure it.
+# Minimum share of a query that each survey fills, and side (px) of the renders that measure it.
 _MIN_FILLED: Final = 0.99
 _TEST_SIDE: Final = 32
 # Maximum number of poses that are drawn per query.
@@ -75,16 +75,16 @@ def heights_of(options: PairQueryOptions, pixel_m: float) -> tuple[float, float]
 def take_photographs(
     other: Survey, mapped: Survey, area: Area, options: PairQueryOptions
 ) -> Iterator[Photograph]:
-    """Yield the queries: views of one date from poses at which both dates fill the picture.
+    """Yield the queries: views of one survey from poses at which both surveys fill the picture.
 
     Args:
-        other: date of the queries.
-        mapped: date of the map, of the same world.
-        area: ground that both dates cover.
+        other: survey of the date of the queries.
+        mapped: survey of the date of the map, in the same world.
+        area: ground that both surveys cover.
         options: camera, poses and picture of the queries.
 
     Raises:
-        InputError: too few of the drawn poses see enough of both dates.
+        InputError: too few of the drawn poses see enough of both surveys.
     """
     camera = query_camera(options)
     test_camera = camera.resize(_TEST_SIDE, _TEST_SIDE)

@@ -1,4 +1,4 @@
-"""Rasters of a pair: a picture placed by a homography, level ground, a moved orthophoto."""
+"""Rasters for a pair of orthophotos: a picture placed by a homography, level ground, a shift."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def place_picture(picture: Path, homography: Array, mapped: Raster, out: Path) -
         picture: image file; its own georeference is not read.
         homography: (3, 3) from pixels of the picture to pixels of ``mapped``, with (0, 0) in the
             centre of the first pixel as in OpenCV.
-        mapped: orthophoto.
+        mapped: the orthophoto of which the map is made.
         out: GeoTIFF to write.
 
     Raises:

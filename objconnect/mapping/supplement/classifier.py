@@ -157,7 +157,8 @@ def read_classifier(path: Path | None = None) -> PointClassifier:
     weights = read_weights(path)
     if weights.config.get("figures") != NUM_FIGURES:
         raise InputError(
-            f"{path} is no classifier of this version, with {NUM_FIGURES} figures: train it again"
+            f"{path} is not a classifier of this version, with {NUM_FIGURES} figures: "
+            "train it again"
         )
     classifier = PointClassifier()
     load_into(classifier, weights.tensors, path)

@@ -1,7 +1,7 @@
 """Train the classifier: ``python -m objconnect.mapping.supplement.learning SCENE... --out FILE``.
 
-Rendered scenes tell whether a point is within 0.5 m of an object. Points on small objects
-are rare and have ten times the weight.
+The labels come from rendered scenes: whether a point is within 0.5 m of an object. Points on small
+objects are rare and have ten times the weight.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from objconnect.learning.checkpoint import write_weights
-from objconnect.mapping.diagnosis.drift import CLOSE_M, read_truth
+from objconnect.mapping.diagnosis.surface_distances import CLOSE_M, read_truth
 from objconnect.mapping.supplement.classifier import NUM_FIGURES, PointClassifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.small_objects import Proposals, propose_points
@@ -77,7 +77,7 @@ def read_training_data(path: Path) -> TrainingData:
             f"{path} has no ground truth of objects: train the classifier on rendered scenes"
         )
     small = {item.id for item in scene.objects.objects if item.size_class == "small"}
-    on_object = (truth.owners > 0) & (truth.drift < CLOSE_M)
+    on_object = (truth.owners > 0) & (truth.distance_m < CLOSE_M)
     owner = np.where(on_object & np.isin(truth.owners, list(small)), truth.owners, 0)
     lacking = (small & before.ids_in_view) - set(np.unique(before.owners).tolist())
     return TrainingData(proposals.figures, on_object, owner, frozenset(lacking))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from objconnect.mapping.supplement.association import Detections
-from objconnect.mapping.supplement.triangulation import LiftedPoint
+from objconnect.mapping.supplement.triangulation import TriangulatedPoint
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.bundle.scene import MAP_FILES, Scene, finish_scene
 from objconnect.scene.bundle.supplement import (
@@ -31,7 +31,7 @@ from objconnect.scene.storage.locks import write_lock
 
 def add_to_map(
     path: Path,
-    points: Sequence[LiftedPoint],
+    points: Sequence[TriangulatedPoint],
     detections: Mapping[str, Detections],
     map_sha256: str | None = None,
 ) -> Supplement:
@@ -103,7 +103,9 @@ def _copy_before(scene: Scene, folder: Path) -> None:
         remove_points(folder, [point.id for point in supplement.points], folder)
 
 
-def _new_point(scene: Scene, point: LiftedPoint, detections: Mapping[str, Detections]) -> NewPoint:
+def _new_point(
+    scene: Scene, point: TriangulatedPoint, detections: Mapping[str, Detections]
+) -> NewPoint:
     """Make a map point with its colour in the photograph of highest confidence."""
     xy = {name: detections[name].xy[row] for name, row in point.rows.items()}
     surest = max(point.rows, key=lambda name: detections[name].confidence[point.rows[name]])
@@ -115,7 +117,7 @@ def _new_point(scene: Scene, point: LiftedPoint, detections: Mapping[str, Detect
 
 
 def _features(
-    points: Sequence[LiftedPoint], detections: Mapping[str, Detections]
+    points: Sequence[TriangulatedPoint], detections: Mapping[str, Detections]
 ) -> dict[str, Features]:
     """Return the observations of the points as features, by photograph, in order of the points."""
     rows: dict[str, list[int]] = {}

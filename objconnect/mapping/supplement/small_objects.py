@@ -22,7 +22,7 @@ from objconnect.mapping.supplement.tracks import (
     follow_blobs,
     refine_tracks,
 )
-from objconnect.mapping.supplement.triangulation import LiftedPoint, triangulate
+from objconnect.mapping.supplement.triangulation import TriangulatedPoint, triangulate
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.segmentation import Labels
 from objconnect.scene.errors import InputError
@@ -103,7 +103,7 @@ def supplement_points(
     classifier: PointClassifier,
     network: ObjConnectNet | None = None,
     masks: Mapping[str, Labels] | None = None,
-) -> tuple[list[LiftedPoint], dict[str, Detections]]:
+) -> tuple[list[TriangulatedPoint], dict[str, Detections]]:
     """Find points on small objects that have no point in a map.
 
     Args:
@@ -136,7 +136,7 @@ def supplement_points(
     return _drop_known(sparse_map, points), detections
 
 
-def _drop_known(sparse_map: SparseMap, points: list[LiftedPoint]) -> list[LiftedPoint]:
+def _drop_known(sparse_map: SparseMap, points: list[TriangulatedPoint]) -> list[TriangulatedPoint]:
     """Return the points that are far enough from those of the map."""
     if not points:
         return []

@@ -24,7 +24,7 @@ _CHUNK = 4096
 
 
 @dataclass(frozen=True)
-class LiftedPoint:
+class TriangulatedPoint:
     """A triangulated centre of an object.
 
     Attributes:
@@ -42,9 +42,9 @@ class LiftedPoint:
     confidence: float
 
 
-def lift(
+def associate_and_triangulate(
     sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
-) -> list[LiftedPoint]:
+) -> list[TriangulatedPoint]:
     """Associate detections across photographs and triangulate them with known poses.
 
     Every pair of detections proposes a point. Detections near its projection and similar to the
@@ -168,7 +168,7 @@ def triangulate(
     detections: Mapping[str, Detections],
     rows: Mapping[str, int],
     config: SupplementConfig,
-) -> LiftedPoint | None:
+) -> TriangulatedPoint | None:
     """Triangulate a point from detections, and drop outliers.
 
     Args:
@@ -193,7 +193,9 @@ def triangulate(
             if angle < config.angle_deg:
                 return None
             confidences = [detections[name].confidence[row] for name, row in rows.items()]
-            return LiftedPoint(xyz, rows, float(error.mean()), angle, float(np.mean(confidences)))
+            return TriangulatedPoint(
+                xyz, rows, float(error.mean()), angle, float(np.mean(confidences))
+            )
         rows = {name: row for (name, row), kept in zip(rows.items(), good, strict=True) if kept}
     return None
 

@@ -197,7 +197,7 @@ def read_frames(path: Path) -> Frames:
 
     Raises:
         InputError: the file is missing or damaged, an array has the wrong shape, or a number is not
-            finite or not on earth.
+            finite or too large.
     """
     with _open(path) as file:
         try:

@@ -1,4 +1,4 @@
-"""What a track holds out for tests: trainings and choices between settings must not use it."""
+"""Data that a track holds out for tests: no training and no choice of settings may use them."""
 
 from __future__ import annotations
 

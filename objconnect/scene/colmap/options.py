@@ -18,8 +18,8 @@ GUESSED_EPIPOLAR_PX: Final = 4.0
 default."""
 
 OUTLIER_SIGMAS: Final = 5.0
-"""Length of a residual, in standard deviations, above which an observation is removed. Of normally
-distributed residuals, four in a million are longer."""
+"""Length of a residual, in standard deviations, above which an observation is removed. Four in
+a million normally distributed residuals are longer."""
 
 MIN_ANGLE_DEG: Final = 1.5
 """Triangulation angle below which points are removed; COLMAP's own default."""

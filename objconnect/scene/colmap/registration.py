@@ -81,8 +81,8 @@ def register_photographs(
 ) -> SparseMap:
     """Register photographs in a map by incremental structure from motion.
 
-    Poses and cameras of the map are fixed. Of uncalibrated cameras it adjusts the distortion, and
-    the focal length if that is unknown.
+    Poses and cameras of the map are fixed. The distortion of uncalibrated cameras is adjusted, and
+    their focal length too if it is unknown.
 
     Args:
         root: folder that the names are relative to.

@@ -46,7 +46,7 @@ def export(
     write = FORMATS.load(file_format)
     options = {name: value for name, value in settings.items() if value is not None}
     for name in options.keys() - inspect.signature(write).parameters.keys():
-        raise InputError(f"--{name} is no option of the format {file_format}")
+        raise InputError(f"--{name} is not an option of the format {file_format}")
     scene = Scene.open(path)
     if out.resolve().is_relative_to(path.resolve()):
         raise InputError(f"{out} lies in the scene itself: choose a folder outside it")

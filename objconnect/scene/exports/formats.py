@@ -68,7 +68,7 @@ FORMATS: Final[Registry[Writer]] = Registry(
         ),
         "ortho": Lazy(
             "objconnect.scene.exports.ortho:write",
-            "an orthophoto and a surface model as GeoTIFFs, of depth that is exact or from dense",
+            "an orthophoto and a surface model as GeoTIFFs, from exact depth or that of dense",
         ),
     },
 )

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 # No map is larger: a position farther away is in another frame or has its columns exchanged.
 _FARTHEST_FROM_MAP_M: Final = 50_000.0
-# This limit grows by so many standard deviations of the position.
+# The limit grows by this many standard deviations of the position.
 _SIGMAS: Final = 5.0
 
 
@@ -94,7 +94,7 @@ class MapFrame:
         return position
 
     def _require_near(self, stated: StatedPrior, position: NDArray[np.float64]) -> None:
-        """Refuse a position that is too far from the map, also in view of its sigma."""
+        """Refuse a position that is too far from the map, given its sigma."""
         distance_m = float(np.linalg.norm(position - self.middle))
         if distance_m <= _FARTHEST_FROM_MAP_M + _SIGMAS * (stated.sigma_m or 0.0):
             return

@@ -215,7 +215,7 @@ def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -
     elif not is_on_earth(Geodetic(first, second, vertical or 0.0)):
         names = ", ".join(columns.horizontal)
         raise InputError(
-            f"{where}: {names} are no place on earth: give degrees up to 90 and 180, and an "
+            f"{where}: {names} are not a place on earth: give degrees up to 90 and 180, and an "
             "altitude in metres"
         )
     sigmas = {name: _parse_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}

@@ -59,7 +59,7 @@ class Projection:
             self._crs: Any = pyproj.CRS.from_user_input(crs)
         except pyproj.exceptions.ProjError:
             raise InputError(
-                f"{label} is no coordinate reference system that PROJ knows: give "
+                f"{label} is not a coordinate reference system that PROJ knows: give "
                 "EPSG:n, such as EPSG:32632"
             ) from None
         if horizontal:
@@ -204,7 +204,7 @@ class Projection:
         longitude, latitude, altitude = self._to_wgs84.transform(x, y, h / self._height_scale)
         if not np.isfinite([longitude, latitude, altitude]).all():
             numbers = ", ".join(f"{value:g}" for value in coordinates)
-            raise InputError(f"{numbers} is no position in {self.name}")
+            raise InputError(f"{numbers} is not a position in {self.name}")
         return Geodetic(latitude, longitude, altitude)
 
 

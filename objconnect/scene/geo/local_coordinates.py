@@ -30,7 +30,7 @@ class LocalProjection:
     """Coordinates of a reference system as polynomials of degree 2 in world metres.
 
     Within a box of 2 km the polynomials differ from the exact coordinates by less than a tenth of a
-    millimetre, because map projections are smooth over the radius of the earth. A straight line in
+    millimetre, because map projections change smoothly. A straight line in
     the world becomes a parabola, which ``along`` returns.
 
     Attributes:

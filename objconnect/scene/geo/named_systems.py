@@ -2,7 +2,8 @@
 
 A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or a PROJ string. A system that defines heights has a
 unit of heights. In a two-dimensional system heights are metres if coordinates are metres or
-degrees; beside feet the unit is unknown unless the line has ``+vunits`` or ``+vto_meter``.
+degrees; if coordinates are feet, the unit of heights is unknown unless the line has ``+vunits`` or
+``+vto_meter``.
 """
 
 from __future__ import annotations
@@ -109,11 +110,13 @@ def _parse_metres(word: str, text: str, where: str) -> float:
     if word.lower() == "vunits":
         unit = metres_per(text)
         if unit is None:
-            raise InputError(f"{where}: +{word}={text} is no unit of length: give m, ft or us-ft")
+            raise InputError(
+                f"{where}: +{word}={text} is not a unit of length: give m, ft or us-ft"
+            )
         return unit
     factor = parse_number(text)
     if factor is None or not factor > 0:
         raise InputError(
-            f"{where}: +{word}={text} is no positive number: give the metres per unit of height"
+            f"{where}: +{word}={text} is not a positive number: give the metres per unit of height"
         )
     return factor

@@ -45,7 +45,7 @@ NO_HEIGHT: Final = -9999.0
 _MOST_PATCH_PIXELS = 1 << 28
 # Number of pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
-# The search for undeclared no data reads strips of so many rows, and so many pixels at most.
+# The search for undeclared no data reads strips of at most this many rows and this many pixels.
 _SEARCHED_ROWS, _MOST_SEARCHED_PIXELS = 256, 1 << 26
 # Side of the tiles of the files that we write, pixels.
 _TILE = 256
@@ -86,8 +86,8 @@ class Raster:
             kind: required kind.
 
         Raises:
-            InputError: rasterio is not installed, or the file is missing, damaged, no GeoTIFF, has
-                no reference system in metres, is rotated, or has other or unmarked bands.
+            InputError: rasterio is not installed, or the file is missing, damaged, not a GeoTIFF,
+                has no reference system in metres, is rotated, or has other or unmarked bands.
         """
         with _open(path, kind) as source:
             grid = grid_of(source, path, kind)
@@ -295,7 +295,7 @@ def _open(path: Path, kind: Kind) -> Iterator[Any]:
     except (rasterio.errors.RasterioError, ValueError, MemoryError, OverflowError) as error:
         reason = str(error.__cause__ or error).partition("\n")[0]
         raise InputError(
-            f"{kind} {path} is damaged or no GeoTIFF: {reason or 'it cannot be decoded'}"
+            f"{kind} {path} is damaged or not a GeoTIFF: {reason or 'it cannot be decoded'}"
         ) from None
 
 

@@ -29,8 +29,8 @@ _MAX_PARAMETER = 1e9
 _MIN_COEFFICIENT = 1e-12
 # Perspective models with more coefficients are rational: their distortion has a denominator.
 _POLYNOMIAL_COUNT = 4
-# Smaller products of coefficients count as zero. A root is real if its imaginary part is a smaller
-# share of its absolute value.
+# Smaller products of coefficients count as zero. A root is real if its imaginary part is at most
+# this share of its absolute value.
 _MIN_PRODUCT, _MAX_IMAGINARY_SHARE = 1e-30, 1e-6
 
 MODELS: Final[dict[str, tuple[str, ...]]] = {

@@ -77,7 +77,7 @@ def estimate_correlation(
 def _pairs(xy: Array, reach: float) -> Iterator[tuple[slice, slice, Array]]:
     """Yield rows, columns and the weights of their pairs, for points sorted by x.
 
-    The weight falls from 1 at distance 0 to 0 at ``reach``; a point is no pair with itself.
+    The weight falls from 1 at distance 0 to 0 at ``reach``; a point is not a pair with itself.
     """
     for first in range(0, len(xy), _ROWS):
         rows = slice(first, min(first + _ROWS, len(xy)))

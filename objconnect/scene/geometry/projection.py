@@ -22,7 +22,7 @@ _NEWTON_STEPS = 30
 # Number of coefficients of a perspective model with polynomial, not rational, distortion.
 _POLYNOMIAL_COUNT = 4
 # For a rational distortion, Newton's method stays within this share of the fold-over limit and
-# starts from the result of so many bisections.
+# starts from the result of this many bisections.
 _LIMIT_SHARE, _BISECTIONS = 0.9999, 24
 # Smallest absolute denominator, which keeps pixels finite.
 _MIN_DENOMINATOR = 1e-6

@@ -1,10 +1,10 @@
 """Views: photographs rotated north up, resized to one scale, or levelled.
 
-Networks match such views better: photographs of a survey have any heading, opposite on neighbouring
-lines, and any height. The poses of the map, or the prior of a query to a few degrees and metres,
-give rotation and scale. A rotated and resized photograph is that of another camera with the lens
-rotated. A photograph with a flatter line of sight than the map's is levelled: warped to a camera of
-less tilt at the same position.
+Networks match such views better, because photographs of a survey have any height and any heading,
+opposite ones on neighbouring lines. Rotation and scale come from the poses of the map, or from the
+prior of a query, which is exact to a few degrees and metres. A rotated and resized photograph is
+that of another camera with the lens rotated. A photograph with a flatter line of sight than the
+map's is levelled: warped to a camera of less tilt at the same position.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def north_angle(cam_from_world: NDArray[np.float64]) -> float:
 def map_angle(cam_from_world: NDArray[np.float64]) -> float:
     """Return the clockwise angle (rad) of the rotation that aligns an image best with a map.
 
-    For views from above it equals ``north_angle``; it is defined for flat views too.
+    For views from above it equals ``north_angle``; it is defined for views of the horizon too.
 
     Args:
         cam_from_world: rotation (3, 3).
@@ -277,7 +277,7 @@ def _add_corner(
 def _affine_back(
     linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    # Written out: a product of so many rows would start the threads of BLAS.
+    # Written out, because a matrix product of this size would start the threads of BLAS.
     (a, b), (c, d) = linear.tolist()
     x, y = (xy - shift).T
     return np.stack([a * x + b * y, c * x + d * y], -1)

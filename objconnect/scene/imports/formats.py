@@ -62,4 +62,4 @@ def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
                     return form.read_in_frame(path, frame)
                 raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
         descriptions.append(form.description)
-    raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(descriptions)}")
+    raise InputError(f"{path} is not a file of poses: it is neither {', nor '.join(descriptions)}")

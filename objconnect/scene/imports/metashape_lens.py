@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 # Fisheye cameras have no skew and no tangential distortion; smaller values have no visible effect.
 _NEGLIGIBLE: Final = 1e-9
 _PARAMETERS: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
-# Elements of a calibration that are no lens parameters.
+# Elements of a calibration that are not lens parameters.
 _OTHER_ELEMENTS: Final = ("resolution", "covariance", "date", "correlation")
 
 

@@ -117,7 +117,7 @@ class Intrinsics(BaseModel):
         """Return the focal lengths (pixels), checked against the angles of view."""
         fl_y = fl_x if self.fl_y is None else self.fl_y
         if min(fl_x, fl_y) < _MIN_FOCAL_SHARE * max(size):
-            raise InputError(f"fl_x, fl_y {fl_x:g}, {fl_y:g} are no focal lengths in pixels")
+            raise InputError(f"fl_x, fl_y {fl_x:g}, {fl_y:g} are not focal lengths in pixels")
         stated = (("x", fl_x, self.camera_angle_x), ("y", fl_y, self.camera_angle_y))
         for (axis, focal, angle), side in zip(stated, size, strict=True):
             if angle is not None and contradicts(focal, angle, side, fisheye):

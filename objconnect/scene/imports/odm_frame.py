@@ -217,7 +217,7 @@ def _export_transform(
     places = [geodetic_from_enu(step, origin) for step in steps]
     projected = np.array([system.projection.from_geodetic(place) for place in places])
     if not np.isfinite(projected).all():
-        raise InputError(f"{path}: reference_lla is no place in {system.projection.name}")
+        raise InputError(f"{path}: reference_lla is not a place in {system.projection.name}")
     # OpenSfM keeps the altitude: the system's own heights do not matter.
     projected[:, 2] = [place.altitude for place in places]
     shift = projected[0] - [*offset, 0.0]

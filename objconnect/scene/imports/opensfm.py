@@ -195,7 +195,7 @@ def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
         return None
     origin = reference.place
     if not is_on_earth(origin):
-        raise InputError(f"{path}: reference_lla is no place on earth")
+        raise InputError(f"{path}: reference_lla is not a place on earth")
     if other is not None and not is_same_place(origin, other.place):
         raise InputError(
             f"{path}: its reference_lla is not that of {file.name} beside it: "

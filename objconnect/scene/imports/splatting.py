@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, RootModel
 from objconnect.scene.bundle.manifest import Vector, read_json
 from objconnect.scene.imports.poses import ForeignPoses, Format, check_poses
 
-# A file of this format has these keys in the first object of its list, within so many bytes.
+# A file of this format has these keys in the first object of its list, within this many bytes.
 _HEAD_BYTES = 4096
 _KEYS = re.compile(rb'^\xef?\xbb?\xbf?\s*\[\s*\{(?=[^{}]*"img_name")(?=[^{}]*"position")')
 

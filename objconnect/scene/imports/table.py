@@ -30,7 +30,7 @@ def _read(path: Path) -> ForeignPoses:
         except ValueError:
             raise InputError(f"{where}: {', '.join(columns)} must be numbers") from None
         if geodetic and not is_on_earth(Geodetic(*rows[-1])):
-            raise InputError(f"{where}: {row['name']!r} is no place on earth")
+            raise InputError(f"{where}: {row['name']!r} is not a place on earth")
         names.append(row["name"])
     if not geodetic:
         return check_positions(path, names, np.array(rows).reshape(-1, 3), None)

@@ -23,7 +23,7 @@ SEA_LEVEL_DOUBT: Final = "says sea level, which may be 100 m from the ellipsoid"
 
 # Values of GPSAltitudeRef: below its reference, above or below the sea, and all of them.
 _BELOW: Final = (1, 3)
-_OF_THE_SEA: Final = (2, 3)
+_SEA_LEVEL: Final = (2, 3)
 _REFERENCES: Final = (0, 1, 2, 3)
 
 
@@ -63,7 +63,7 @@ def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
         return unknown(source, f"{source} is missing")
     metres = to_number(_quotient(value))
     if not abs(metres) <= _HIGHEST_M:
-        return unknown(source, f"{source} is no number of metres")
+        return unknown(source, f"{source} is not a number of metres")
     reference = fields.get("GPSAltitudeRef")
     if reference is None:
         # 0 is the default of the standard.
@@ -74,7 +74,7 @@ def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
     if number in _BELOW and metres < 0:
         return unknown(source, f"{source} is negative and {source}Ref says below as well")
     metres = -metres if number in _BELOW else metres
-    if number in _OF_THE_SEA:
+    if number in _SEA_LEVEL:
         return known(metres, source, f"{source}Ref {number} {SEA_LEVEL_DOUBT}")
     return known(metres, source)
 
@@ -102,7 +102,7 @@ def _read_xmp(xmp: Mapping[str, str]) -> Reading[float]:
         metres = to_number(xmp["AbsoluteAltitude"])
         if abs(metres) <= _HIGHEST_M:
             return known(metres, "XMP's AbsoluteAltitude")
-        return unknown("XMP's AbsoluteAltitude", "XMP's AbsoluteAltitude is no number of metres")
+        return unknown("XMP's AbsoluteAltitude", "XMP's AbsoluteAltitude is not a number of metres")
     if "GPSAltitude" in xmp:
         return _read_exif(xmp, "XMP's ")
     return unknown("XMP's AbsoluteAltitude")

@@ -106,7 +106,7 @@ def parse_coordinate(text: str, axis: Axis, source: str, *, signed: bool) -> Rea
     if lettered is None:
         value = _parse_decimal(text)
         if value is None:
-            return unknown(source, f"{source} {text!r} is no number of degrees")
+            return unknown(source, f"{source} {text!r} is not a number of degrees")
         if not signed and text[0] not in "+-":
             return unknown(source, f"{source} {text!r} has no hemisphere")
         if not abs(value) <= axis.limit:

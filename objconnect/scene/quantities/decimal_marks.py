@@ -59,7 +59,7 @@ class DecimalMarks:
         )
 
     def parse(self, text: str) -> float | None:
-        """Return the number in a text; None if it is ambiguous or no number."""
+        """Return the number in a text; None if it is ambiguous or not a number."""
         text = text.strip()
         if "," in text and not self.comma:
             return None

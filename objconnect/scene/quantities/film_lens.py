@@ -109,4 +109,4 @@ def zoom_ratio(text: str, number: float, in_ten_thousandths: bool, name: str) ->
             return unknown(name, f"the scale of {name} {text} is unknown")
     if 1 <= number <= _MAX_ZOOM:
         return known(number, name)
-    return unknown(name, f"{name} {text} is no digital zoom")
+    return unknown(name, f"{name} {text} is not a digital zoom")

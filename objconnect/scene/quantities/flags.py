@@ -8,7 +8,7 @@ _WORDS: Final = {"true": True, "yes": True, "1": True, "false": False, "no": Fal
 
 
 def parse_flag(value: object) -> bool | None:
-    """Return whether a flag is set; None if the value is no flag.
+    """Return whether a flag is set; None if the value is not a flag.
 
     Examples:
         >>> parse_flag("True"), parse_flag(0), parse_flag("maybe"), parse_flag(2)

@@ -58,7 +58,7 @@ def metres_of_band(
     named = (unit or "").strip()
     length = metres_per(named) if named else system_unit_m
     if named and length is None:
-        return unknown("the band's unit", f"{named[:40]!r} is no unit of length that is known")
+        return unknown("the band's unit", f"{named[:40]!r} is not a known unit of length")
     others = {"the reference system": system_unit_m, "VerticalUnitsGeoKey": key}
     for other, other_m in others.items():
         if length and other_m and abs(length / other_m - 1) > _UNIT_TOLERANCE:

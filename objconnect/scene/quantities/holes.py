@@ -23,8 +23,9 @@ _STEP_M = 10
 _CLIFF_M = 100
 # Smallest share of heights of 0, and their distance below all others (m), that is reported.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
-# Heights of 0 between others are reported if at most this many times as many pixels have a height
-# within a metre of 0. In rasters with steps of 0.1 m, heights of exactly 0 are common.
+# Heights of 0 between others are reported if the number of pixels within a metre of 0, divided by
+# that of pixels of exactly 0, is at most this. In rasters with steps of 0.1 m, heights of exactly 0
+# are common.
 _MAX_CROWD = 4
 # Smallest number of pixels of a no-data constant, and their smallest share.
 _MIN_PIXELS, _MIN_SHARE = 16, 1e-4

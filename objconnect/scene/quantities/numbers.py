@@ -11,8 +11,8 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?")
 def parse_number(text: str) -> float | None:
     """Return the number in a text; None if the text is anything else.
 
-    A single comma is a decimal mark. A text with several marks, such as ``1.234,5``, is no number:
-    either mark may separate thousands.
+    A single comma is a decimal mark. A text with several marks, such as ``1.234,5``, is not a
+    number: either mark may separate thousands.
 
     Examples:
         >>> parse_number(" 47.5 "), parse_number("47,5"), parse_number("1.234,5")

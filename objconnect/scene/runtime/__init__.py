@@ -6,7 +6,7 @@
 - ``loops``: loops compiled by Numba.
 - ``progress``: progress bars on a terminal, lines in a log file.
 - ``memory``: resident memory and its peak.
-- ``tuning``: tuning of the whole process, which the command line enters.
+- ``tuning``: memory, garbage collector and threads of the whole process; used by the command line.
 - ``script``: error handling of scripts.
 - ``lazy``: attributes of a package that are imported on demand.
 - ``extras``: packages of optional extras.

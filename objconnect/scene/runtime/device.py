@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-def resolve_device(asked: str) -> str:
-    """Return the device of a name; ``auto`` is CUDA if torch finds it, else the CPU.
+def resolve_device(name: str) -> str:
+    """Resolve the name of a device; ``auto`` is CUDA if torch finds it, else the CPU.
 
     Raises:
         ValueError: the name is invalid, or torch does not find the device.
@@ -27,18 +27,18 @@ def resolve_device(asked: str) -> str:
     import torch
 
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    if asked == "auto":
+    if name == "auto":
         return "cuda" if count else "cpu"
-    if asked == "cpu":
-        return asked
-    match = re.fullmatch(r"cuda(?::(\d{1,3}))?", asked)
+    if name == "cpu":
+        return name
+    match = re.fullmatch(r"cuda(?::(\d{1,3}))?", name)
     if match is None:
         raise ValueError("a device is auto, cpu, cuda or cuda:NUMBER")
     if not count:
         raise ValueError("torch finds no CUDA device: choose cpu or auto")
     if int(match[1] or 0) >= count:
         raise ValueError(f"torch finds cuda:0 to cuda:{count - 1}: choose one of them")
-    return asked
+    return name
 
 
 Device = Annotated[
@@ -57,8 +57,8 @@ AUTO: Final = "auto"
 
 
 @cache
-def torch_device(asked: str = AUTO) -> torch.device:
-    """Return the torch device of a name, and log it at its first use.
+def torch_device(name: str = AUTO) -> torch.device:
+    """Return the torch device with a name, and log it at its first use.
 
     Raises:
         InputError: the name is invalid, or torch does not find the device.
@@ -66,9 +66,9 @@ def torch_device(asked: str = AUTO) -> torch.device:
     import torch
 
     try:
-        device = torch.device(resolve_device(asked))
+        device = torch.device(resolve_device(name))
     except ValueError as error:
-        raise InputError(f"device {asked!r}: {error}") from None
+        raise InputError(f"device {name!r}: {error}") from None
     log.info("computing on %s", device)
     return device
 

@@ -15,7 +15,7 @@ INPUT_AT_FAULT: Final = 2
 """Exit code if the input or the environment is wrong."""
 
 
-def run_script(main: Callable[..., object], words: Sequence[str] | None = None) -> None:
+def run_script(main: Callable[..., object], arguments: Sequence[str] | None = None) -> None:
     """Call the main function of a script with the paths of ``python script.py PATH...``.
 
     An InputError or OSError is printed as one line on standard error, and the process exits with
@@ -23,9 +23,9 @@ def run_script(main: Callable[..., object], words: Sequence[str] | None = None) 
 
     Args:
         main: function whose parameters are paths.
-        words: paths; None for those of the command line.
+        arguments: paths; None for those of the command line.
     """
-    paths = [Path(word) for word in (sys.argv[1:] if words is None else words)]
+    paths = [Path(path) for path in (sys.argv[1:] if arguments is None else arguments)]
     try:
         signature = inspect.signature(main)
         try:

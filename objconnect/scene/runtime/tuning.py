@@ -1,8 +1,8 @@
 """Tuning of memory, garbage collector and threads of the whole process.
 
-The command line enters ``ProcessTuning``. Importing this package changes nothing in a process: the
-other functions of this module, which mark where memory can be trimmed or objects frozen, do nothing
-unless the process is tuned.
+The command line runs within ``ProcessTuning``. Importing this package changes nothing in a process:
+the other functions of this module, which mark where memory can be trimmed or objects frozen, do
+nothing unless the process is tuned.
 
 >>> with ProcessTuning():  # in a program of your own
 ...     is_tuned()

@@ -29,7 +29,7 @@ def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
     """
     member = _member(group, name)
     if not isinstance(member, h5py.Dataset):
-        raise ValueError(f"{name} is no array")
+        raise ValueError(f"{name} is not an array")
     if member.shape is None:
         raise ValueError(f"{name} is empty")
     if member.is_virtual or member.external:
@@ -83,7 +83,7 @@ def group(parent: h5py.Group, name: str) -> h5py.Group:
     """
     member = _member(parent, name)
     if not isinstance(member, h5py.Group):
-        raise ValueError(f"{name} is no group")
+        raise ValueError(f"{name} is not a group")
     return member
 
 

@@ -36,7 +36,7 @@ def read_bare_jpeg(path: Path) -> bytes:
 
 
 def _strip(data: bytes) -> bytes | None:
-    """Return the bytes without metadata; None if they are no JPEG file."""
+    """Return the bytes without metadata; None if they are not a JPEG file."""
     if not data.startswith(_START):
         return None
     kept, at = [_START], len(_START)

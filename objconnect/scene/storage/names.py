@@ -56,7 +56,7 @@ def unquote_cell(text: str) -> str:
             raise ValueError(f"{text!r} continues after its closing quote")
         return name
     if any(character in text for character in "\n\r\0"):
-        raise ValueError(f"{text[:40]!r} is no name: a quote may be missing")
+        raise ValueError(f"{text[:40]!r} is not a name: a quote may be missing")
     return text
 
 
@@ -120,7 +120,7 @@ def _parse_quoted(line: str, start: int) -> tuple[str, int]:
     try:
         name, end = _JSON.raw_decode(line, start)
     except ValueError:
-        raise ValueError(f"{line[start : start + 40]!r} is not closed, or is no JSON") from None
+        raise ValueError(f"{line[start : start + 40]!r} is not closed, or is not JSON") from None
     if end < len(line) and not line[end].isspace():
         raise ValueError(f"{line[start : end + 1]!r} continues after its closing quote")
     return str(name), end

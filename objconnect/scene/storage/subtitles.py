@@ -67,7 +67,9 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     require_readable(path, "subtitles")
     try:
         if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path} is larger than {_LARGEST >> 20} MiB: it is no subtitle file")
+            raise InputError(
+                f"{path} is larger than {_LARGEST >> 20} MiB: it is not a subtitle file"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None

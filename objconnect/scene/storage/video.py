@@ -86,8 +86,8 @@ def read_video(path: Path) -> Video:
     """Read the properties of a video from its header and first frame.
 
     Raises:
-        InputError: the file cannot be read, is no video or has no frame, its frames are larger than
-            64 million pixels, or their display rotation is no multiple of 90 degrees.
+        InputError: the file cannot be read as a video or has no frame, its frames are larger than
+            64 million pixels, or their display rotation is not a multiple of 90 degrees.
     """
     with _open(path) as (container, stream):
         first = next(_decode(container, stream, path), None)
@@ -188,7 +188,7 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
     try:
         container = av.open(str(path.absolute()), metadata_errors="replace")
     except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise InputError(f"{path} is no video that can be read: {_reason(error)}") from None
+        raise InputError(f"{path} cannot be read as a video: {_reason(error)}") from None
     with container:
         stream = _choose_stream(container, path)
         if stream.width * stream.height > _MOST_PIXELS:
@@ -209,7 +209,7 @@ def _choose_stream(container: Any, path: Path) -> Any:
         InputError: there is no video stream.
     """
     if not container.streams.video:
-        raise InputError(f"{path} has no pictures: it is no video")
+        raise InputError(f"{path} has no pictures: it is not a video")
     streams = [stream for stream in container.streams.video if not _is_still(container, stream)]
     if not streams:
         raise InputError(

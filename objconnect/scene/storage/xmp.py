@@ -177,7 +177,7 @@ def _gimbal(
     """Return yaw, pitch and roll, and the reason why stated ones are not used."""
     names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
     bad = [
-        f"{name} {texts[name][:40]!r} is no angle"
+        f"{name} {texts[name][:40]!r} is not an angle"
         for name, most in zip(names, LARGEST_ANGLES, strict=True)
         if name in texts and not abs(numbers.get(name, math.nan)) <= most
     ]

@@ -201,7 +201,10 @@ def test_poses_of_a_container_are_scored(
             r"^poses of the container: /output/poses",
         ),
         ('echo "a.jpg 1 0 0 0 0 0 nan" > "$output/poses.txt"', r"'nan' is not a finite number"),
-        ('echo "a.jpg 1 0 0 0 0 0 0" > "$output/poses.txt"', r"a pose of a.jpg, which is no query"),
+        (
+            'echo "a.jpg 1 0 0 0 0 0 0" > "$output/poses.txt"',
+            r"a pose of a.jpg, which is not a query",
+        ),
         ('yes "a.jpg 1 0 0 0 0 0 0" | head -7 > "$output/poses.txt"', r"7 poses, but hamlet has 6"),
         ('head -c 200000 /dev/zero > "$output/poses.txt"', r"has 200000 bytes"),
         ('ln -s /etc/passwd "$output/poses.txt"', r"is a link or a folder, not a file"),
@@ -280,7 +283,7 @@ def test_docker_that_does_not_work_is_one_line(
 
 @pytest.mark.parametrize("image", ["", "--privileged", "a b", "a;b", "x" * 300, "-v"])
 def test_a_word_that_is_no_image_is_refused(image: str) -> None:
-    with pytest.raises(InputError, match="is no name of an image"):
+    with pytest.raises(InputError, match="is not the name of an image"):
         Container(image, "theirs", Limits())
 
 

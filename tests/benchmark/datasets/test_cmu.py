@@ -61,7 +61,7 @@ def pose_file(cmu: Path, day: str = "20101221") -> Path:
 
 
 def test_the_download_is_read_unchanged(cmu: Path) -> None:
-    """Slices without a public pose are left out; empty pose files are no fault."""
+    """Slices without a public pose are left out; empty pose files are not a fault."""
     (dataset,) = open_datasets(cmu)
     assert (dataset.name, dataset.track) == ("cmu-urban-slice2", "cmu")
     assert [query.name for query in dataset.queries] == [SNOW, AUTUMN]

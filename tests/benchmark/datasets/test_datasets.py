@@ -201,7 +201,7 @@ def test_a_scene_opens_with_its_map_and_queries(scene: Path) -> None:
         (
             "summer-grid/images/000000.jpg",
             "summer-grid/images/000009.jpg",
-            "is no frame of session",
+            "is not a frame of session",
         ),
         ('"winter-grid":', '"autumn-grid":', "has no session 'autumn-grid'"),
     ],

@@ -97,7 +97,7 @@ def test_an_attitude_without_a_sigma_has_that_of_the_option(tmp_path: Path) -> N
         ("name,e,n,u,sigma", "a.jpg,1,2,3,4", "'sigma'"),
         ("name,lat,lon", "a.jpg,8.0,47.0", "exchanged"),
         ("name,lat,lon", "a.jpg,0,0", "off the map"),
-        ("name,lat,lon", "a.jpg,470000000,80000000", "lat, lon are no place on earth"),
+        ("name,lat,lon", "a.jpg,470000000,80000000", "lat, lon are not a place on earth"),
         ("name,lat,lon", "a.jpg,0.8203,0.1396", "off the map"),
         ("name,lat,lon", "a.jpg,47°00'00\",8°0'0\"", "is not a number"),
         ("name,lat,lon", "a.jpg,,8", "is not a number"),

@@ -264,7 +264,7 @@ def test_a_download_that_has_not_begun(tree: Path) -> None:  # noqa: F811
     (tree / "intrinsics.txt").unlink()
     with pytest.raises(InputError, match="is not Extended CMU Seasons"):
         check_submission(tree)
-    with pytest.raises(InputError, match="slice5 is not Extended CMU Seasons: it is no folder"):
+    with pytest.raises(InputError, match="slice5 is not Extended CMU Seasons: it is not a folder"):
         check_submission(tree / "slice5")
     (tree / "slice2.tar").touch()
     assert [check.name for check in check_submission(tree).checks] == [

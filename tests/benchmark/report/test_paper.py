@@ -33,7 +33,7 @@ def test_ours_stand_in_the_column_they_belong_to(group: Group) -> None:
         replace(group, track="cmu", dataset=f"cmu-urban-slice{number}", sha256=str(number))
         for number in (2, 3)
     ]
-    # Simulated drives in the tree of CMU are no CMU, whatever they are called.
+    # Simulated drives in the tree of CMU are not CMU, whatever they are called.
     imitation = replace(slices[0], track="cmu-sim", sha256="4")
     (ours,) = side_by_side([group, *slices, imitation])[3:]
     assert (ours.method, ours.reported) == ("sift", False)

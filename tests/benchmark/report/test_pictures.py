@@ -36,7 +36,7 @@ def test_overlay_shows_both_poses(made_flight: Path, tmp_path: Path) -> None:
 
 
 def test_an_overlay_is_drawn_at_a_pose_that_sees_nothing(made_flight: Path, tmp_path: Path) -> None:
-    """Every point behind the camera or out of sight is no reason to fail."""
+    """Every point behind the camera or out of sight is not a reason to fail."""
     (dataset,) = open_datasets(made_flight)
     path = tmp_path / "picture.png"
     query_overlay(dataset.queries[0], dataset.load_map(), move(pose_at(1), 1e6), path, "fake")

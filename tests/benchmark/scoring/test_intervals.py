@@ -77,7 +77,7 @@ def test_where_all_agree_the_interval_is_not_a_point(right: bool) -> None:
 
 
 def test_the_interval_is_never_narrower_than_that_of_independent_queries() -> None:
-    """Courses that happen to agree better than chance are no evidence."""
+    """Courses that happen to agree better than chance are not evidence."""
     found = share([k % 10 > 0 for k in range(400)], [str(k // 20) for k in range(400)])
     low, high = wilson(360, 400)
     assert found.low is not None

@@ -85,7 +85,7 @@ def test_a_wrong_card_is_refused(tracks: Path, changed: dict[str, Any], message:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["nowhere.jpg 1 0 0 0 0 0 0"], "nowhere.jpg is no query of small-1"),
+        (["nowhere.jpg 1 0 0 0 0 0 0"], "nowhere.jpg is not a query of small-1"),
         (["nowhere.jpg 1 0 0 0 nan 0 0"], "nan"),
         (["nowhere.jpg 1 0 0"], "expected 8 columns"),
         ([""], "contains no pose"),
@@ -145,7 +145,7 @@ def test_a_broken_submission_is_named_and_left_out(tracks: Path) -> None:
     assert len(left_out) == 2
     assert "the submission broken is left out: " in left_out[0]
     assert "expected 8 columns" in left_out[0]
-    assert "nowhere.jpg is no query of small-1" in left_out[1]
+    assert "nowhere.jpg is not a query of small-1" in left_out[1]
     submission(kept / "good", tracks)
     text = board_command.board(tracks, tracks / "out").text()
     assert "- Missing: the submission broken is left out" in text
@@ -165,7 +165,7 @@ def test_a_missing_file_is_refused(tracks: Path) -> None:
 def test_other_files_and_links_are_refused(tracks: Path, tmp_path: Path) -> None:
     folder = write_submission(tracks / TRACK / "submissions" / "theirs")
     (folder / "run.py").write_text("print()")
-    with pytest.raises(InputError, match=r"run.py is no file of this submission"):
+    with pytest.raises(InputError, match=r"run.py is not a file of this submission"):
         submission(folder, tracks)
     (folder / "run.py").unlink()
     poses = folder / "poses" / f"{DATASET}.txt"

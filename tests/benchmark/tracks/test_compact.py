@@ -146,7 +146,7 @@ def test_rounding_moves_no_query_across_a_threshold() -> None:
 
 
 def test_the_configuration_keeps_its_digits(tmp_path: Path) -> None:
-    """It tells methods apart; it is no figure."""
+    """It tells methods apart; it is not a figure."""
     results = run_of([make_scored_query("a", 0.1)], ratio=1 / 3)
     write_compact(tmp_path / "sift.json.xz", results)
     assert load(tmp_path / "sift.json.xz").method == results.method

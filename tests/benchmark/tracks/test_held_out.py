@@ -70,7 +70,7 @@ def test_conditions_are_held_out_by_their_words() -> None:
         ),
         ({"lenses": ["cmu-c1"]}, {"config": {"camera": {"preset": "cmu-c1"}}}, "the lens cmu-c1"),
         ({"lenses": ["cmu-c1"]}, {"config": {"camera": {"model": "PINHOLE"}}}, None),
-        # Photographs of a real flight are no part of a track.
+        # Photographs of a real flight are not part of a track.
         ({"conditions": ["winter"], "seeds": [7]}, {"preset": None, "seed": None}, None),
     ],
 )

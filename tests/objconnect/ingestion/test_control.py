@@ -241,8 +241,8 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "gcp.txt:1: .*is no coordinate reference system"),
-        ("1 2 3 4 5 DJI_1.JPG a\n", "gcp.txt:1: .*is no coordinate reference system"),
+        ("", "gcp.txt:1: .*is not a coordinate reference system"),
+        ("1 2 3 4 5 DJI_1.JPG a\n", "gcp.txt:1: .*is not a coordinate reference system"),
         ("EPSG:32632\n", "names none of the photographs: its first name is ''"),
         ("EPSG:32632\n1 2 3 4 DJI_1.JPG\n", "gcp.txt:2: expected x y z px py photograph"),
         (
@@ -262,7 +262,7 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
             "EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n5e5 52e5 3 9 9 DJI_1.JPG a\n",
             "gcp.txt:3: 'a' is marked twice in DJI_1.JPG",
         ),
-        ("EPSG:4326\n8 97 3 4 5 DJI_1.JPG a\n", "are not on earth|is no position in"),
+        ("EPSG:4326\n8 97 3 4 5 DJI_1.JPG a\n", "are not on earth|is not a position in"),
         ("EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n", "has no point 'B' for --gcp-check; it has a"),
     ],
 )
@@ -402,8 +402,8 @@ def test_a_list_in_feet(tmp_path: Path, header: str, system: str, unit: float) -
     ("header", "system", "turned", "message"),
     [
         ("EPSG:26849", "EPSG:26849", False, "the unit of heights is unknown .*US survey foot"),
-        ("EPSG:4326", "EPSG:4326", True, "are not on earth|is no position|exchanged"),
-        ("EPSG:32615", "EPSG:32615", True, "x and y are exchanged: give east|is no position"),
+        ("EPSG:4326", "EPSG:4326", True, "are not on earth|is not a position|exchanged"),
+        ("EPSG:32615", "EPSG:32615", True, "x and y are exchanged: give east|is not a position"),
         ("EPSG:32615", "EPSG:26849", False, "km from the photographs' GPS positions: check the"),
         ("EPSG:32614", "EPSG:32615", False, "km from the photographs' GPS positions: check the"),
     ],

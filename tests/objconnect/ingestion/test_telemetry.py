@@ -100,7 +100,7 @@ def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
                 frame=1,
             ),
         ),
-        # The third number counts satellites: it is no altitude.
+        # The third number counts satellites: it is not an altitude.
         (MINI_2, Telemetry(0.0, 1.0, (47.377, 8.541), rel_alt=60.1)),
         # The gimbal, not the aircraft; pitch comes first.
         (

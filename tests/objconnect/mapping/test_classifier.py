@@ -65,7 +65,7 @@ def test_a_rendered_town_teaches(rendered: Scene) -> None:
 def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "judge.safetensors"
     write_weights(path, PointClassifier(), {"figures": 3})
-    with pytest.raises(InputError, match="is no classifier of this version"):
+    with pytest.raises(InputError, match="is not a classifier of this version"):
         read_classifier(path)
     with pytest.raises(InputError, match="no points to train on"):
         train_classifier([make(0, 0)])

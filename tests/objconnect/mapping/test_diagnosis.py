@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from objconnect.mapping.diagnosis.command import Diagnosis, diagnose
-from objconnect.mapping.diagnosis.drift import Drift, read_truth
+from objconnect.mapping.diagnosis.surface_distances import SurfaceDistances, read_truth
 from objconnect.mapping.diagnosis.uniformity import uniformity
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.bundle.scene import Scene
@@ -58,25 +58,25 @@ def test_objects_have_the_points_that_photographs_show_on_them(
 def test_points_lie_near_the_surface_and_moved_ones_do_not(
     rendered: Scene, diagnosis: Diagnosis
 ) -> None:
-    drift = diagnosis.map.drift
-    assert drift["all"].points == diagnosis.map.points
-    assert drift["ground"].median_m is not None
-    assert drift["ground"].median_m < 0.1
+    distances = diagnosis.map.surface_distances
+    assert distances["all"].points == diagnosis.map.points
+    assert distances["ground"].median_m is not None
+    assert distances["ground"].median_m < 0.1
     sparse_map = rendered.sparse_map()
     lifted = replace(sparse_map, xyz=sparse_map.xyz + np.array([0, 0, 2.0]))
     truth, moved = read_truth(rendered, sparse_map), read_truth(rendered, lifted)
     assert truth is not None
     assert moved is not None
-    ground = (truth.owners == 0) & (truth.drift < 0.1)
+    ground = (truth.owners == 0) & (truth.distance_m < 0.1)
     # Streets are nearly flat: what was on them is two metres above them.
-    assert np.median(moved.drift[ground]) == pytest.approx(2, abs=0.15)
-    assert Drift.of(moved.drift[ground]).close < 0.02
+    assert np.median(moved.distance_m[ground]) == pytest.approx(2, abs=0.15)
+    assert SurfaceDistances.of(moved.distance_m[ground]).close < 0.02
 
 
 def test_infinite_distances_are_not_close() -> None:
-    found = Drift.of(np.array([0.1, 0.3, np.inf, np.inf]))
+    found = SurfaceDistances.of(np.array([0.1, 0.3, np.inf, np.inf]))
     assert (found.points, found.close, found.median_m) == (4, 0.5, pytest.approx(0.2))
-    assert Drift.of(np.array([np.inf])) == Drift(1, 0.0, None, None)
+    assert SurfaceDistances.of(np.array([np.inf])) == SurfaceDistances(1, 0.0, None, None)
 
 
 def test_even_cover_has_all_the_entropy() -> None:

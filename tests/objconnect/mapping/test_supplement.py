@@ -12,7 +12,11 @@ import pytest
 from objconnect.mapping.diagnosis.command import diagnose
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.map import add_to_map, remove_from_map
-from objconnect.mapping.supplement.triangulation import LiftedPoint, lift, triangulate_linearly
+from objconnect.mapping.supplement.triangulation import (
+    TriangulatedPoint,
+    associate_and_triangulate,
+    triangulate_linearly,
+)
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, read_supplement
 from objconnect.scene.errors import InputError
@@ -29,7 +33,7 @@ def centres_of(scene: Scene) -> np.ndarray:
     return np.array([o.centre for o in scene.objects.objects if o.size_class == "small"])
 
 
-def distances(scene: Scene, points: list[LiftedPoint]) -> np.ndarray:
+def distances(scene: Scene, points: list[TriangulatedPoint]) -> np.ndarray:
     """From each point to the nearest true centre, metres."""
     xyz = np.array([point.xyz for point in points]).reshape(-1, 3)
     return np.linalg.norm(xyz[:, None] - centres_of(scene), axis=2).min(1)
@@ -47,7 +51,7 @@ def test_linear_points_are_exact() -> None:
 
 def test_exact_detections_are_lifted_to_their_centres(rendered: Scene) -> None:
     found = detections(rendered)
-    points = lift(rendered.sparse_map(), found, CONFIG)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
     assert len(points) > 10
     assert distances(rendered, points).max() < 1e-6
     # No detection makes two points, and each point is seen often enough.
@@ -58,9 +62,9 @@ def test_exact_detections_are_lifted_to_their_centres(rendered: Scene) -> None:
 
 
 def test_noise_and_false_detections_move_points_little(rendered: Scene) -> None:
-    exact = len(lift(rendered.sparse_map(), detections(rendered), CONFIG))
+    exact = len(associate_and_triangulate(rendered.sparse_map(), detections(rendered), CONFIG))
     found = detections(rendered, noise_px=0.4, blur=0.3, outliers=6)
-    points = lift(rendered.sparse_map(), found, CONFIG)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
     off = distances(rendered, points)
     assert len(points) >= 0.8 * exact
     assert (off < 0.5).mean() > 0.9
@@ -76,20 +80,24 @@ def test_what_looks_different_or_lies_elsewhere_is_not_one_object(rendered: Scen
         name: replace(item, descriptors=unlike[7 * k :][: len(item.xy)] * (k % 2 or -1))
         for k, (name, item) in enumerate(found.items())
     }
-    assert len(lift(sparse_map, strangers, CONFIG)) < 3
+    assert len(associate_and_triangulate(sparse_map, strangers, CONFIG)) < 3
     shuffled = {
         name: replace(item, xy=rng.uniform(0, 320, item.xy.shape)) for name, item in found.items()
     }
-    assert len(lift(sparse_map, shuffled, CONFIG)) < 0.2 * len(centres_of(rendered))
-    assert lift(sparse_map, {}, CONFIG) == []
-    assert lift(sparse_map, dict(list(found.items())[:2]), CONFIG) == []
+    assert len(associate_and_triangulate(sparse_map, shuffled, CONFIG)) < 0.2 * len(
+        centres_of(rendered)
+    )
+    assert associate_and_triangulate(sparse_map, {}, CONFIG) == []
+    assert associate_and_triangulate(sparse_map, dict(list(found.items())[:2]), CONFIG) == []
 
 
 def test_rays_that_hardly_cross_make_no_point(rendered: Scene) -> None:
     found = detections(rendered)
-    points = lift(rendered.sparse_map(), found, CONFIG)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
     widest = float(np.median([point.angle_deg for point in points]))
-    stricter = lift(rendered.sparse_map(), found, SupplementConfig(angle_deg=widest))
+    stricter = associate_and_triangulate(
+        rendered.sparse_map(), found, SupplementConfig(angle_deg=widest)
+    )
     assert 0 < len(stricter) < len(points)
 
 
@@ -101,7 +109,7 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
     scene = Scene.open(rendered_copy)
     before, files = scene.sparse_map(), digests(scene.map_path)
     found = detections(scene, noise_px=0.3, blur=0.2)
-    points = lift(before, found, CONFIG)
+    points = associate_and_triangulate(before, found, CONFIG)
     with pytest.raises(InputError, match="another run changed the map"):
         add_to_map(rendered_copy, points, found, "0" * 64)
     add_to_map(rendered_copy, points, found, before.sha256)
@@ -138,7 +146,7 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
 def test_a_supplemented_model_passes_bundle_adjustment(rendered_copy: Path, tmp_path: Path) -> None:
     scene = Scene.open(rendered_copy)
     found = detections(scene, noise_px=0.3)
-    add_to_map(rendered_copy, lift(scene.sparse_map(), found, CONFIG), found)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     before = scene.sparse_map()
     native = pycolmap.Reconstruction(scene.map_path)
     assert native.num_points3D() == len(before.xyz)
@@ -167,7 +175,7 @@ def test_the_diagnosis_shows_what_was_added(rendered_copy: Path) -> None:
     """The middle of what is thicker than a metre is too deep in it to lie on its surface."""
     scene = Scene.open(rendered_copy)
     found = detections(scene, lambda item: item.size_class == "small" and min(item.size) < 1)
-    add_to_map(rendered_copy, lift(scene.sparse_map(), found, CONFIG), found)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     diagnosis = diagnose(rendered_copy)
     assert diagnosis.before is not None
     assert diagnosis.added is not None
@@ -180,7 +188,7 @@ def test_the_diagnosis_shows_what_was_added(rendered_copy: Path) -> None:
 def test_marks_of_another_map_are_refused(rendered_copy: Path) -> None:
     scene = Scene.open(rendered_copy)
     found = detections(scene)
-    add_to_map(rendered_copy, lift(scene.sparse_map(), found, CONFIG), found)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     files = digests(scene.map_path)
     marks = scene.map_path / SUPPLEMENT
     whole = marks.read_text()

@@ -22,7 +22,7 @@ from tests.robustness.misuse.faults import (
 
 HUGE = str(10**20)
 UNDECODED = "\udcff"
-"""A byte of a name that is no UTF-8."""
+"""A byte of a name that is not UTF-8."""
 NO_FILES = ("missing", "dangling_link", "cyclic_link", "socket", "fifo", "folder", "endless")
 OPTION = "the option"
 """Stands for the names of the option itself."""

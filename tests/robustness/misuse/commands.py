@@ -80,7 +80,7 @@ CMU_TASK = (
     part(f"cmu/slice2/query/{CMU_QUERY}", "photograph"),
     part("cmu/slice2/sparse/images.bin", "bytes"),
 )
-# Names are no numbers, and a pair may be listed twice.
+# Names are not numbers, and a pair may be listed twice.
 SLICE_PAIRS = file("tables/slice-pairs.txt", "words").but(*NUMBERS, "twice")
 CMU = (
     *CMU_TASK,

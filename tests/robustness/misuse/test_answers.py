@@ -345,7 +345,7 @@ def test_tables_of_spreadsheets(tmp_path: Path) -> None:
             r"gps\.csv:2: .*may be unclosed",
         ),
         ('name,e,n,u\n"b.jpg,1,2,3\nd.jpg,1,2,3\n', r"gps\.csv:2: .*may be unclosed"),
-        ('name,e,n,u\n"b.jpg\nd.jpg",1,2,3\n', r"gps\.csv:2: .*is no name"),
+        ('name,e,n,u\n"b.jpg\nd.jpg",1,2,3\n', r"gps\.csv:2: .*is not a name"),
         ("name,e,n,u\nb.jpg,1e300,2,3\n", r"gps\.csv:2: b.jpg lies more than 1e\+08 m away"),
     ],
 )

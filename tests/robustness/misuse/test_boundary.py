@@ -59,7 +59,7 @@ from objconnect.scene.errors import InputError
 
 def validate(path, cache):
     if not path.is_dir():
-        raise InputError(f"{path} is no folder")
+        raise InputError(f"{path} is not a folder")
     with open(path / "written", "w") as file:
         os.write(1, b"a library says\\n"), os.write(2, b"a library says\\n")
         file.write("ours")

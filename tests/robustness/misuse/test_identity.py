@@ -324,7 +324,7 @@ def test_no_method_takes_from_the_cache_what_was_of_other_bytes(
 
 
 def narrow(item: tuple[str, MapImage]) -> tuple[str, MapImage]:
-    """A photograph with pixels that are no squares."""
+    """A photograph with pixels that are not squares."""
     name, image = item
     fx, fy, cx, cy = image.camera.params
     return name, replace(image, camera=replace(image.camera, params=(fx, 1.3 * fy, cx, cy)))

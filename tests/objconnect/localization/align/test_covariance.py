@@ -179,7 +179,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     torch.testing.assert_close(
         here.scatter_level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
     )
-    assert (here.equal_patches > 1).all() and (here.equal_patches < here.patches).all()
+    assert (here.effective_patches > 1).all() and (here.effective_patches < here.patches).all()
     # Another scale of the features is one of the level alone.
     levels = [
         replace(each, features=3 * each.features, reference=3 * each.reference)
@@ -189,7 +189,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     options = replace(problem.options, robust_scale=scale)
     scaled = measure_spread(replace(problem, levels=levels, options=options), found.pose)
     torch.testing.assert_close(scaled.scatter_level, 9 * here.scatter_level, rtol=1e-2, atol=0)
-    torch.testing.assert_close(scaled.equal_patches, here.equal_patches, rtol=1e-2, atol=0)
+    torch.testing.assert_close(scaled.effective_patches, here.effective_patches, rtol=1e-2, atol=0)
 
 
 def test_where_the_grid_of_patches_begins_does_not_matter(
@@ -215,7 +215,7 @@ def test_nothing_is_known_where_points_are_too_few() -> None:
     around = measure_spread(problem, start)
     assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
     assert float(around.curvature) == 0
-    assert float(around.scatter_level) == float(around.equal_patches) == 0
+    assert float(around.scatter_level) == float(around.effective_patches) == 0
 
 
 @pytest.mark.parametrize("degrees", [0, 40])

@@ -19,9 +19,9 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Status
 
-RIGHT = Evidence(height=14.0, halves=0.05, curvature=0.9)
-CHANGED = Evidence(height=14.0, halves=0.2, curvature=0.5)
-WRONG = Evidence(height=3.5, halves=1.5, curvature=0.1)
+RIGHT = Evidence(peak=14.0, halves=0.05, curvature=0.9)
+CHANGED = Evidence(peak=14.0, halves=0.2, curvature=0.5)
+WRONG = Evidence(peak=3.5, halves=1.5, curvature=0.1)
 
 
 def pose(east: float) -> Pose:

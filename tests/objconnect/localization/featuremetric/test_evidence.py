@@ -59,7 +59,7 @@ def told(made: Problem, pose: Pose = POSE) -> Evidence:
 def test_a_right_pose_stands_out_and_halves_agree() -> None:
     right = told(problem(texture(None), noise=0.2))
     wrong = told(problem(texture(None), noise=0.2), aside(9.0))
-    assert right.height > 10 > 5 > wrong.height
+    assert right.peak > 10 > 5 > wrong.peak
     assert right.halves < 0.3
     assert right.curvature == 0.7
 
@@ -67,11 +67,11 @@ def test_a_right_pose_stands_out_and_halves_agree() -> None:
 def test_a_query_that_looks_other_still_stands_out() -> None:
     """Noise as strong as the features themselves makes the fit far worse."""
     changed = told(problem(texture(None), noise=0.5))
-    assert changed.height > 10
+    assert changed.peak > 10
 
 
 def test_a_picture_that_repeats_itself_stands_out_less() -> None:
-    assert told(problem(texture(12))).height < 0.5 * told(problem(texture(None))).height
+    assert told(problem(texture(12))).peak < 0.5 * told(problem(texture(None))).peak
 
 
 def test_halves_of_another_picture_lead_apart() -> None:
@@ -84,4 +84,4 @@ def test_halves_of_another_picture_lead_apart() -> None:
 @pytest.mark.parametrize("metres", [70.0, 1e4])
 def test_points_out_of_view_tell_nothing(metres: float) -> None:
     nothing = told(problem(texture(None), points=60), aside(metres))
-    assert nothing.height == 0.0
+    assert nothing.peak == 0.0

@@ -48,15 +48,15 @@ def match(probability: float) -> Estimate:
 
 
 @pytest.fixture(autouse=True)
-def heights(monkeypatch: pytest.MonkeyPatch) -> dict[float, float]:
-    """Heights of peaks by the easting of a candidate; 9 if it is not listed."""
+def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[float, float]:
+    """Peak-to-sidelobe ratios by the easting of a candidate; 9 if it is not listed."""
     listed: dict[float, float] = {}
 
     def screen(
         _: Refiner, __: Query, candidates: Sequence[Candidate], ___: Stopwatch
     ) -> list[ScreenedCandidate]:
         screened = [ScreenedCandidate(each, listed.get(east(each.pose), 9)) for each in candidates]
-        return sorted(screened, key=lambda each: -each.height)
+        return sorted(screened, key=lambda each: -each.peak)
 
     monkeypatch.setattr(global_search, "screen_candidates", screen)
     return listed
@@ -122,9 +122,9 @@ def test_an_inexact_alignment_does_not_lend_its_probability_to_matches_elsewhere
 
 
 def test_after_the_first_candidate_that_with_the_highest_peak_is_aligned(
-    heights: dict[float, float],
+    peaks: dict[float, float],
 ) -> None:
-    heights.update({10: 3.6, 20: 4.0, 30: 8.0, 40: 5.0})
+    peaks.update({10: 3.6, 20: 4.0, 30: 8.0, 40: 5.0})
     starts: list[float] = []
     attempts = align(10, 0.1), align(30, 0.5), align(40, 0.999), align(40, 0.999)
     found = search(*attempts, eastings=(10, 20, 30, 40), starts=starts)(QUERY, None, Stopwatch())
@@ -133,8 +133,8 @@ def test_after_the_first_candidate_that_with_the_highest_peak_is_aligned(
     assert starts == [10, 30, 40, 40]
 
 
-def test_candidates_of_low_peaks_are_not_aligned(heights: dict[float, float]) -> None:
-    heights.update({10: 1.0, 20: 8.0, 30: 2.0})
+def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> None:
+    peaks.update({10: 1.0, 20: 8.0, 30: 2.0})
     starts: list[float] = []
     attempts = align(10, 0.1), align(20, 0.1)
     found = search(*attempts, eastings=(10, 20, 30), starts=starts)(QUERY, None, Stopwatch())

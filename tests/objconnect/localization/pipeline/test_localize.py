@@ -155,7 +155,7 @@ def test_nothing_to_localize_or_nowhere(
     empty.mkdir()
     assert "holds no photograph" in run(made_flight, empty, tmp_path / "p.txt").stderr
     assert "does not exist" in run(made_flight, tmp_path / "none", tmp_path / "p.txt").stderr
-    assert "is no map" in run(empty, photographs, tmp_path / "p.txt").stderr
+    assert "is not a map" in run(empty, photographs, tmp_path / "p.txt").stderr
     (made_flight / "origin.json").write_text('{"lat": "north"}')
     answer = run(made_flight, photographs, tmp_path / "p.txt")
     assert "must hold numbers lat, lon (degrees) and alt" in answer.stderr

@@ -325,7 +325,7 @@ def test_a_rendered_flight_is_found(rendered: Scene, tmp_path: Path) -> None:
 def test_a_frame_s_doubts_are_in_its_row(
     scene: Path, video: Path, method: FakeLocalizer, tmp_path: Path
 ) -> None:
-    """The latitude of one subtitle is no number."""
+    """The latitude of one subtitle is not a number."""
     srt = video.with_suffix(".SRT")
     texts = srt.read_text().split("\n\n")
     texts[1] = texts[1].replace("[latitude: ", "[latitude: 4x")

@@ -40,7 +40,7 @@ def test_planes_of_depth_and_normals_are_the_planes() -> None:
 
 
 def test_resizing_stays_on_the_plane() -> None:
-    """Also to a size that is no multiple."""
+    """Also to a size that is not a multiple."""
     planes = true_planes()
     small = resize(planes, 27, 41)
     assert small.shape == (3, 27, 41)

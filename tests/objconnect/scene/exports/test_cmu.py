@@ -122,7 +122,7 @@ def frame_of(street: Path, dataset: Dataset, photograph: Path) -> tuple[Frames, 
         for k, name in enumerate(frames.names):
             if sha256_of(street / "sessions" / name) == digest:
                 return frames, k, session
-    raise AssertionError(f"{photograph} of {dataset.name} is no frame")
+    raise AssertionError(f"{photograph} of {dataset.name} is not a frame")
 
 
 def test_the_reader_takes_it_as_the_real_set(tree: Path) -> None:

@@ -197,9 +197,9 @@ def test_results_of_dense(site: Path, tmp_path: Path) -> None:
             {"crs": "EPSG:4326"},
             "other units than metres: choose another system, such as EPSG:32632",
         ),
-        ({"crs": "EPSG:0"}, "is no coordinate reference system"),
+        ({"crs": "EPSG:0"}, "is not a coordinate reference system"),
         ({"resolution": 0.0001}, "choose a larger --resolution"),
-        ({"colour": "red"}, "--colour is no option of the format ortho"),
+        ({"colour": "red"}, "--colour is not an option of the format ortho"),
     ],
 )
 def test_what_cannot_be(
@@ -211,7 +211,7 @@ def test_what_cannot_be(
 
 
 def test_other_formats_have_no_resolution(site: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--resolution is no option of the format tum"):
+    with pytest.raises(InputError, match="--resolution is not an option of the format tum"):
         export(site, "tum", tmp_path / "out", resolution=1.0)
 
 

@@ -1,6 +1,6 @@
 """Exports are read by programs of other projects: nerfstudio's and kapture's own readers.
 
-Metashape and OpenSfM are no packages that could be installed; nerfstudio reads Metashape's cameras,
+Metashape and OpenSfM cannot be installed as packages; nerfstudio reads Metashape's cameras,
 and kapture OpenSfM's reconstructions.
 """
 

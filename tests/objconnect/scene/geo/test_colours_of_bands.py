@@ -24,7 +24,7 @@ SOLID = np.full((12, 16), 255, np.uint8)
 
 
 def stack(*names: str) -> np.ndarray:
-    """Bands by name; what is no colour is noise, alpha is solid."""
+    """Bands by name; what is not a colour is noise, alpha is solid."""
     return np.stack([BANDS.get(n, SOLID if n == "alpha" else OTHER) for n in names])
 
 

@@ -51,12 +51,12 @@ def test_systems_reach_their_zone(crs: str, longitude: float, reached: bool) -> 
 
 
 def test_what_is_no_system() -> None:
-    with pytest.raises(InputError, match=r"EPSG:1 is no coordinate reference system"):
+    with pytest.raises(InputError, match=r"EPSG:1 is not a coordinate reference system"):
         Projection("EPSG:1")
 
 
 def test_what_is_no_position() -> None:
-    with pytest.raises(InputError, match=r"is no position in WGS 84 / UTM zone 32N"):
+    with pytest.raises(InputError, match=r"is not a position in WGS 84 / UTM zone 32N"):
         Projection("EPSG:32632").to_geodetic(np.array([np.inf, 0.0, 0.0]))
 
 

@@ -50,12 +50,12 @@ def test_a_place_and_its_height(line: str, system: str, unit: float) -> None:
         ),
         ("EPSG:2256", "unit of heights is unknown .*in foot"),
         (STATE_PLANE, "unit of heights is unknown .*US survey foot"),
-        ("EPSG:26849 +vunits=fathom", r"\+vunits=fathom is no unit of length"),
-        ("EPSG:26849 +vto_meter=0", r"\+vto_meter=0 is no positive number"),
+        ("EPSG:26849 +vunits=fathom", r"\+vunits=fathom is not a unit of length"),
+        ("EPSG:26849 +vto_meter=0", r"\+vto_meter=0 is not a positive number"),
         ("EPSG:26849 +vunits=m +vto_meter=2", "contradict each other"),
         ("EPSG:7415 +vunits=ft", "has heights of its own|need the grid"),
         ("WGS84 UTM 61N", "UTM has no zone 61"),
-        ("EPSG:1", "f:1: .*is no coordinate reference system"),
+        ("EPSG:1", "f:1: .*is not a coordinate reference system"),
     ],
 )
 def test_what_is_unknown_is_named(line: str, message: str) -> None:

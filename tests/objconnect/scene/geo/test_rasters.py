@@ -82,7 +82,7 @@ def test_a_place_beside_its_system_is_told(
 def test_a_place_that_no_system_has_is_named(tmp_path: Path) -> None:
     place = from_origin(32_500_000, 5_300_000, 0.5, 0.5)
     path = write(tmp_path / "d.tif", HEIGHTS, crs="EPSG:25832", transform=place)
-    with pytest.raises(InputError, match=r"d\.tif: .* is no position in ETRS89 / UTM"):
+    with pytest.raises(InputError, match=r"d\.tif: .* is not a position in ETRS89 / UTM"):
         Raster.open(path, "surface model")
 
 

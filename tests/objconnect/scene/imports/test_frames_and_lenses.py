@@ -61,7 +61,7 @@ def test_models_of_transforms(tmp_path: Path, keys: dict[str, Any], model: str) 
         ({"camera_model": "SIMPLE_PINHOLE", "fl_y": 510}, "one focal length, but fl_y is not fl_x"),
         ({"camera_angle_x": 0.8}, "fl_x 500 and camera_angle_x 0.8 contradict each other"),
         ({"camera_angle_y": 1.138}, "fl_y 500 and camera_angle_y 1.138 contradict each other"),
-        ({"fl_x": 0.78}, "fl_x, fl_y 0.78, 0.78 are no focal lengths in pixels"),
+        ({"fl_x": 0.78}, "fl_x, fl_y 0.78, 0.78 are not focal lengths in pixels"),
         ({"cx": 0.5, "cy": 0.5}, r"cx, cy \(0.5, 0.5\) are not in pixels"),
         ({"cx": 900}, "cx puts the principal point at 900 of 640 pixels"),
         ({"cy": -3}, "cy puts the principal point at -3 of 480 pixels"),

@@ -295,7 +295,7 @@ def test_tables_of_positions(tmp_path: Path) -> None:
         ("a.csv", "name,lat\na,1\n", "expected the columns"),
         ("a.csv", "name,e,n,u\na,nan,1,1\n", "not finite"),
         ("a.csv", "name,lat,lon,alt\na,91,1,1\n", "no place on earth"),
-        ("a.pdf", "x", "is no file of poses: it is neither a folder of a COLMAP model, nor"),
+        ("a.pdf", "x", "is not a file of poses: it is neither a folder of a COLMAP model, nor"),
     ],
 )
 def test_faults_are_named(tmp_path: Path, name: str, text: str, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Files of other programs that are no poses, or not of a known format, are named."""
+"""Files of other programs that are not poses, or not of a known format, are named."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_numbers_that_are_no_angles_are_no_attitude(angles: tuple[str, str, str]
     names = ("Yaw", "Pitch", "Roll")
     fields = {f"drone-dji:Gimbal{n}Degree": a for n, a in zip(names, angles, strict=True)}
     said = parse_xmp(raw.xmp(fields), SIZE)
-    assert said.gimbal is None and "is no angle" in said.doubts[0]
+    assert said.gimbal is None and "is not an angle" in said.doubts[0]
 
 
 def test_a_field_with_two_values_has_none(tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_an_altitude_without_a_fix_reads_as_an_absent_one(tmp_path: Path) -> Non
     Image.fromarray(picture()).save(tmp_path / "a.jpg", exif=tags.tobytes())
     exif = read_exif(tmp_path / "a.jpg")
     assert exif.position == pytest.approx((-46.8, 9.01, np.nan), nan_ok=True)
-    assert exif.doubts == ("GPSAltitude is no number of metres",)
+    assert exif.doubts == ("GPSAltitude is not a number of metres",)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

@@ -22,7 +22,7 @@ from simulate.place.streets import Block
 from simulate.place.styles import hall_style
 
 
-def trade(builder: PlaceBuilder, block: Block) -> None:
+def halls(builder: PlaceBuilder, block: Block) -> None:
     """Place one or two halls, a car park in front, and containers and lorries beside them."""
     rng = builder.rng
     frame = block.front(int(rng.choice([1, -1])))

@@ -35,20 +35,20 @@ class Truth:
 
     Attributes:
         owners: id (M,) of the object on which each point lies, 0 for the ground.
-        drift: distance (M,) of each point from the surface of its object, metres; infinite where no
-            photograph shows that surface near the point.
+        distance_m: distance (M,) of each point from the surface of its object, metres; infinite
+            where no photograph shows that surface near the point.
         ids_in_view: ids of the objects in the map's photographs.
         small_in: number of small objects in each photograph, by name.
     """
 
     owners: NDArray[np.int64]
-    drift: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
     ids_in_view: frozenset[int]
     small_in: Mapping[str, int]
 
 
 @dataclass(frozen=True)
-class Drift:
+class SurfaceDistances:
     """Distances of points from the true surface.
 
     Attributes:
@@ -64,11 +64,11 @@ class Drift:
     p90_m: float | None
 
     @staticmethod
-    def of(distances: NDArray[np.float64]) -> Drift:
+    def of(distances: NDArray[np.float64]) -> SurfaceDistances:
         """Summarise distances (K,), metres, K > 0; infinite for points without a surface."""
         known = distances[np.isfinite(distances)]
         middle, high = np.percentile(known, [50, 90]).tolist() if len(known) else (None, None)
-        return Drift(len(distances), float((distances < CLOSE_M).mean()), middle, high)
+        return SurfaceDistances(len(distances), float((distances < CLOSE_M).mean()), middle, high)
 
     def text(self) -> str:
         """Return the figures as text."""
@@ -87,24 +87,24 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
         InputError: a file of the scene is damaged.
     """
     small = [item.id for item in scene.objects.objects if item.size_class == "small"]
-    drift = np.full(len(sparse_map.xyz), np.inf)
+    distance_m = np.full(len(sparse_map.xyz), np.inf)
     instances: list[tuple[MapImage, NDArray[np.uint16]]] = []
     for image, layers in scene.layers_of_map(sparse_map, "instance"):
         instances.append((image, layers["instance"]))
     if not instances:
         return None
-    owners = objects_of_points(len(drift), instances)
+    owners = objects_of_points(len(distance_m), instances)
     ids_in = {image.name: np.unique(instance) for image, instance in instances}
     with progress_bar("true surface", len(instances)) as advance:
         layers_of_images = scene.layers_of_map(sparse_map, "depth", "instance", "normal")
         for done, (image, layers) in enumerate(layers_of_images, 1):
             rows = image.point_rows[image.point_rows >= 0]
             distances = _distances(image, layers, sparse_map.xyz, owners)
-            np.minimum.at(drift, rows, distances)
+            np.minimum.at(distance_m, rows, distances)
             advance(done)
     return Truth(
         owners=owners,
-        drift=drift,
+        distance_m=distance_m,
         ids_in_view=frozenset(np.concatenate(list(ids_in.values())).tolist()),
         small_in={name: int(np.isin(ids, small).sum()) for name, ids in ids_in.items()},
     )
