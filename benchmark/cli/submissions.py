@@ -34,7 +34,6 @@ DryRun = Annotated[
 # Options that only Extended CMU Seasons takes, and what to do on other data sets.
 _FOR_CMU: Final = {
     "--pairs": "give --start pairs=FILE",
-    "--jobs": "leave it out",
     "--dry-run": "leave it out",
 }
 
@@ -69,13 +68,14 @@ def submit(
     """Write the poses of all queries, to hand them in.
 
     The poses of a data set of a track are those of a submission. Those of Extended CMU Seasons have
-    the format of visuallocalization.net. The same command continues an interrupted run.
+    the format of visuallocalization.net. The same command continues an interrupted run. A folder
+    holds the poses of one method, start and choice of options; others need another --out.
 
-    Extended CMU Seasons takes no --start, and only it takes --pairs, --jobs and --dry-run.
-    --dry-run prints everything that is missing from the data set and the pairs, and what to do
-    about it, and exits with 2 if anything is.
+    Extended CMU Seasons takes no --start, and only it takes --pairs and --dry-run. --dry-run prints
+    everything that is missing from the data set and the pairs, and what to do about it, and exits
+    with 2 if anything is.
     """
-    from benchmark.datasets.open import reader_of
+    from benchmark.datasets.open import reader_of, require_reader
     from benchmark.evaluation.starts import parse_start
     from benchmark.evaluation.submission import SUBMISSION, check_submission
     from benchmark.evaluation.submission import submit as run
@@ -85,13 +85,14 @@ def submit(
     check_folders([path], out, cache)
     localizer = create(method, parse_settings(overrides))
     given = list_given(context)
-    reader = reader_of(path)
+    # A dry run also reports on a download of Extended CMU Seasons that lacks almost everything.
+    reader = reader_of(path) if dry_run else require_reader(path)
     if reader is not None and reader.name != "cmu":
         for option in (option for option in given if option in _FOR_CMU):
             raise InputError(
                 f"{option} is for Extended CMU Seasons, and {path} is not: {_FOR_CMU[option]}"
             )
-        emit(write_answers(path, localizer, out, parse_start(start), cache), as_json)
+        emit(write_answers(path, localizer, out, parse_start(start), cache, jobs), as_json)
         return
     if "--start" in given:
         raise InputError(

@@ -12,9 +12,9 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
-from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset, Task, TaskQuery
 from benchmark.datasets.identity import parts_of
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.cmu_names import CAMERAS, SIMULATED_HEADER, ImageName, surroundings
@@ -24,6 +24,8 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.storage.files import read_text
 from objconnect.scene.storage.listing import list_files
+
+AnyTask = TypeVar("AnyTask", bound=Task)
 
 TRACK: Final = "cmu"
 SIMULATED_TRACK: Final = "cmu-sim"
@@ -116,6 +118,15 @@ class Slice:
     def restrict(self, names: Collection[str]) -> Slice:
         """Return the slice with only the query images that have these names."""
         return replace(self, queries=tuple(name for name in self.queries if name in names))
+
+    def task(self) -> Task:
+        """Return the slice as a data set without reference poses.
+
+        Raises:
+            InputError: a file of the map or a photograph is missing or cannot be read.
+        """
+        queries = tuple(_query(self.folder, name, self.cameras) for name in self.queries)
+        return _build(Task, self.folder, queries)
 
 
 def open_slices(path: Path) -> list[Slice]:
@@ -232,21 +243,30 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
                 f"{folder / 'query' / name} does not exist, but {pose_folder} has its pose: add "
                 "the image, or remove the pose"
             )
-    sparse_map = read_model(folder / "sparse")
     queries = tuple(
-        BenchmarkQuery(
-            name=name,
-            condition=condition(name),
-            group=f"{folder.name} {condition(name)}",
-            camera=cameras[ImageName.parse(name).camera],
-            image=folder / "query" / name,
-            prior=None,
-            reference=pose,
-        )
+        BenchmarkQuery(**vars(_query(folder, name, cameras)), reference=pose)
         for name, pose in sorted(references.items())
     )
+    return _build(Dataset, folder, queries)
+
+
+def _query(folder: Path, name: str, cameras: Mapping[str, Camera]) -> TaskQuery:
+    """Return a query image of a slice."""
+    return TaskQuery(
+        name=name,
+        condition=condition(name),
+        group=f"{folder.name} {condition(name)}",
+        camera=cameras[ImageName.parse(name).camera],
+        image=folder / "query" / name,
+        prior=None,
+    )
+
+
+def _build(kind: type[AnyTask], folder: Path, queries: tuple[TaskQuery, ...]) -> AnyTask:
+    """Return a slice with some of its query images, as a data set with or without poses."""
+    sparse_map = read_model(folder / "sparse")
     number = int(folder.name.removeprefix("slice"))
-    return Dataset(
+    return kind(
         name=f"cmu-{surroundings(number)}-slice{number}",
         track=_track(folder.parent),
         parts=parts_of(folder / "sparse", folder / "database", sparse_map.names, queries),

@@ -67,10 +67,20 @@ def open_datasets(path: Path) -> list[Dataset]:
     Raises:
         InputError: the path does not exist, no reader knows it, or anything inside it is wrong.
     """
+    reader = require_reader(path)
+    with READERS.blame(reader.name, f"cannot read {path}"):
+        return reader.open(path)
+
+
+def require_reader(path: Path) -> Reader:
+    """Return the first reader that knows a path.
+
+    Raises:
+        InputError: the path does not exist, or no reader knows it.
+    """
     reader = reader_of(path)
     if reader is not None:
-        with READERS.blame(reader.name, f"cannot read {path}"):
-            return reader.open(path)
+        return reader
     if not path.exists():
         raise InputError(f"data set {path} does not exist: check the path")
     kinds = ", nor ".join(READERS.load(name).holds for name in READERS)

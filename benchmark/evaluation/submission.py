@@ -3,49 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Final
 
 from benchmark.datasets.cmu import Slice, is_cmu, open_slices
 from benchmark.datasets.cmu_check import check_files, check_map
+from benchmark.evaluation.pose_files import MARK, PoseWriter
 from benchmark.evaluation.slice_pairs import Pairs, describe_faults, read_slice_pairs
-from objconnect.localization.pipeline.failures import localize_safely
-from objconnect.localization.pipeline.journal import Journal, journal_path
+from benchmark.evaluation.starts import NONE, Start
 from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.errors import InputError, WriteError
-from objconnect.scene.flights.textfiles import pose_line, read_pairs
-from objconnect.scene.localizer import Estimate, Localizer, Query, Status
+from objconnect.scene.flights.textfiles import read_pairs
+from objconnect.scene.localizer import Localizer
 from objconnect.scene.maps.colmap_files import read_model
-from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.runtime.threads import map_unordered
-from objconnect.scene.storage.answers import NamedRecord, PoseNumbers, pose_of
 from objconnect.scene.storage.atomic import write_text
-from objconnect.scene.storage.digests import digest_of, digests
-from objconnect.scene.storage.files import read_text
-from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.outputs import OutputFile, check_output_folder, check_outputs
-from objconnect.scene.storage.scratch import cache_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
-# The first bytes of the file of a finished slice.
-_HEADER_START: Final = b"# finished by objconnect: "
-
-
-class _Answer(NamedRecord):
-    """The pose of a query image, world to camera; None if the image was not localized."""
-
-    cam_from_world: PoseNumbers | None
-
-    @staticmethod
-    def of(name: str, estimate: Estimate) -> _Answer:
-        """Return the entry of an estimate; a fallback is not a localized image."""
-        pose = estimate.cam_from_world
-        if estimate.status is not Status.OK or pose is None:
-            return _Answer(name=name, cam_from_world=None)
-        numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())
-        return _Answer(name=name, cam_from_world=numbers)
+# Number of digits of the digest of pairs.
+_DIGEST_DIGITS: Final = 12
 
 
 def submit(
@@ -62,8 +40,7 @@ def submit(
     Its lines are ``name qw qx qy qz tx ty tz`` for the images of all slices, with names without a
     folder. The translation is that of the pose from world to camera, although the data set's own
     files hold camera centres. Images that were not localized are left out, as the server requires.
-    Finished slices are kept in ``OUT/slices``, and the finished images of an unfinished slice in a
-    journal beside them, so that an interrupted run goes on where it stopped.
+    Finished slices are kept in ``OUT/slices``, so that an interrupted run goes on where it stopped.
 
     Args:
         path: folder of the data set, or of one of its slices.
@@ -78,8 +55,9 @@ def submit(
         The number of localized images, and the number of all images.
 
     Raises:
-        InputError: a file of the data set is missing or damaged, two slices share an image name,
-            the pairs do not fit the slices, or ``out`` cannot be written.
+        InputError: a file of the data set is missing, damaged or changed during the run, two
+            slices share an image name, the pairs do not fit the slices, or ``out`` cannot be
+            written or holds poses of another method, pair list or option.
     """
     slices = open_slices(path)
     finished = _check_outputs(out, path, slices)
@@ -89,9 +67,13 @@ def submit(
     if pairs is not None:
         listed = read_slice_pairs(pairs, map_names)
         slices = [each.restrict(listed) for each in slices]
+    writer = PoseWriter(localizer, _DECIMALS, cache, jobs)
+    starts = [_start_of(each, listed) for each in slices]
+    for file, start in zip(finished, starts, strict=True):
+        writer.require_same_run(file, start)
     lines: list[str] = []
-    for each, file in zip(slices, finished, strict=True):
-        lines += _finish_slice(each, localizer, listed, file, cache, jobs)
+    for each, file, start in zip(slices, finished, starts, strict=True):
+        lines += writer.write(each.task(), file, start)
     write_text(out / SUBMISSION, "".join(f"{line}\n" for line in lines))
     return len(lines), sum(len(each.queries) for each in slices)
 
@@ -143,7 +125,7 @@ def _check_outputs(out: Path, path: Path, slices: Sequence[Slice]) -> list[Path]
     check_output_folder(out, [path, *(each.folder for each in slices)])
     finished = [out / "slices" / f"{each.folder.name}.txt" for each in slices]
     check_outputs(
-        [*(OutputFile(file, _HEADER_START) for file in finished), out / SUBMISSION], within=out
+        [*(OutputFile(file, MARK.encode()) for file in finished), out / SUBMISSION], within=out
     )
     started = any(file.is_file() for file in finished)
     if (out / SUBMISSION).exists() and not started:
@@ -180,72 +162,10 @@ def _map_names(each: Slice) -> frozenset[str]:
     return frozenset(read_model(each.folder / "sparse").names)
 
 
-def _finish_slice(
-    each: Slice,
-    localizer: Localizer,
-    pairs: Pairs | None,
-    file: Path,
-    cache: Path | None,
-    jobs: int,
-) -> list[str]:
-    """Return the pose lines of one slice; a finished slice is read from ``file``."""
-    key = _key(each, localizer, pairs)
-    header = f"{_HEADER_START.decode()}{key}"
-    if file.is_file():
-        first, *lines = read_text(file, "finished slice").splitlines() or [""]
-        if first == header:
-            return lines
-    with Journal(journal_path(file), key, _Answer) as journal:
-        _localize_slice(each, localizer, pairs, journal, cache, jobs)
-        poses = {name: journal.done[name].cam_from_world for name in each.queries}
-        lines = [
-            pose_line(name, pose_of(pose), _DECIMALS)
-            for name, pose in poses.items()
-            if pose is not None
-        ]
-        write_text(file, "".join(f"{line}\n" for line in [header, *lines]))
-    return lines
-
-
-def _key(each: Slice, localizer: Localizer, pairs: Pairs | None) -> str:
-    """Return the digest of everything that determines the poses of a slice."""
-    folder = each.folder
-    sparse_map = read_model(folder / "sparse")
-    words = [localizer.name, localizer.config.model_dump_json(), str(localizer.weights_sha256)]
-    words += [sparse_map.sha256, *digests(folder / "database" / n for n in sparse_map.names)]
-    words += [f"{name} {each.camera(name)}" for name in each.queries]
-    words += digests(folder / "query" / name for name in each.queries)
-    if pairs is not None:
-        words += [" ".join((name, *pairs[name])) for name in each.queries]
-    return digest_of(*words)
-
-
-def _localize_slice(
-    each: Slice,
-    localizer: Localizer,
-    pairs: Pairs | None,
-    journal: Journal[_Answer],
-    cache: Path | None,
-    jobs: int,
-) -> None:
-    """Localize the query images of a slice that are not in the journal, and add them to it."""
-
-    def localize(name: str) -> None:
-        camera = each.camera(name)
-        image = read_rgb(each.folder / "query" / name, camera)
-        references = None if pairs is None else pairs[name]
-        estimate = localize_safely(localizer, Query(name, image, camera, references=references))
-        journal.add(_Answer.of(name, estimate))
-
-    waiting = [name for name in each.queries if name not in journal.done]
-    if not waiting:
-        return
-    with cache_or_scratch(cache, journal.path.parent) as folder:
-        localizer.prepare(read_model(each.folder / "sparse"), each.folder / "database", folder)
-    with (
-        progress_bar(f"{each.folder.name} {localizer.name}", len(each.queries)) as advance,
-        closing(map_unordered(localize, waiting, jobs)) as localized,
-    ):
-        advance(len(journal.done))
-        for _ in localized:
-            advance(len(journal.done))
+def _start_of(each: Slice, pairs: Pairs | None) -> Start:
+    """Return the start of the query images of a slice, which no other slice's pairs change."""
+    if pairs is None:
+        return NONE
+    own = {name: pairs[name] for name in each.queries}
+    digest = digest_of(*(" ".join((name, *references)) for name, references in own.items()))
+    return Start(f"pairs={digest[:_DIGEST_DIGITS]}", "pairs", pairs=own)

@@ -10,34 +10,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.datasets.dataset import Task
-from benchmark.datasets.identity import require_unchanged
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import available_start
+from benchmark.evaluation.pose_files import MARK, PoseWriter
 from benchmark.evaluation.starts import Start
 from benchmark.publishing.reader import is_sealed, open_sealed
 from benchmark.submissions.submission import poses_path
-from objconnect.localization.pipeline.failures import localize_safely
-from objconnect.localization.pipeline.journal import Journal, journal_path
-from objconnect.localization.provenance import Environment, Method
-from objconnect.scene.flights.textfiles import pose_line
-from objconnect.scene.localizer import Localizer, Status
-from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.answers import NamedRecord
-from objconnect.scene.storage.atomic import write_text
-from objconnect.scene.storage.digests import digest_of
+from objconnect.scene.localizer import Localizer
 from objconnect.scene.storage.outputs import OutputFile, check_output_folder, check_outputs
-from objconnect.scene.storage.scratch import cache_or_scratch
 
 # Decimals of the quaternion and of the translation (metres).
 _DECIMALS: Final = 9
-# First bytes of a file of poses that this command wrote.
-_HEADER: Final = "# written by objconnect submit: "
-
-
-class _Answer(NamedRecord):
-    """The line of a query in the file of poses; None if the method found no pose."""
-
-    line: str | None
 
 
 @dataclass(frozen=True)
@@ -98,7 +81,12 @@ def open_tasks(path: Path) -> list[Task]:
 
 
 def write_answers(
-    path: Path, localizer: Localizer, out: Path, start: Start, cache: Path | None = None
+    path: Path,
+    localizer: Localizer,
+    out: Path,
+    start: Start,
+    cache: Path | None = None,
+    jobs: int = 1,
 ) -> AnswersReport:
     """Localize every query of data sets and write ``OUT/poses/<dataset>.txt``.
 
@@ -111,52 +99,29 @@ def write_answers(
         out: folder of the submission.
         start: what the method is told about each query besides its image.
         cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        jobs: number of queries at a time, in threads.
 
     Raises:
         InputError: a file of the data set is missing, damaged or changed during the run, the start
-            needs poses that are sealed, or ``out`` cannot be written.
+            needs poses that are sealed, or ``out`` cannot be written or holds poses of another
+            method, start or option.
     """
     tasks = open_tasks(path)
     files = {task.name: poses_path(out, task.name) for task in tasks}
     check_output_folder(out, [path])
-    check_outputs((OutputFile(file, _HEADER.encode()) for file in files.values()), within=out)
+    check_outputs((OutputFile(file, MARK.encode()) for file in files.values()), within=out)
     for task in tasks:
         start.require_references(task)
-    found = {task.name: _write(task, localizer, files[task.name], start, cache) for task in tasks}
+    writer = PoseWriter(localizer, _DECIMALS, cache, jobs)
+    starts = {task.name: available_start(start, task) for task in tasks}
+    for name, file in files.items():
+        writer.require_same_run(file, starts[name])
+    lines = {task.name: writer.write(task, files[task.name], starts[task.name]) for task in tasks}
     return AnswersReport(
         method=localizer.name,
         start=start.name,
         files=files,
         digests={task.name: task.sha256 for task in tasks},
-        found=found,
+        found={name: len(of_task) for name, of_task in lines.items()},
         queries={task.name: len(task.queries) for task in tasks},
     )
-
-
-def _write(task: Task, localizer: Localizer, path: Path, start: Start, cache: Path | None) -> int:
-    """Write the poses of a data set; return their number."""
-    method, environment = Method.of(localizer), Environment.current()
-    start = available_start(start, task)
-    sparse_map = task.load_map()
-    key = digest_of(
-        method.model_dump_json(), task.sha256, start.name, environment.model_dump_json()
-    )
-    with Journal(journal_path(path), key, _Answer) as journal:
-        with (
-            cache_or_scratch(cache, path.parent) as folder,
-            progress_bar(f"{task.name} {localizer.name}", len(task.queries)) as advance,
-        ):
-            localizer.prepare(sparse_map, task.images, folder)
-            load = start.loader(task, sparse_map, folder)
-            for query in task.queries:
-                if query.name not in journal.done:
-                    estimate = localize_safely(localizer, load(query))
-                    pose = estimate.cam_from_world if estimate.status is Status.OK else None
-                    line = None if pose is None else pose_line(query.name, pose, _DECIMALS)
-                    journal.add(_Answer(name=query.name, line=line))
-                advance(len(journal.done))
-        require_unchanged(task, sparse_map.names)
-        lines = [line for query in task.queries if (line := journal.done[query.name].line)]
-        header = f"{_HEADER}{method.name}, start {start.name}, data set {task.sha256}"
-        write_text(path, "".join(f"{line}\n" for line in [header, *lines]))
-    return len(lines)

@@ -28,6 +28,15 @@ def journal_path(results: Path) -> Path:
     return results.with_name(f"{TEMPORARY_PREFIX}{results.stem}.journal")
 
 
+def read_parts(path: Path) -> dict[str, str] | None:
+    """Return the parts in the header of a journal; None without a readable journal."""
+    try:
+        with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
+            return _parts(_header(file.readline()))
+    except OSError:
+        return None
+
+
 class Journal(Generic[Entry]):
     """A file with one line per finished query, which is removed when the run is complete.
 
@@ -36,8 +45,8 @@ class Journal(Generic[Entry]):
 
     Attributes:
         done: finished queries by name.
-        dropped: if the queries of an earlier run with another key are discarded, digests of the
-            parts of its data set; None without such a run, or if the digests are unknown.
+        dropped: if the queries of an earlier run with another key are discarded, its parts; None
+            without such a run, or if the parts are unknown.
     """
 
     def __init__(
@@ -49,8 +58,8 @@ class Journal(Generic[Entry]):
             path: path of the file.
             key: digest of all inputs of the results.
             model: class of the entries.
-            parts: digests of the parts of the data set by name, which a later run compares with its
-                own to say what changed.
+            parts: parts of the key by name, such as digests of the parts of the data set, which a
+                later run compares with its own to say what changed.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -148,7 +157,7 @@ def _header(line: str) -> dict[str, object]:
 
 
 def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
-    """Return the parts of the data set in a header; None if they are missing or damaged."""
+    """Return the parts in a header; None if they are missing or damaged."""
     parts = header.get("parts")
     if not isinstance(parts, dict) or not all(isinstance(digest, str) for digest in parts.values()):
         return None

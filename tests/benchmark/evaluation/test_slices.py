@@ -90,18 +90,18 @@ def test_an_interrupted_slice_goes_on_in_the_middle(
     assert written == (tmp_path / "whole" / "submission.txt").read_bytes()
 
 
-def test_other_pairs_of_a_slice_start_it_again(
+def test_poses_of_other_pairs_are_not_replaced(
     tree: Path,  # noqa: F811
     pairs: Path,
     tmp_path: Path,
 ) -> None:
     submit(tree, found(tree), tmp_path / "out", pairs=pairs)
-    (_, second, _) = open_slices(tree)
     lines = pairs.read_text().splitlines()
     pairs.write_text("\n".join(lines[:-9] + lines[-8:]))
     again = found(tree)
-    submit(tree, again, tmp_path / "out", pairs=pairs)
-    assert {query.name for query in again.seen} == set(second.queries)
+    with pytest.raises(InputError, match=r"slice9.txt holds poses of fake, start pairs="):
+        submit(tree, again, tmp_path / "out", pairs=pairs)
+    assert not again.seen
 
 
 def test_hlocs_list_of_test_images_is_enough(

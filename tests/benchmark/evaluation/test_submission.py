@@ -72,10 +72,17 @@ def test_an_interrupted_submission_goes_on_after_the_last_slice(
     again = FakeLocalizer({later: Estimate(Status.OK, pose_at(2))})
     assert submit(cmu, again, tmp_path / "out") == (2, 4)
     assert [query.name for query in again.seen] == [later]
+
+
+def test_poses_of_other_options_are_not_replaced(one: Path, tmp_path: Path) -> None:
+    submit(one, FakeLocalizer({SNOW: Estimate(Status.OK, pose_at(3))}), tmp_path / "out")
+    written = (tmp_path / "out" / "submission.txt").read_bytes()
     other = FakeLocalizer({})
     other.config = other.config.model_copy(update={"strength": 2.0})
-    assert submit(cmu, other, tmp_path / "out") == (0, 4)
-    assert len(other.seen) == 4
+    with pytest.raises(InputError, match="slice2.txt holds poses of fake, start none, options"):
+        submit(one, other, tmp_path / "out")
+    assert not other.seen
+    assert (tmp_path / "out" / "submission.txt").read_bytes() == written
 
 
 def test_names_must_be_unique(cmu: Path, tmp_path: Path) -> None:  # noqa: F811
@@ -87,7 +94,9 @@ def test_a_folder_of_other_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     result = invoke("submit", tmp_path / "mine", "--out", tmp_path / "out")
     assert result.exit_code == 2
-    assert "is not Extended CMU Seasons" in result.stderr
+    (line,) = result.stderr.splitlines()
+    assert f"{tmp_path / 'mine'} is not a data set: it has neither published.json" in line
+    assert "nor intrinsics.txt and slice folders (Extended CMU Seasons)" in line
     assert not (tmp_path / "out").exists()
 
 
