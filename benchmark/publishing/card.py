@@ -11,8 +11,9 @@ from typing import Any, Final
 import yaml
 
 from benchmark.publishing.columns import Column
-from benchmark.publishing.description import Description, Release, license_url
+from benchmark.publishing.description import Description, Release
 from benchmark.publishing.index import Published, PublishedScene
+from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.previews import preview_name
 from benchmark.publishing.rows import SPLITS
 from objconnect.scene.storage.atomic import write_text
@@ -81,7 +82,7 @@ def _front_matter(name: str, published: Published) -> dict[str, Any]:
         configs += [_config(scene.name, scene.name) for scene in published.scenes]
     return {
         "pretty_name": name,
-        "license": published.license.lower(),
+        "license": hub_license(published.license),
         "annotations_creators": ["machine-generated"],
         "size_categories": [next((word for most, word in _SIZES if count < most), _LARGEST)],
         "tags": ["uav", "visual-localization", "camera-pose", "colmap", "croissant"],

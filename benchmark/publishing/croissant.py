@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.publishing.columns import Column
-from benchmark.publishing.description import Description, Release, license_url
+from benchmark.publishing.description import Description, Release
+from benchmark.publishing.licenses import license_url
 from objconnect.scene.storage.atomic import write_text
 
 CROISSANT: Final = "croissant.json"

@@ -9,10 +9,8 @@ from datetime import date
 from typing import Final
 
 from benchmark.publishing.index import Provenance, Published, PublishedScene
+from benchmark.publishing.licenses import require_license
 from objconnect.scene.errors import InputError
-
-RENDERS_LICENSE: Final = "CC-BY-4.0"
-"""SPDX identifier of the licence of renders."""
 
 # How scenes were made, and the origin of their poses, by ``Provenance.reference``.
 _MAKING: Final = {
@@ -28,8 +26,6 @@ _POSES: Final = {
     "accurate to centimetres at best.",
     "stated": "Poses and cameras are those that the files of the flight state.",
 }
-_URLS: Final = {RENDERS_LICENSE: "https://creativecommons.org/licenses/by/4.0/"}
-_SPDX: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
 _DATE: Final = re.compile(r"\d{4}-\d\d-\d\d")
 _VERSION: Final = re.compile(r"\d+\.\d+\.\d+")
 # Part of the summary of a data set without query poses.
@@ -44,7 +40,7 @@ class Release:
     """The publisher's statements on a data set.
 
     Attributes:
-        license: SPDX identifier; None for that of renders.
+        license: SPDX identifier that the hub knows; None for that of renders.
         creator: person or organization; None if not stated.
         url: page of the data set; None if not stated.
         date: day of publication as YYYY-MM-DD; None if not stated.
@@ -61,10 +57,8 @@ class Release:
     version: str = "1.0.0"
 
     def __post_init__(self) -> None:
-        if self.license is not None and not _SPDX.fullmatch(self.license):
-            raise InputError(
-                f"license {self.license!r} is not an SPDX identifier, such as CC-BY-4.0"
-            )
+        if self.license is not None:
+            require_license(self.license)
         if self.creator is not None and not (self.creator.strip() and self.creator.isprintable()):
             raise InputError(f"creator {self.creator!r} is not a name: give printable characters")
         if self.url is not None and not _URL.fullmatch(self.url):
@@ -88,11 +82,6 @@ def _is_day(text: str) -> bool:
         return bool(_DATE.fullmatch(text)) and bool(date.fromisoformat(text))
     except ValueError:
         return False
-
-
-def license_url(license_id: str) -> str:
-    """Return the page of a licence."""
-    return _URLS.get(license_id, f"https://spdx.org/licenses/{license_id}.html")
 
 
 def is_invented(scene: Provenance) -> bool:

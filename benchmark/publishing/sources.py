@@ -12,9 +12,10 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.flight import is_flight, open_flight
 from benchmark.datasets.identity import sealed_sha256
 from benchmark.datasets.simulated import open_scene
-from benchmark.publishing.description import RENDERS_LICENSE, Release, is_invented
+from benchmark.publishing.description import Release, is_invented
 from benchmark.publishing.flights import flight_rows
 from benchmark.publishing.index import INDEX, Provenance
+from benchmark.publishing.licenses import RENDERS_LICENSE
 from benchmark.publishing.report import Sizes
 from benchmark.publishing.rows import SPLITS, SceneRows
 from benchmark.tracks.difficulty import Difficulty, measure

@@ -11,7 +11,8 @@ from typing import Final
 import yaml
 
 from benchmark.publishing.card import CARD
-from benchmark.publishing.description import Release, license_url
+from benchmark.publishing.description import Release
+from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.weights.benchmarks import FOLDER
 from benchmark.publishing.weights.evaluations import Evaluation, figures
 from benchmark.publishing.weights.source import Source
@@ -61,7 +62,7 @@ def write_model_card(
     )
     matter = {
         "library_name": "objconnect",
-        "license": source.license.lower(),
+        "license": hub_license(source.license),
         "tags": list(_TAGS),
     }
     text = yaml.safe_dump(matter, sort_keys=False, allow_unicode=True)

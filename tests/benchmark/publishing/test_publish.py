@@ -19,6 +19,7 @@ from benchmark.publishing.columns import columns_with
 from benchmark.publishing.command import publish
 from benchmark.publishing.description import Release
 from benchmark.publishing.index import INDEX, read_index
+from benchmark.publishing.licenses import hub_license
 from benchmark.publishing.rows import Row, SceneRows
 from benchmark.publishing.shards import read_shards, write_shards
 from benchmark.tracks.difficulty import measure
@@ -28,6 +29,7 @@ from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.checksums import CHECKSUMS
 from tests.benchmark.publishing.conftest import STATED
+from tests.benchmark.test_cli import invoke
 
 
 def names_in(folder: Path) -> set[str]:
@@ -242,6 +244,8 @@ def test_a_real_site_needs_a_licence(
     "wrong",
     [
         {"license": "my own"},
+        {"license": "NOPE"},
+        {"license": "cc-by-4.0"},
         {"creator": " "},
         {"creator": "two\nlines"},
         {"url": "example"},
@@ -253,6 +257,22 @@ def test_wrong_facts_are_refused(wrong: dict[str, str]) -> None:
     name = next(iter(wrong))
     with pytest.raises(InputError, match="release" if name == "version" else name):
         replace(STATED, **wrong)
+
+
+@pytest.mark.parametrize("command", ["publish", "publish-weights"])
+def test_a_licence_that_the_hub_does_not_know_is_refused(command: str, tmp_path: Path) -> None:
+    subject = {"publish": tmp_path, "publish-weights": "objconnect"}[command]
+    result = invoke(command, subject, "--out", tmp_path / "out", "--license", "NOPE")
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert "license 'NOPE' is no SPDX identifier that the hub knows: give one of AFL-3.0," in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("given", "named"), [("MIT", "mit"), ("ODbL-1.0", "odbl")])
+def test_a_licence_has_the_name_of_the_hub(given: str, named: str) -> None:
+    assert replace(STATED, license=given).license == given
+    assert hub_license(given) == named
 
 
 @pytest.mark.parametrize("step", ["write_shards", "draw_preview", "write_card", "write_croissant"])
