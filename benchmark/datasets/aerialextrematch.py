@@ -28,6 +28,7 @@ from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
+from objconnect.scene.storage.names import name_some
 
 QUALITIES: Final = ("HQref", "LQref")
 """Folders of the orthophotos and surface models."""
@@ -57,7 +58,8 @@ class AerialExtreMatchReader:
 
         Raises:
             InputError: no quality has a map, a file is missing or wrong, a query has no camera or
-                no photograph, or a quaternion is rounded too coarsely for the coordinates.
+                no photograph, a photograph with a camera has no pose, or a quaternion is rounded
+                too coarsely for the coordinates.
         """
         maps = [path / quality / _MAP for quality in QUALITIES]
         found = [each for each in maps if is_scene(each)]
@@ -86,6 +88,15 @@ def _open_quality(path: Path, scene: Scene) -> Dataset:
                     f"{path / what} has no {name}, but {path / _POSES} has its pose: add it, or "
                     "remove the pose"
                 )
+    if not references:
+        raise InputError(f"{path / _POSES} holds no pose: download the file again")
+    # A file that was cut at the end of a line looks whole.
+    if missing := [name for name in photographs if name in cameras and name not in references]:
+        raise InputError(
+            f"{path / _POSES} has no pose of {name_some(missing)}, but {_CAMERAS} and "
+            f"{_PHOTOGRAPHS} have {'it' if len(missing) == 1 else 'them'}: download the file "
+            f"again, or remove the lines of {_CAMERAS}"
+        )
     quality = scene.path.resolve().parent.name
     queries = tuple(
         BenchmarkQuery(
@@ -99,8 +110,6 @@ def _open_quality(path: Path, scene: Scene) -> Dataset:
         )
         for name, reference in references.items()
     )
-    if not queries:
-        raise InputError(f"{path / _POSES} holds no pose: download the file again")
     sparse_map = scene.sparse_map()
     return Dataset(
         name=f"aerialextrematch-{quality}",

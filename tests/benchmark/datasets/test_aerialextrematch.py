@@ -139,6 +139,17 @@ def test_positions_elsewhere_are_refused(data: Path) -> None:
         open_datasets(data)
 
 
+def test_poses_cut_at_the_end_of_a_line_are_refused(data: Path) -> None:
+    first, _ = (data / "gt_pose.txt").read_text().splitlines(keepends=True)
+    (data / "gt_pose.txt").write_text(first)
+    message = r"gt_pose.txt has no pose of DJI_0002, but intrinsic.txt and rgb have it: download"
+    with pytest.raises(InputError, match=message):
+        open_datasets(data)
+    (data / "intrinsic.txt").write_text(f"DJI_0001.JPG {CAMERA}\n")
+    (dataset,) = open_datasets(data)
+    assert [query.name for query in dataset.queries] == ["DJI_0001.JPG"]
+
+
 def test_without_a_map_the_command_is_named(data: Path, tmp_path: Path) -> None:
     shutil.rmtree(data / "LQref" / "map")
     result = invoke("evaluate", data, "--method", "sift", "--out", tmp_path / "out")
