@@ -66,7 +66,7 @@ class SearchOptions(Config):
         ge=1,
         description="Factor on the numbers of starts and points of a second search, if no pose "
         "around a prior, or around the reference images that a query names, is accepted; 1 for no "
-        "second search.",
+        "second search. Without ``multistart`` there is none.",
     )
 
 
@@ -172,13 +172,18 @@ class FeaturemetricConfig(Config):
         Raises:
             InputError: a given option switches on what has no effect without ``multistart``.
         """
-        off = {} if self.multistart else self._switched_off()
-        for name, value in off.items():
-            if name in self.model_fields_set and getattr(self, name) != value:
-                raise InputError(
-                    f"option {name} has no effect without multistart: give multistart=true, or "
-                    f"leave {name} out"
-                )
+        if self.multistart:
+            return self
+        off = self._switched_off()
+        useless = [n for n in off if n in self.model_fields_set and getattr(self, n) != off[n]]
+        # A worker of a cluster gets all recorded options, so that the default must pass.
+        if self.search.again not in (1, SearchOptions().again):
+            useless.append("search.again")
+        for name in useless:
+            raise InputError(
+                f"option {name} has no effect without multistart: give multistart=true, or leave "
+                f"{name} out"
+            )
         return self.model_copy(update=off)
 
     def _switched_off(self) -> dict[str, Any]:

@@ -152,3 +152,8 @@ def test_options_without_effect_are_refused_or_recorded_as_off(
             create("objconnect", {"multistart": False, name: {}})
     with pytest.raises(InputError, match="option max_magnification has no effect"):
         create("pixloc", {"max_magnification": 1.5})
+    with pytest.raises(InputError, match=r"option search.again has no effect without multistart"):
+        create("pixloc", {"search.again": 3})
+    assert create("pixloc", {"search.again": 3, "multistart": True}).config.search.again == 3
+    without = create("pixloc", {})
+    assert Method.of(create("pixloc", Method.of(without).config)) == Method.of(without)
