@@ -404,22 +404,25 @@ def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    columns = 4
+    # The site shows pictures at most about 900 pixels wide: 9 points are then 12 pixels.
+    columns, inches, points = 3, 3.0, 9
     rows = math.ceil(len(drawn) / columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(3 * columns, 3 * rows), squeeze=False)
+    size = (inches * columns, inches * rows)
+    figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False)
     for axis, (name, answers) in zip(axes.flat, drawn.items(), strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1)
         for _, expected, share, count in _bin(answers):
             low, high = wilson(round(share * count), count)
             axis.plot([expected, expected], [low, high], color="C0", linewidth=1)
             axis.plot([expected], [share], "o", color="C0", markersize=3 + math.log2(1 + count))
-        axis.set_title(f"{name} ({len(answers)})", fontsize=9)
-        axis.set_xlabel("probability", fontsize=8)
-        axis.set_ylabel("share that is right", fontsize=8)
+        axis.tick_params(labelsize=points)
+        axis.set_title(f"{name} ({len(answers)})", fontsize=points)
+        axis.set_xlabel("probability", fontsize=points)
+        axis.set_ylabel("share that is right", fontsize=points)
     for axis in list(axes.flat)[len(drawn) :]:
         axis.axis("off")
     figure.tight_layout()
-    figure.savefig(path, dpi=80)
+    figure.savefig(path, dpi=100)
 
 
 def main() -> None:

@@ -23,6 +23,12 @@ from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError
 
 _COLUMNS = 2
+# The site shows pictures at most about 900 pixels wide, so that a point is a readable 1.4 pixels.
+_WIDTH_IN, _DPI = 9.0, 100
+_TEXT_PT = 9
+_LEGEND_LETTERS = 50
+# Values of the parameter "tilted" of a benchmark.
+_WORDS = {"True": "tilted", "False": "level"}
 
 
 def figure_of(versions: Mapping[str, Ratios]) -> Figure:
@@ -32,7 +38,7 @@ def figure_of(versions: Mapping[str, Ratios]) -> Figure:
         for each in ratios.ratios:
             groups[each.group][_label(each)][column] = each
     rows = -(-len(groups) // _COLUMNS)
-    figure = Figure(figsize=(11, 2.6 * rows), layout="constrained")
+    figure = Figure(figsize=(_WIDTH_IN, 2.9 * rows), layout="constrained")
     panels = figure.subplots(rows, _COLUMNS, squeeze=False).flat
     for panel, (group, lines) in zip(panels, sorted(groups.items()), strict=False):
         _draw_group(panel, group, lines, tuple(versions))
@@ -42,8 +48,20 @@ def figure_of(versions: Mapping[str, Ratios]) -> Figure:
 
 
 def _label(ratio: Ratio) -> str:
-    name, over = (word.removeprefix("test_").replace("_", " ") for word in (ratio.name, ratio.over))
-    return fill(f"{name} / {over}", 34)
+    """Return both names; where they differ in a parameter alone, only the parameters."""
+    (name, parameter), (other, base) = map(_split_name, (ratio.name, ratio.over))
+    if name == other:
+        return f"{parameter} / {base}"
+    return fill(f"{name} {parameter} / {other} {base}".replace("  ", " "), _LEGEND_LETTERS)
+
+
+def _split_name(name: str) -> tuple[str, str]:
+    """Return the name of a benchmark and its parameters in words."""
+    name, _, parameters = name.removeprefix("test_").rstrip("]").partition("[")
+    words = [_WORDS.get(word, word) for word in parameters.replace("_", " ").split("-")]
+    # All numbers are numbers of photographs of a map.
+    words = [f"{int(word):,} photographs" if word.isdigit() else word for word in words]
+    return name.replace("_", " "), ", ".join(words)
 
 
 def _draw_group(
@@ -59,10 +77,11 @@ def _draw_group(
     panel.set_yscale("log", base=2)
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.yaxis.set_minor_formatter(NullFormatter())
-    panel.set_xticks(range(len(names)), names, rotation=20, ha="right")
+    panel.set_xticks(range(len(names)), names)
     panel.set_xlim(-0.3, len(names) - 0.7)
-    panel.set_title(group, fontsize=9)
-    panel.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+    panel.tick_params(labelsize=_TEXT_PT)
+    panel.set_title(group, fontsize=_TEXT_PT + 1)
+    panel.legend(fontsize=_TEXT_PT, loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    figure_of(versions).savefig(args.out, dpi=100)
+    figure_of(versions).savefig(args.out, dpi=_DPI)
     return 0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiments import ratio_picture
-from experiments.ratios import KIND, Ratios, main, ratios_of
+from experiments.ratios import KIND, Ratio, Ratios, main, ratios_of
 from objconnect.scene.bundle.manifest import read_json
 
 OPTIONS = Path(__file__).parents[2] / "pyproject.toml"
@@ -137,6 +137,26 @@ def test_versions_are_drawn_in_order(tmp_path: Path) -> None:
     (panel,) = [axes for axes in figure.axes if axes.get_visible()]
     assert [label.get_text() for label in panel.get_xticklabels()] == ["v2", "v1"]
     assert panel.lines[0].get_ydata().tolist() == [2.0, 0.5]  # type: ignore[union-attr]
+
+
+def test_legends_are_in_words_and_readable() -> None:
+    pairs = {
+        ("test_by_prior[True-10000]", "test_by_prior[False-100]"):
+            "tilted, 10,000 photographs / level, 100 photographs",
+        ("test_linearise[compiled]", "test_linearise[by_torch]"): "compiled / by torch",
+        ("test_network[folded]", "test_network_bare_product"):
+            "network folded / network bare product",
+    }  # fmt: skip
+    ratios = tuple(
+        Ratio(group="all", name=name, over=over, ratio=0.5, spread=0.1) for name, over in pairs
+    )
+    versions = {"v1": Ratios(commit="0" * 40, processor="any", ratios=ratios)}
+    (panel,) = [axes for axes in ratio_picture.figure_of(versions).axes if axes.get_visible()]
+    legend = panel.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == list(pairs.values())
+    # Points at 100 dpi; the site shows the picture at its size.
+    assert min(text.get_fontsize() for text in legend.get_texts()) * 100 / 72 >= 11
 
 
 def test_what_is_no_file_of_ratios_is_not_drawn(
