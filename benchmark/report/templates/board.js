@@ -40,8 +40,7 @@
     ...data.thresholds.map((t, k) => ({ name: `${t.text} %`, key: (row) => valueOf(row.s.recall[k]), best: "descending" })),
     { name: `surest at ${threshold()} %`, key: (row) => valueOf(row.bounded), best: "descending" },
     ...integrityColumns(" %"),
-    { name: "median m", key: (row) => row.s.t },
-    { name: "median °", key: (row) => row.s.r },
+    { name: "median error", key: (row) => row.s.t },
     { name: "failed + fallback", key: (row) => row.s.failed + row.s.fallback },
     { name: "s/query", key: (row) => row.s.seconds },
   ];
@@ -54,7 +53,7 @@
       el("td", {}, String(row.s.courses)),
       row.s.recall.map((value) => recallCell(row.run, value)),
       shareCell(row.bounded), row.s.integrity.map(shareCell),
-      [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
+      el("td", {}, row.s.t === null ? "–" : [`${digits(row.s.t)} m`, el("small", {}, `${digits(row.s.r)}°`)]),
       el("td", {}, `${row.s.failed} + ${row.s.fallback}`),
       el("td", {}, digits(row.s.seconds)),
       el("td", { class: "acts" }, el("button", { type: "button", "aria-label": `worst queries of ${row.label}`, onclick: () => {

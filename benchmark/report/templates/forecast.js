@@ -31,7 +31,7 @@ function verdicts() {
   el("span", { class: "name" }, season.name),
   el("strong", {}, title(data.verdicts[season.verdict])),
   row("fix at a waypoint", share(season.share)),
-  row("longest way between fixes", `${season.longest_gap_m.toFixed(0)} m`),
+  row("longest distance between fixes", `${season.longest_gap_m.toFixed(0)} m`),
   row("false fixes", rare(season.false_risk)),
   row("horizontal, vertical sigma within the map", season.sigma_across_m === null ? "–" : `${season.sigma_across_m.toFixed(2)}, ${season.sigma_up_m.toFixed(2)} m`))));
 }
@@ -47,16 +47,16 @@ function map() {
   for (const w of data.waypoints) {
     const p = w.seasons[chosen].probability;
     picture.append(svg("circle", {
-      cx: x(w), cy: y(w), r: many ? 7 : 12, fill: mixed(p), stroke: w === looked ? "#000" : "#fff", "stroke-width": w === looked ? 4 : 2,
+      cx: x(w), cy: y(w), r: many ? 7 : 15, fill: mixed(p), stroke: w === looked ? "#000" : "#fff", "stroke-width": w === looked ? 4 : 2,
       tabindex: 0, role: "button", "aria-label": `Waypoint ${w.number}: ${share(p)}`, onclick: () => { looked = w; paint(); },
       onkeydown: (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); looked = w; paint(); } },
     }));
-    if (!many) picture.append(svg("text", { class: "number", x: x(w), y: y(w) + 4 }, String(w.number)));
+    if (!many) picture.append(svg("text", { class: "number", x: x(w), y: y(w) + 5.5 }, String(w.number)));
   }
   const bar = 10 ** Math.floor(Math.log10(data.area_m / 3));
-  picture.append(svg("rect", { x: 14, y: side - 40, width: Math.max(bar * scale + 16, 112), height: 30, fill: "#fff", "fill-opacity": 0.8, rx: 4 }),
+  picture.append(svg("rect", { x: 14, y: side - 46, width: Math.max(bar * scale + 16, 150), height: 36, fill: "#fff", "fill-opacity": 0.8, rx: 4 }),
     svg("line", { x1: 22, x2: 22 + bar * scale, y1: side - 17, y2: side - 17, stroke: "#111", "stroke-width": 3 }),
-    svg("text", { x: 22, y: side - 23, fill: "#111" }, `${bar} m, north up`));
+    svg("text", { class: "size", x: 22, y: side - 24, fill: "#111" }, `${bar} m, north up`));
   return picture;
 }
 
@@ -70,7 +70,7 @@ function facts() {
       fact("probability of a fix", share(outlook.probability)),
       fact("false fix", rare(outlook.false_risk)),
       fact("horizontal sigma", sigma(outlook.sigma_across_m)),
-      fact("sigma up", sigma(outlook.sigma_up_m)),
+      fact("vertical sigma", sigma(outlook.sigma_up_m)),
       fact("map points in view", looked.points.toFixed(0)),
       fact("views found", `${outlook.found} of ${outlook.views}`),
       fact("position", `${looked.latitude.toFixed(6)}, ${looked.longitude.toFixed(6)}, ${looked.altitude_m.toFixed(1)} m`, true),
@@ -101,7 +101,7 @@ const from = (part) => (part.first === part.last ? `${part.first}` : `${part.fir
 function weakStretches() {
   const season = data.seasons.find((one) => one.name === chosen);
   if (!season.stretches.length) return el("p", { class: "quiet" }, `None: at every waypoint a fix has a probability of at least ${share(data.config.weak)}.`);
-  return rows([["waypoints", true], ["way without"], ["mean probability"], ["why, and what to do", true]], season.stretches.map((stretch) => el("tr", {},
+  return rows([["waypoints", true], ["distance without a fix"], ["mean probability"], ["why, and what to do", true]], season.stretches.map((stretch) => el("tr", {},
     el("td", { class: "word" }, from(stretch)), el("td", {}, metres(stretch.gap_m)), el("td", {}, share(stretch.probability)),
     el("td", { class: "word wide" }, title(data.causes[stretch.cause]) + "."))));
 }
