@@ -88,9 +88,9 @@ def _shelter(world: World, condition: Condition) -> Float | None:
     length = 1 / np.tan(max(elevation, np.radians(_LOWEST_SUN_DEG)))
     shade = np.zeros((n, n), np.uint8)
     for item in world.objects:
-        if item.size[2] > _TALL_M:
+        if item.height_m > _TALL_M:
             foot = item.footprint()
-            corners = np.concatenate([foot, foot + item.size[2] * length * away])
+            corners = np.concatenate([foot, foot + item.height_m * length * away])
             outline = cv2.convexHull(corners.astype(np.float32))[:, 0].astype(float)
             cv2.fillPoly(shade, [to_raster(outline, cell, n)], 255, cv2.LINE_AA, SHIFT)
     soft = cv2.GaussianBlur(shade, (0, 0), 0.7 / cell).astype(np.float32) / 255

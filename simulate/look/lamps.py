@@ -67,8 +67,10 @@ def _street_light(item: WorldObject, ahead: Array, rgb: Rgb) -> Beam:
 
 def _headlights(item: WorldObject, ahead: Array) -> Beam:
     """Return the common beam of both headlights, from the middle of a vehicle's front."""
-    above_ground = 0.65 - 0.5 * item.size[2]
-    at = item.centre + (0.5 * item.size[0] + 0.1) * ahead + [0.0, 0.0, above_ground]
-    towards = ahead - [0.0, 0.0, _DIP]
+    forward = 0.5 * item.size[0] + 0.1
+    ascent = 0.0 if item.slope is None else item.slope[0]
+    above_ground = 0.65 - 0.5 * item.height_m + ascent * forward
+    at = item.centre + forward * ahead + [0.0, 0.0, above_ground]
+    towards = ahead - [0.0, 0.0, _DIP - ascent]
     towards /= np.linalg.norm(towards)
     return Beam(at, towards, _HEADLIGHTS_CONE_DEG, _FLAT, _HEADLIGHTS_W, _LED, 90.0)

@@ -21,7 +21,10 @@ from simulate.place.world import (
     Region,
     Rgb,
     Road,
+    Slope,
     WorldObject,
+    rise,
+    slope_under,
 )
 
 Array = NDArray[np.float64]
@@ -41,6 +44,7 @@ class ObjectSpec:
         colour: linear albedo of its painted parts.
         style: style of a building; None otherwise.
         driven: whether it is a vehicle in traffic.
+        leans: whether it leans with the ground in a steep place.
     """
 
     class_name: str
@@ -49,6 +53,7 @@ class ObjectSpec:
     colour: Rgb = (1.0, 1.0, 1.0)
     style: BuildingStyle | None = None
     driven: bool = False
+    leans: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,10 +82,13 @@ class PlaceBuilder:
     pavements, or reserved ground such as driveways, unless its footing allows it.
     """
 
-    def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
+    def __init__(
+        self, area_m: float, terrain: Heightfield, rng: np.random.Generator, steep: bool = False
+    ) -> None:
         self.area_m = area_m
         self.terrain = terrain
         self.rng = rng
+        self._is_steep = steep
         self.roads: tuple[Road, ...] = ()
         self.regions: list[Region] = []
         self.markings: list[Marking] = []
@@ -169,8 +177,9 @@ class PlaceBuilder:
     ) -> bool:
         """Place an object where there is room for it.
 
-        Buildings stand on the lowest ground under them, hedges and fences follow the ground, and
-        all other objects stand on the ground under their centre.
+        Buildings stand on the lowest ground under them, hedges and fences follow the ground,
+        vehicles lean with it in a steep place, and all other objects stand on the ground under
+        their centre.
 
         Args:
             spec: The object.
@@ -206,7 +215,10 @@ class PlaceBuilder:
             base = float(ground.min())
             height += float(np.ptp(ground))
         centre = np.array([at[0], at[1], base + 0.5 * height])
-        self._add(spec, centre, np.array([length, width, height], float), yaw)
+        slope = slope_under(self.terrain, corners) if spec.leans and self._is_steep else None
+        if slope is not None:
+            height += rise(slope, spec.size)
+        self._add(spec, centre, np.array([length, width, height], float), yaw, slope)
         return True
 
     def hang(
@@ -263,7 +275,14 @@ class PlaceBuilder:
         self.terrain = Heightfield(nodes, spacing)
         self.paint("water", shore)
 
-    def _add(self, spec: ObjectSpec, centre: Array, size: Array, yaw: float) -> None:
+    def _add(
+        self,
+        spec: ObjectSpec,
+        centre: Array,
+        size: Array,
+        yaw: float,
+        slope: Slope | None = None,
+    ) -> None:
         """Add an object with a box of ``size`` (3,) metres, maybe higher than ``spec.size``."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
@@ -283,6 +302,7 @@ class PlaceBuilder:
                 spec.colour,
                 spec.style,
                 spec.driven,
+                slope,
             )
         )
 

@@ -20,7 +20,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
 from simulate.place.kerbs import PavementHeights
-from simulate.place.world import MAX_OBJECT_ID, World, WorldObject
+from simulate.place.world import MAX_OBJECT_ID, World, WorldObject, rise, slope_under
 
 Array = NDArray[np.float64]
 
@@ -198,13 +198,20 @@ class _FreePositions:
             at = neighbour.centre[:2] + self._step(neighbour)
             if not self._fits(at, item, neighbour):
                 continue
-            self._take(rectangle(at, item.size[:2], neighbour.yaw))
+            corners = rectangle(at, item.size[:2], neighbour.yaw)
+            self._take(corners)
             ground = float(self._base.terrain.height(*at)) + self._pavements.height_at(at)
-            height = ground + 0.5 * item.size[2]
-            centre = np.array([at[0], at[1], height])
+            centre = np.array([at[0], at[1], ground + 0.5 * item.height_m])
             driven = neighbour.driven
-            return replace(item, id=new_id, centre=centre, yaw=neighbour.yaw, driven=driven)
+            new = replace(item, id=new_id, centre=centre, yaw=neighbour.yaw, driven=driven)
+            return new if item.slope is None else self._lean(new, corners)
         return None
+
+    def _lean(self, item: WorldObject, corners: Array) -> WorldObject:
+        """Return a moved object that leans with the ground under its corners (4, 2)."""
+        slope = slope_under(self._base.terrain, corners)
+        size = np.array([*item.size[:2], item.height_m + rise(slope, item.size)])
+        return replace(item, size=size, slope=slope)
 
     def _step(self, neighbour: WorldObject) -> Array:
         """Draw an offset (2,), metres, from an object to a similar position."""

@@ -175,13 +175,13 @@ def car(
 ) -> bool:
     shape = builder.choose(tuple(_CARS))
     paint = vary(builder, builder.choose(_PAINTS))
-    spec = ObjectSpec("car", shape, _CARS[shape], paint, driven=driven)
+    spec = ObjectSpec("car", shape, _CARS[shape], paint, driven=driven, leans=True)
     return builder.place(spec, at, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
 
 
 def van(builder: PlaceBuilder, at: Array, yaw: float) -> bool:
     paint = vary(builder, builder.choose(_PAINTS[:4]))
-    spec = ObjectSpec("van", "van", _TRUCKS["van"], paint)
+    spec = ObjectSpec("van", "van", _TRUCKS["van"], paint, leans=True)
     return builder.place(spec, at, yaw, Footing(on_road=True, on_reserved=True))
 
 
@@ -197,5 +197,5 @@ def truck(
     shape = builder.choose(shapes)
     paint = vary(builder, builder.choose(_PAINTS[:2] + STEEL_COLOURS))
     class_name = "van" if shape == "van" else "truck"
-    spec = ObjectSpec(class_name, shape, _TRUCKS[shape], paint, driven=driven)
+    spec = ObjectSpec(class_name, shape, _TRUCKS[shape], paint, driven=driven, leans=True)
     return builder.place(spec, at, yaw, Footing(on_road=on_road, on_reserved=on_road))

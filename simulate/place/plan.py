@@ -80,6 +80,7 @@ class Plan:
         streets: The appearance of the streets.
         least_m: The minimum side, metres, for all quarters.
         relief: The function that draws the terrain.
+        steep: Whether the ground is so steep that vehicles lean with it.
     """
 
     block_m: float
@@ -89,6 +90,7 @@ class Plan:
     streets: StreetKind = TOWN_STREETS
     least_m: float = MIN_AREA_M
     relief: Relief = relief
+    steep: bool = False
 
     def build(self, seed: int, area_m: float) -> World:
         """Build a square place of ``area_m`` metres. Equal seeds and areas give equal places.
@@ -104,7 +106,7 @@ class Plan:
         if seed < 0:
             raise InputError(f"seed must not be negative, got {seed}")
         rng = np.random.default_rng([seed, 0])
-        builder = PlaceBuilder(area_m, self.relief(area_m, rng), rng)
+        builder = PlaceBuilder(area_m, self.relief(area_m, rng), rng, self.steep)
         least = max(2, len(self.quarters))
         pitch_m = area_m / max(least, round(area_m / self.block_m))
         blocks = lay_streets(builder, pitch_m, self.streets)

@@ -199,6 +199,7 @@ ALPINE = Plan(
     after_blocks=(street_lamps, partial(traffic, parked=0.08)),
     streets=StreetKind(verge="grass", widths_m=(5.5, 4.0), bend=1.5),
     relief=valley,
+    steep=True,
 )
 
 HARBOUR = Plan(

@@ -14,6 +14,7 @@ from objconnect.scene.bundle.labels import CLASSES
 from objconnect.scene.geometry.rectangle import rectangle
 
 Rgb = tuple[float, float, float]
+Slope = tuple[float, float]
 
 MAX_OBJECT_ID = 32767  # the largest value of Blender's Object.pass_index
 MIRRORED_M = 64.0
@@ -206,13 +207,31 @@ class BuildingStyle:
     detail: int
 
 
+def slope_under(terrain: Heightfield, corners: NDArray[np.float64]) -> Slope:
+    """Return the rise along the length and the width of a rectangle (4, 2), metres a metre.
+
+    The corners are those of ``rectangle``: the first edge and the third are along its length.
+    """
+    middles = 0.5 * (corners + np.roll(corners, -1, 0))
+    length, width = np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)
+    right, front, left, back = terrain.height(middles[:, 0], middles[:, 1])
+    return float((front - back) / length), float((left - right) / width)
+
+
+def rise(slope: Slope, size: ArrayLike) -> float:
+    """Return the rise between the lowest and the highest corner of a rectangle, metres."""
+    return float(np.abs(slope) @ np.asarray(size, float)[:2])
+
+
 @dataclass(frozen=True)
 class WorldObject:
     """A labelled object: an oriented box and the name of the mesh that fills it.
 
     ``centre`` (3,) is in world metres, ``size`` (3,) in metres along the box's axes, and ``yaw`` in
     radians anticlockwise from east. ``shape`` names the mesh. ``colour`` is linear RGB. Buildings
-    have a style. ``driven`` vehicles are in traffic, with their lights on at night.
+    have a style. ``driven`` vehicles are in traffic, with their lights on at night. ``slope`` is
+    the rise of the ground along the length and the width of an object that leans with it, metres a
+    metre; None stands upright. The box is upright in any case, and higher where its object leans.
     """
 
     id: int
@@ -224,6 +243,12 @@ class WorldObject:
     colour: Rgb
     style: BuildingStyle | None = None
     driven: bool = False
+    slope: Slope | None = None
+
+    @property
+    def height_m(self) -> float:
+        """Return the height of the object itself, metres: less than its box's where it leans."""
+        return float(self.size[2]) - (0.0 if self.slope is None else rise(self.slope, self.size))
 
     def footprint(self) -> NDArray[np.float64]:
         """Return the four corners of the box seen from above, (4, 2) metres, anticlockwise."""

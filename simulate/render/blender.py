@@ -24,20 +24,18 @@ from objconnect.scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import resample
 from simulate.look import conditions, ground
-from simulate.look.buildings import building_mesh
 from simulate.look.conditions import Condition
 from simulate.look.cover import cover
+from simulate.look.individual import individual_mesh
 from simulate.look.lamps import Beam, beams
 from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
-from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
 from simulate.look.survey_albedo import bake_albedo, bake_specular
 from simulate.look.terrain import ground_mesh, kerbs_mesh
-from simulate.look.wires import wire_mesh
 from simulate.place.change import change_world
 from simulate.place.presets import preset
-from simulate.place.world import World, WorldObject
+from simulate.place.world import World
 from simulate.render.board import board_mesh
 from simulate.render.caster import Caster
 from simulate.render.frame import (
@@ -150,7 +148,7 @@ def _build_scene(world: World, condition: Condition) -> None:
     shared: dict[str, Any] = {}
     meshes = []
     for item in world.objects:
-        individual = _individual_mesh(item, world)
+        individual = individual_mesh(item, world)
         if individual is not None:
             meshes.append(_mesh_data(f"{item.id:05d}", individual, materials))
             continue
@@ -166,7 +164,7 @@ def _build_scene(world: World, condition: Condition) -> None:
         placed.location = item.centre
         placed.rotation_euler = (0.0, 0.0, item.yaw)
         placed.color = (*item.colour, float(item.driven))
-        if item.shape in shared:
+        if data is shared.get(item.shape):
             placed.scale = item.size
         if item.class_name == "building":  # the origin of its mesh is at the ground
             placed.location.z -= 0.5 * item.size[2]
@@ -187,19 +185,6 @@ def _build_board(board: Board) -> None:
         output = tree.nodes.new("ShaderNodeOutputMaterial")
         tree.links.new(glow.outputs[0], output.inputs["Surface"])
     _add("board", _mesh_data("board", board_mesh(board), materials))
-
-
-def _individual_mesh(item: WorldObject, world: World) -> Mesh | None:
-    """Return the individual mesh of an object, in metres; None for shared shapes."""
-    if item.class_name == "building":
-        return building_mesh(item)
-    if item.class_name == "hedge":
-        return hedge_mesh(item, world.terrain)
-    if item.class_name == "fence":
-        return fence_mesh(item, world.terrain)
-    if item.class_name == "wire":
-        return wire_mesh(item, world.terrain)
-    return None
 
 
 def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:

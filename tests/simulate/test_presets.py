@@ -15,16 +15,15 @@ from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.config import ObliqueFlight
 from simulate.flight.context import FlightContext
 from simulate.flight.flights import plan_oblique
-from simulate.look.buildings import building_mesh
-from simulate.look.plants import fence_mesh, hedge_mesh
+from simulate.look.individual import individual_mesh
 from simulate.look.props import shape_mesh
-from simulate.look.wires import wire_mesh
 from simulate.place import builder
+from simulate.place.change import VEHICLES, Change, change_world
 from simulate.place.grid import CircleGrid
 from simulate.place.objects import CONTAINER_M
 from simulate.place.plan import MAX_AREA_M
 from simulate.place.presets import PRESETS, preset
-from simulate.place.world import MAX_OBJECT_ID, World
+from simulate.place.world import MAX_OBJECT_ID, World, rise
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.simulate.test_flights import pinhole
@@ -140,18 +139,62 @@ def test_meshes_fill_their_boxes(place):
     _, world = place
     for item in world.objects:
         half = 0.5 * item.size
-        if item.class_name == "building":
-            vertices = building_mesh(item).vertices - [0, 0, half[2]]
-        elif item.class_name in ("hedge", "fence", "wire"):
-            own = {"hedge": hedge_mesh, "fence": fence_mesh, "wire": wire_mesh}[item.class_name]
-            vertices = own(item, world.terrain).vertices
-        else:
+        individual = individual_mesh(item, world)
+        if individual is None:
             vertices = cached_shape(item.shape).vertices * item.size
+        elif item.class_name == "building":
+            vertices = individual.vertices - [0, 0, half[2]]
+        else:
+            vertices = individual.vertices
         assert_allclose(vertices[:, :2].max(0), half[:2], rtol=0.15, atol=0.1)
-        assert vertices[:, 2].max() == pytest.approx(half[2], abs=0.12)
+        if item.slope is None:
+            assert vertices[:, 2].max() == pytest.approx(half[2], abs=0.12)
+        else:
+            assert (np.abs(vertices[:, 2]) <= half[2] + 1e-3).all()
         assert (np.abs(vertices[:, :2]) <= half[:2] + 1e-3).all()
         if item.class_name == "wire":
             assert vertices[:, 2].min() == pytest.approx(-half[2], abs=1e-3)
+
+
+@cache
+def cached_place(name):
+    return preset(name)(1, AREA)
+
+
+def lowest_above_ground(item, world):
+    """Height (m) of the lowest points of an object near its four corners above the ground there."""
+    vertices = individual_mesh(item, world).vertices
+    ends = [vertices[(vertices[:, :2] * sign > 0.2 * item.size[:2]).all(1)] for sign in SIGNS]
+    feet = np.stack([end[end[:, 2].argmin()] for end in ends])
+    cos, sin = np.cos(item.yaw), np.sin(item.yaw)
+    at = item.centre[:2] + feet[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+    return feet[:, 2] + item.centre[2] - world.terrain.height(at[:, 0], at[:, 1])
+
+
+SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def test_vehicles_lean_with_steep_ground_alone():
+    """Each wheel of a car in an alpine village is on the ground; the box grows as it leans."""
+    steep = cached_place("alpine")
+    vehicles = [o for o in steep.objects if o.class_name in VEHICLES]
+    assert max(abs(o.slope[0]) for o in vehicles) > 0.1
+    for item in vehicles:
+        assert np.abs(lowest_above_ground(item, steep)).max() < 0.12
+        assert item.size[2] == pytest.approx(item.height_m + rise(item.slope, item.size))
+    assert all(o.slope is None for o in cached_place("town").objects)
+
+
+def test_moved_vehicles_lean_with_the_ground_at_their_new_place():
+    base = cached_place("alpine")
+    changed = change_world(base, Change(cars_moved=1.0, seed=1))
+    moved = {new for _, new in changed.declared.moved}
+    vehicles = [o for o in changed.world.objects if o.id in moved]
+    assert len(vehicles) > 3
+    heights = {o.shape: o.height_m for o in base.objects if o.class_name in VEHICLES}
+    for item in vehicles:
+        assert np.ptp(lowest_above_ground(item, base)) < 0.15
+        assert item.height_m == pytest.approx(heights[item.shape])
 
 
 ALIASED = {
