@@ -123,6 +123,18 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     assert texts == ["1000", "> 1000", "> 1000", "–"]
 
 
+def test_errors_share_a_column_so_that_the_table_fits_a_desk(
+    page: Browser, report: BoardReport
+) -> None:
+    pixloc = row(report, start="error=3m,5deg", season="changed", part="all", method="pixloc")
+    (error,) = (text for text in page.texts("#rows tr:nth-child(2) td") if "°" in text)
+    metres, degrees = error.split("\n")
+    assert float(metres.removesuffix(" m")) == pytest.approx(pixloc.summary.median_t_m, rel=0.01)
+    assert float(degrees.removesuffix("°")) == pytest.approx(pixloc.summary.median_r_deg, rel=0.01)
+    names = page.texts("#results thead th")
+    assert names.count("median error") == 1 and len(names) == 14
+
+
 def test_figures_are_rounded_as_in_the_table(page: Browser) -> None:
     """Ties go to the even digit in Python; JavaScript alone would round them up."""
     values = [81.25, 91.75, 42.75, 0.35, 100.0, 0.25]
