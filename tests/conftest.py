@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import shutil
@@ -26,7 +27,7 @@ from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import has_blender, require_blender
 from tests.extracted import remember_features
-from tests.shared import hold_lock, make_once
+from tests.shared import hold_lock, make_once, run_folder
 from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
@@ -36,32 +37,44 @@ settings.load_profile("repeatable")
 # The tensors of the tests are small: on a busy machine threads cost more than they bring.
 torch.set_num_threads(1)
 
+# Collected tests are a million objects that stay: the defaults visit all of them again and again.
+gc.set_threshold(50_000, 20, 20)
+
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Print the seed of the random order of the tests, even with -q."""
+    """Print the seed of the random order even with -q; let the collector skip what is collected."""
+    gc.freeze()
     seed = session.config.getoption("randomly_seed", None)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if seed is not None and reporter is not None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
-# Modules that take a minute or more. They run first, so that no process waits for the last one.
-_LONGEST = {
+# Modules that take long, in the order in which processes take them: none waits at the end for the
+# last one. The first renders the scene that many others need, and the second does not need it.
+_LONGEST = (
+    "test_finder",
+    "test_matrix",
     "test_gate",
     "test_reproduced",
     "test_planted",
-    "test_matrix",
     "test_mutants",
     "test_cluster",
     "test_packaging",
     "test_calibration",
+    "test_prepared",
     "test_loop",
-}
+    "test_localizer",
+    "test_addition",
+    "test_render",
+    "test_lens",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run the longest modules first, the others in their random order."""
-    items.sort(key=lambda item: item.path.stem not in _LONGEST)
+    place = {name: k for k, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 # Environment variables that pytest and libraries set.
@@ -208,6 +221,17 @@ def extracted_once() -> Iterator[None]:
     """SIFT features of a picture, which are the same in every test, are extracted once."""
     with remember_features():
         yield
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a cache of maps for all modules; its files are named by digests of their inputs.
+
+    Tests that look into a cache or change it have one of their own.
+    """
+    folder = run_folder(tmp_path_factory) / "cache"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 @pytest.fixture

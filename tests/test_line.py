@@ -12,6 +12,8 @@ from benchmark.cli import app
 from benchmark.results.results_files import load
 from objconnect.scene.bundle.scene import Scene
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 
 @pytest.fixture(scope="module")
 def results(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:

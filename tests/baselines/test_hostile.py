@@ -78,12 +78,6 @@ def create_or_skip(method: str) -> Localizer:
         pytest.skip(f"{method} cannot be made: {error}")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The photographs are always the same."""
-    return tmp_path_factory.mktemp("cache")
-
-
 def mark_slow(method: str, slow: tuple[str, ...]) -> Any:
     return pytest.param(method, marks=pytest.mark.thorough) if method in slow else method
 

@@ -83,12 +83,6 @@ def snow() -> Dataset:
     return dataset
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What methods keep of a map serves all tests but those that change it."""
-    return tmp_path_factory.mktemp("cache")
-
-
 class Remembering:
     """An extractor of local features that extracts those of a picture once."""
 

@@ -14,12 +14,6 @@ from objconnect.scene.geometry.pose import Pose
 pytestmark = pytest.mark.usefixtures("extracted_once")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map's features are the same in every test."""
-    return tmp_path_factory.mktemp("cache")
-
-
 @pytest.fixture
 def sparse(flight_copy: Path) -> Path:
     """The hard split alone: it has few photographs, so that the test is quick."""

@@ -21,6 +21,8 @@ from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import require_blender
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_LINES = 60
 

@@ -38,11 +38,6 @@ def sparse_map() -> SparseMap:
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(scope="module")
 def localizer(weights: Path, sparse_map: SparseMap, cache: Path) -> D2NetLocalizer:
     made = D2NetLocalizer(D2NetConfig(weights=weights))
     made.prepare(sparse_map, IMAGES, cache)

@@ -63,11 +63,6 @@ def again() -> Query:
 QUERY = again()
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
-
-
 @pytest.fixture(scope="module", params=LIGHTGLUE)
 def localizer(request: pytest.FixtureRequest, cache: Path) -> StructureLocalizer:
     made = create(request.param, options_of(request.param))

@@ -43,12 +43,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path]:
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map is nearly always the same."""
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(scope="module")
 def localizer(weights: Path, made: tuple[SparseMap, Path], cache: Path) -> PixlocLocalizer:
     localizer = PixlocLocalizer(PixlocConfig(weights=weights))
     localizer.prepare(*made, cache)

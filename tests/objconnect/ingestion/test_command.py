@@ -39,6 +39,8 @@ from objconnect.scene.localizer import Status
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.locks import write_lock
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 Ingested = tuple[Scene, IngestReport]
 
 

@@ -19,6 +19,8 @@ from objconnect.scene.exports.export import export
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import ecef_from_geodetic, enu_axes
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 SESSION = "summer-noon-nadir-map"
 
 

@@ -124,7 +124,7 @@ def test_it_is_said_before_a_map_is_prepared(method: str, monkeypatch: pytest.Mo
 
 @needs_units
 @pytest.mark.parametrize(("method", "share"), [("objconnect", 1.5), ("pixloc", 1.0)])
-def test_poses_are_found(method: str, share: float, tmp_path: Path) -> None:
+def test_poses_are_found(method: str, share: float, tmp_path: Path, cache: Path) -> None:
     """They are those of floating point. Weights of `objconnect` are less exact than PixLoc's on
     these painted pictures, in floating point too, and may be further from the truth by this share.
     """
@@ -134,7 +134,7 @@ def test_poses_are_found(method: str, share: float, tmp_path: Path) -> None:
     poses = []
     for quantized_too in (True, False):
         localizer = create(method, {"quantized": quantized_too})
-        localizer.prepare(sparse_map, images)
+        localizer.prepare(sparse_map, images, cache)
         found = localizer.localize(Query("query.png", photograph(truth), CAMERA, prior))
         assert found.status is Status.OK and found.cam_from_world is not None
         poses.append(found.cam_from_world)

@@ -24,6 +24,8 @@ from objconnect.scene.maps.features import read_features
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.locks import write_lock
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 
 def test_map_of_a_rendered_flight(rendered: Scene) -> None:
     sparse_map = rendered.sparse_map()

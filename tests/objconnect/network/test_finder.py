@@ -90,28 +90,44 @@ def seen(finder: ObjectSearch, rendered: Scene, tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What localizers keep of the rendered scene."""
-    return tmp_path_factory.mktemp("cache")
+def few(rendered: Scene) -> SparseMap:
+    """Five photographs of the rendered scene."""
+    whole = rendered.sparse_map()
+    return replace(whole, images={name: whole.images[name] for name in whole.names[:5]})
+
+
+@pytest.fixture(scope="module")
+def seen_few(
+    finder: ObjectSearch,
+    rendered: Scene,
+    few: SparseMap,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """The cache of a finder that has looked at the five photographs; no test changes it."""
+    cache = tmp_path_factory.mktemp("seen-few")
+    finder.prepare(source_of(finder, few, rendered, cache))
+    return cache
 
 
 def test_objects_are_found_in_the_feature_maps_of_references(
     finder: ObjectSearch,
     rendered: Scene,
-    seen: Path,
+    few: SparseMap,
+    seen_few: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The network sees every photograph once, and finds the objects that it would find alone."""
-    source = source_of(finder, rendered.sparse_map(), rendered, tmp_path)
+    source = source_of(finder, few, rendered, tmp_path)
     load_references(source, 64, finder.observer(source))
     with monkeypatch.context() as patched:
         patched.setattr(MapExtractor, "features", None)
         finder.prepare(source)
     assert finder.observer(source) is None
-    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (seen, tmp_path))
+    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (seen_few, tmp_path))
     assert one.name == other.name
     found, again = landmarks_in(one), landmarks_in(other)
+    assert len(found) >= 10
     np.testing.assert_array_equal(found.xyz, again.xyz)
     np.testing.assert_array_equal(found.vectors, again.vectors)
 
@@ -140,12 +156,12 @@ def test_the_map_is_looked_at_once(
 def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
     finder: ObjectSearch,
     rendered: Scene,
-    seen: Path,
+    few: SparseMap,
+    seen_few: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = rendered.sparse_map()
-    fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
+    fewer = replace(few, images={name: few.images[name] for name in few.names[2:]})
     finder.prepare(source_of(finder, fewer, rendered, tmp_path))
     asked: list[int] = []
     found = MapExtractor.__call__
@@ -155,12 +171,12 @@ def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
         return found(of, *args)
 
     monkeypatch.setattr(MapExtractor, "__call__", count_calls)
-    source = source_of(finder, whole, rendered, tmp_path)
+    source = source_of(finder, few, rendered, tmp_path)
     load_references(source, 64, finder.observer(source))
-    assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
+    assert len(asked) == len(few.names)  # the references needed all, the objects two of them
     finder.prepare(source)
-    assert len(asked) == len(whole.names)
-    (one,) = seen.glob("objects-*.h5")
+    assert len(asked) == len(few.names)
+    (one,) = seen_few.glob("objects-*.h5")
     kept, fresh = landmarks_in(tmp_path / one.name), landmarks_in(one)
     np.testing.assert_array_equal(kept.xyz, fresh.xyz)
     np.testing.assert_array_equal(kept.vectors, fresh.vectors)

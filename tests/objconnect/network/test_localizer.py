@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,11 @@ TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 
 
 @pytest.fixture(scope="module")
-def localizer(tmp_path_factory: pytest.TempPathFactory) -> FeaturemetricLocalizer:
+def localizer(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> FeaturemetricLocalizer:
     images = tmp_path_factory.mktemp("map") / "images"
     made = create("objconnect", {})
     assert isinstance(made, FeaturemetricLocalizer)
-    made.prepare(write_map(images), images)
+    made.prepare(write_map(images), images, cache)
     return made
 
 

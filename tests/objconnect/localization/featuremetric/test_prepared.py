@@ -33,6 +33,8 @@ from objconnect.scene.localizer import (
 )
 from tests.baselines.pixloc.made_map import write_map
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 # Twelve inliers are an answer: that a query needs no alignment is what counts here.
 OPTIONS: dict[str, Any] = {"search": {"matched_answer_inliers": 12}}
 
@@ -146,7 +148,10 @@ def test_what_goes_wrong_then_is_no_failure_of_a_query(
     assert localize_safely(left, load_without_prior(hamlet)).status is Status.OK
 
 
-def test_a_photograph_that_is_gone_by_then_is_named(rendered_copy: Path, tmp_path: Path) -> None:
+def test_a_photograph_that_is_gone_by_then_is_named(
+    rendered_copy: Path, first: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(first, tmp_path / "cache")
     (dataset,) = open_datasets(rendered_copy)
     method, sparse_map = create("objconnect", OPTIONS), dataset.load_map()
     prepare_first(method, sparse_map, dataset.images, tmp_path / "cache")

@@ -29,12 +29,6 @@ PRIORS = {
 }
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The map is always the same."""
-    return tmp_path_factory.mktemp("cache")
-
-
 @pytest.fixture(scope="module", params=SETTINGS)
 def localizer(request: pytest.FixtureRequest, cache: Path) -> Localizer:
     made = create("objconnect", SETTINGS[request.param])

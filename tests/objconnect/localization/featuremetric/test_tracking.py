@@ -27,9 +27,9 @@ METHODS = ("objconnect", "pixloc")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path, Path]:
-    folder = tmp_path_factory.mktemp("map")
-    return write_map(folder / "images"), folder / "images", folder / "cache"
+def made(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[SparseMap, Path, Path]:
+    images = tmp_path_factory.mktemp("map") / "images"
+    return write_map(images), images, cache
 
 
 @pytest.fixture(scope="module", params=METHODS)
