@@ -91,9 +91,12 @@ def list_imported(statement: ast.AST) -> Iterator[str]:
         assert statement.module is not None
         yield statement.module
         yield from (f"{statement.module}.{alias.name}" for alias in statement.names)
-    elif isinstance(statement, ast.Call) and isinstance(statement.func, ast.Name):
-        if statement.func.id == "import_extra":
-            yield ast.literal_eval(statement.args[0])
+    elif (
+        isinstance(statement, ast.Call)
+        and isinstance(statement.func, ast.Name)
+        and statement.func.id == "import_extra"
+    ):
+        yield ast.literal_eval(statement.args[0])
 
 
 @cache
@@ -214,7 +217,7 @@ def list_loaded_by(*parts: list[str]) -> list[set[str]]:
 
 @pytest.fixture(scope="module")
 def loaded() -> tuple[set[str], set[str]]:
-    """Top-level modules in memory after importing the library, then all others but the simulator."""
+    """Top-level modules in memory after the library is imported, then all but the simulator."""
     library = [name for name in ALL if name.startswith("objconnect")]
     others = [name for name in ALL if not name.startswith(("objconnect", "simulate"))]
     first, second = list_loaded_by(library, others)
