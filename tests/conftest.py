@@ -117,8 +117,15 @@ def _require_unchanged_process() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _tune_process() -> Iterator[None]:
-    """Tune the process as the command line does."""
-    with ProcessTuning():
+    """Tune the process as the command line does, but freeze no objects.
+
+    That visits the objects of all tests, for half a second; ``test_tuning`` does it in a process of
+    its own.
+    """
+    with ProcessTuning(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "objconnect.localization.featuremetric.localizer.freeze_objects", lambda: None
+        )
         yield
 
 

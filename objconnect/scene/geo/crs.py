@@ -194,6 +194,12 @@ class Projection:
         x, y, h = self._from_wgs84.transform(place.longitude, place.latitude, place.altitude)
         return np.array([x, y, h * self._height_scale])
 
+    def from_geodetics(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert latitudes, longitudes and altitudes (N, 3) to (N, 3), as ``from_geodetic``."""
+        latitude, longitude, altitude = places.T
+        x, y, h = self._from_wgs84.transform(longitude, latitude, altitude)
+        return np.stack([x, y, h * self._height_scale], -1)
+
     def to_geodetic(self, coordinates: NDArray[np.float64]) -> Geodetic:
         """Convert east, north and height, (3,) in the units of ``from_geodetic``, to a place.
 

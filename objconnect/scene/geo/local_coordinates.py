@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.crs import Projection
-from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetics_from_enu
 from objconnect.scene.geometry.pose import Pose
 
 Array = NDArray[np.float64]
@@ -61,14 +61,12 @@ class LocalProjection:
         half = np.maximum((high - low) / 2, 1.0)
         scale = float(half.max())
         nodes = np.stack(np.meshgrid(*[_NODES] * 3, indexing="ij"), -1).reshape(-1, 3) * half
-        exact = np.stack(
-            [projection.from_geodetic(geodetic_from_enu(middle + x, origin)) for x in nodes]
-        )
-        centre = projection.from_geodetic(geodetic_from_enu(middle, origin))
+        places = geodetics_from_enu(np.vstack([middle, middle + nodes]), origin)
+        centre, *exact = projection.from_geodetics(places)
         u = nodes / scale
         first, second = np.triu_indices(3)
         terms = np.hstack([np.ones((len(u), 1)), u, u[:, first] * u[:, second]])
-        fitted = np.linalg.lstsq(terms, exact - centre, rcond=None)[0]
+        fitted = np.linalg.lstsq(terms, np.stack(exact) - centre, rcond=None)[0]
         quadratic = np.zeros((3, 3, 3))
         quadratic[:, first, second] += fitted[4:].T / 2
         quadratic[:, second, first] += fitted[4:].T / 2

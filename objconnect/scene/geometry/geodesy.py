@@ -111,6 +111,22 @@ def geodetic_from_ecef(ecef: NDArray[np.float64]) -> Geodetic:
     return Geodetic(math.degrees(lat), math.degrees(math.atan2(y, x)), altitude)
 
 
+def geodetics_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> NDArray[np.float64]:
+    """Return latitude, longitude and altitude, (N, 3), of local positions (N, 3).
+
+    Units and exactness are those of ``geodetic_from_enu``.
+    """
+    x, y, z = (ecef_from_geodetic(origin) + enu @ enu_axes(origin)).T
+    p = np.hypot(x, y)
+    lat = np.arctan2(z, p * (1 - _E2))
+    for _ in range(6):
+        n = _SEMI_MAJOR / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
+        lat = np.arctan2(z + _E2 * n * np.sin(lat), p)
+    n = _SEMI_MAJOR / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
+    altitude = p * np.cos(lat) + z * np.sin(lat) - _SEMI_MAJOR**2 / n
+    return np.stack([np.degrees(lat), np.degrees(np.arctan2(y, x)), altitude], -1)
+
+
 def median_place(places: Sequence[Geodetic]) -> Geodetic:
     """Return the median of places, also across longitude 180.
 

@@ -37,6 +37,8 @@ from objconnect.scene.flights.reference_error import (
 from objconnect.scene.flights.textfiles import read_cameras, read_poses
 from objconnect.scene.storage.images import read_rgb
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 Array = NDArray[np.float64]
 
 PIXEL = 0.2

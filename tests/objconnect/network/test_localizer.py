@@ -63,7 +63,9 @@ def test_a_query_leaves_no_tensor_behind(localizer: FeaturemetricLocalizer) -> N
     def held() -> int:
         gc.unfreeze()  # what is frozen is not listed
         gc.collect()
-        return sum(each.nbytes for each in gc.get_objects() if type(each) is torch.Tensor)
+        total = sum(each.nbytes for each in gc.get_objects() if type(each) is torch.Tensor)
+        gc.freeze()
+        return total
 
     start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
     find_from(localizer, start)

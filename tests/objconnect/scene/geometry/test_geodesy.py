@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from objconnect.scene.geometry.geodesy import (
+    Geodetic,
+    enu_from_geodetic,
+    geodetic_from_enu,
+    geodetics_from_enu,
+)
 
 latitudes = st.floats(-89.9, 89.9)
 longitudes = st.floats(-180, 180)
@@ -30,6 +35,15 @@ def test_any_place_on_earth_comes_back(place: Geodetic, origin: Geodetic) -> Non
     assert again.latitude == pytest.approx(place.latitude, abs=1e-9)
     assert turn * math.cos(math.radians(place.latitude)) == pytest.approx(0, abs=1e-9)
     assert again.altitude == pytest.approx(place.altitude, abs=1e-5)
+
+
+@given(places, st.lists(offsets, min_size=1, max_size=5))
+def test_many_positions_are_converted_as_each_alone(
+    origin: Geodetic, positions: list[tuple[float, float, float]]
+) -> None:
+    enu = np.array(positions)
+    alone = [geodetic_from_enu(each, origin) for each in enu]
+    np.testing.assert_allclose(geodetics_from_enu(enu, origin), alone, rtol=1e-12, atol=1e-7)
 
 
 @pytest.mark.parametrize("latitude", [90.0, -90.0])
