@@ -215,9 +215,9 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     require_libraries()
 
     def make(folder: Path) -> None:
+        simulate(RENDERED, folder / "hamlet")
         with pytest.MonkeyPatch.context() as patch:
             _set_drawing(patch, draw_pictures)
-            simulate(RENDERED, folder / "hamlet")
             build_map(folder / "hamlet")
 
     return Scene.open(make_once(tmp_path_factory, "rendered", make) / "hamlet")

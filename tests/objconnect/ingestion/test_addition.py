@@ -33,6 +33,8 @@ from objconnect.scene.maps.features import FeatureFile, Features, read_features,
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.objconnect.ingestion.test_imported_poses import SESSION, geocentric, photographs_of
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 Ingested = tuple[Scene, IngestReport]
 OLD = 8
 THIRD_OF_A_PIXEL = 0.1  # m on the ground

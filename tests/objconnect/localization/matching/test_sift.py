@@ -21,6 +21,8 @@ from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.images import read_rgb
 
+pytestmark = pytest.mark.usefixtures("extracted_once")
+
 CONFIG = SiftConfig(max_features=2000)
 
 
