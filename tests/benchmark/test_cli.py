@@ -441,9 +441,9 @@ def run_process(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_process_prints_one_line(flight: Path, tmp_path: Path) -> None:
-    message = nan_pose(flight)
-    done = run_process("evaluate", flight, "--method", "sift", "--out", tmp_path / "out")
+def test_process_prints_one_line(made_flight: Path, tmp_path: Path) -> None:
+    message = nan_pose(made_flight)
+    done = run_process("evaluate", made_flight, "--method", "sift", "--out", tmp_path / "out")
     assert done.returncode == 2
     assert message in error_line(done.stderr)
     assert done.stdout == ""
