@@ -245,11 +245,11 @@ def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
 
 
 @pytest.mark.usefixtures("extracted_once")
-def test_jobs_change_nothing_but_seconds(rendered: Scene, tmp_path: Path) -> None:
+def test_jobs_change_nothing_but_seconds(rendered: Scene, cache: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(rendered.path)
     answers = []
     for jobs in (1, 3):
-        results = evaluate(dataset, create("sift", {}), tmp_path / str(jobs), jobs=jobs)
+        results = evaluate(dataset, create("sift", {}), tmp_path / str(jobs), cache=cache, jobs=jobs)
         answers.append([query.model_copy(update={"seconds": {}}) for query in results.queries])
     assert answers[0] == answers[1]
     assert any(query.status is Status.OK for query in answers[0])
