@@ -249,7 +249,9 @@ def test_jobs_change_nothing_but_seconds(rendered: Scene, cache: Path, tmp_path:
     (dataset,) = open_datasets(rendered.path)
     answers = []
     for jobs in (1, 3):
-        results = evaluate(dataset, create("sift", {}), tmp_path / str(jobs), cache=cache, jobs=jobs)
+        results = evaluate(
+            dataset, create("sift", {}), tmp_path / str(jobs), cache=cache, jobs=jobs
+        )
         answers.append([query.model_copy(update={"seconds": {}}) for query in results.queries])
     assert answers[0] == answers[1]
     assert any(query.status is Status.OK for query in answers[0])

@@ -40,8 +40,13 @@ def geocentric(scene: Scene, session: str) -> dict[str, np.ndarray]:
     return found
 
 
+# In the default part OpenSfM's poses are those of photographs without GPS.
 @pytest.mark.parametrize(
-    ("file_format", "file"), [("metashape", "cameras.xml"), ("opensfm", "reconstruction.json")]
+    ("file_format", "file"),
+    [
+        ("metashape", "cameras.xml"),
+        pytest.param("opensfm", "reconstruction.json", marks=pytest.mark.thorough),
+    ],
 )
 def test_given_poses_stay_as_they_are(
     rendered: Scene, tmp_path: Path, file_format: str, file: str
