@@ -236,7 +236,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     Tests that look into a cache or change it have one of their own.
     """
-    folder = run_folder(tmp_path_factory) / "cache"
+    folder = run_folder(tmp_path_factory) / "map-cache"
     folder.mkdir(exist_ok=True)
     return folder
 
